@@ -1,4 +1,4 @@
-"""Find, download and install networks (`ltm models add`): their files, their recipes, and the user's folder of models."""
+"""Find, download and install networks (`ltm models add`): files, recipes, and the user's folder of models."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -104,13 +104,20 @@ class Source:
 
     def size(self) -> tuple[int, int]:
         """Return width and height of the image for a network that takes any size."""
-        size = self.preprocessor.get("size", {})
-        size = {"height": size, "width": size} if isinstance(size, int) else size
+        size = self.preprocessor.get("size")
+        size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
         if {"height", "width"} <= set(size):
             return int(size["width"]), int(size["height"])
         if isinstance(short := size.get("shortest_edge"), int):
             return min(round(short * 16 / 9), int(size.get("longest_edge", 2 * short))), short
         return _SIZE
+
+    def class_names(self) -> list[str]:
+        """Return the names of the classes of its `config.json`, the repeated ones numbered; empty if it has none."""
+        given = self.config.get("id2label")
+        keys = sorted(given, key=lambda key: (len(str(key)), str(key))) if isinstance(given, dict) else []
+        names = [str(self.config["id2label"][key]) for key in keys]
+        return [name if name not in names[:at] else f"{name} {at}" for at, name in enumerate(names)]
 
     def normalisation(self, stated: str, usual: str) -> dict[str, Any] | None:
         """Return the keys of `InputSpec` for the values of pixels: those of the normalisation `stated`, of the
@@ -125,7 +132,7 @@ class Source:
             return None
         found: dict[str, Any] = {"channels": "bgr"} if given.get("do_flip_channel_order") else {}
         if given.get("do_rescale", True):
-            found["scale"] = float(given.get("rescale_factor", 1.0 / 255.0))
+            found["scale"] = float(given.get("rescale_factor") or 1.0 / 255.0)
         if given.get("do_normalize", "image_mean" in given):
             found |= {"mean": given.get("image_mean", [0.5] * 3), "std": given.get("image_std", [0.5] * 3)}
         return found
@@ -283,7 +290,7 @@ def _of_file(path: Path) -> Source:
     for readme in (folder / "README.md" for folder in hub if is_file(folder / "README.md")):
         header = read_text(readme, _LARGEST_SIDE_FILE, ModelError)[:4000]
         licence = next(iter(re.findall(r"^licen[cs]e(?:_name)?:\s*(\S+)\s*$", header, re.MULTILINE)), "")
-    names = [PurePosixPath(path.resolve().parent / path.name).stem, *(parent.name for parent in path.resolve().parents)]
+    names = [path.stem, *(parent.name for parent in path.absolute().parents)]
     telling = next((each for each in names if each and not _GENERIC.match(each.lower())), "model")
     name = re.sub(r"[^a-z0-9]+", "_", telling.lower()).strip("_") or "model"
     return Source(path, name, {}, found["config"], found["preprocessor_config"], licence)

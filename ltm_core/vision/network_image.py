@@ -1,7 +1,8 @@
-"""Turn a photo into the tensor of a network, and the network's pixels back into the photo's field of view."""
+"""Turn a photo and its camera into the tensors of a network, and the network's pixels back into the photo's view."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -13,6 +14,17 @@ from pydantic import Field, field_validator, model_validator
 from ltm_core.base.errors import ModelError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+
+DTYPES: Final[dict[str, Any]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+    "tensor(bool)": np.bool_,
+}
+"""NumPy type of each type of a graph's tensors."""
 
 _LEADING: Final = 8
 """Maximum number of tokens before those of patches: one of the class and four registers in DINOv3."""
@@ -113,11 +125,11 @@ def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
         cols, rows = (max(1, round(side * ratio)) for side in (width, height))
     if (width, height) != (cols, rows):
         shrinks = cols <= width and rows <= height
-        image = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)  # type: ignore[assignment]
+        image = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     if (cols, rows) != (wide, tall):
         mean = spec.mean if spec.channels == "rgb" else spec.mean[::-1]
         empty = np.clip(np.rint(np.array(mean) / spec.scale), 0, 255)
-        image = cv2.copyMakeBorder(image, 0, tall - rows, 0, wide - cols, cv2.BORDER_CONSTANT, value=empty.tolist())  # type: ignore[assignment]
+        image = cv2.copyMakeBorder(image, 0, tall - rows, 0, wide - cols, cv2.BORDER_CONSTANT, value=empty.tolist())
     return FittedImage(np.asarray(image, np.uint8), rows, cols)
 
 
@@ -161,6 +173,44 @@ def scaled_matrix(matrix: Float64Array, size: tuple[int, int], to: tuple[int, in
     # Edge to edge: pixel centres move by half a pixel when the image is resized.
     shift = [[across, 0.0, 0.5 * across - 0.5], [0.0, down, 0.5 * down - 0.5], [0.0, 0.0, 1.0]]
     return np.asarray(shift @ matrix, np.float64)
+
+
+def rows_of(constants: Mapping[str, npt.NDArray[Any]]) -> int:
+    """Return how often a network runs for an image: once for each row of its constants."""
+    return max((len(value) for value in constants.values() if value.ndim > 1), default=1)
+
+
+def image_feed(
+    image: Any, tensor: npt.NDArray[Any], constants: Mapping[str, npt.NDArray[Any]]
+) -> dict[str, npt.NDArray[Any]]:
+    """Return what a graph gets for its input node `image` and for its constants."""
+    given = tensor[:, None] if len(image.shape) == 5 else tensor
+    rows = rows_of(constants)
+    return {image.name: np.repeat(given, rows, axis=0) if rows > 1 else given, **constants}
+
+
+def camera_feed(
+    camera: Any, matrix: Float64Array, tensor: npt.NDArray[Any], spec: InputSpec
+) -> dict[str, npt.NDArray[Any]]:
+    """Return what a graph gets for its input node `camera`; `matrix` is that of the image in `tensor`."""
+    shape = tuple(size if isinstance(size, int) else 1 for size in camera.shape)
+    rows, cols = tensor.shape[-2:] if spec.layout == "NCHW" else tensor.shape[1:3]
+    return {camera.name: camera_tensor(matrix, shape, (rows, cols)).astype(DTYPES[camera.type])}
+
+
+def constant_tensor(value: Any, node: Any, size: tuple[int, int]) -> npt.NDArray[Any]:
+    """Return the fixed value of an input. One number fills the whole input, whose two last free axes have the image's
+    `size` (rows, cols), as in a mask of valid pixels; a list of numbers is one row. Raises ModelError."""
+    given = np.asarray(value)
+    if given.ndim == 0 and len(node.shape) > 1:
+        free = (*(1,) * (len(node.shape) - 2), *size)
+        shape = tuple(n if isinstance(n, int) else m for n, m in zip(node.shape, free, strict=True))
+        given = np.broadcast_to(given, shape)
+    elif given.ndim < len(node.shape):
+        given = given.reshape((1,) * (len(node.shape) - given.ndim) + given.shape)
+    if node.type not in DTYPES or given.ndim != len(node.shape):
+        raise ModelError(f"input.constants: {node.name} is {value}; expected {node.type} {node.shape}")
+    return np.ascontiguousarray(given.astype(DTYPES[node.type]))
 
 
 def pixel_rays(matrix: Float64Array, size: tuple[int, int]) -> Float64Array:

@@ -23,7 +23,7 @@ import onnxruntime as ort
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.network_image import camera_tensor
+from ltm_core.vision.network_image import DTYPES, camera_feed, constant_tensor, image_feed, rows_of
 from ltm_core.vision.onnx_file import NetworkFile
 
 _Outputs = dict[str, npt.NDArray[Any]]
@@ -69,15 +69,6 @@ class SharedRuns:
 _loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
-DTYPES: Final[dict[str, Any]] = {
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-    "tensor(double)": np.float64,
-    "tensor(uint8)": np.uint8,
-    "tensor(int32)": np.int32,
-    "tensor(int64)": np.int64,
-    "tensor(bool)": np.bool_,
-}
 _FLOATS: Final = ("tensor(float)", "tensor(float16)", "tensor(double)")
 
 
@@ -142,10 +133,7 @@ class OnnxModel:
             return self._shared(tensor, names)
         if matrix is None:
             raise self._wrong(f"input {self._camera.name!r}", "a camera matrix", "none")
-        shape = tuple(size if isinstance(size, int) else 1 for size in self._camera.shape)
-        size = tensor.shape[-2:] if self.manifest.input.layout == "NCHW" else tensor.shape[1:3]
-        given = camera_tensor(matrix, shape, (size[0], size[1])).astype(DTYPES[self._camera.type])
-        return self._run(names, self._feed(tensor) | {self._camera.name: given})
+        return self._run(names, self._feed(tensor) | camera_feed(self._camera, matrix, tensor, self.manifest.input))
 
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
@@ -166,15 +154,8 @@ class OnnxModel:
     def _shared(self, tensor: npt.NDArray[Any], outputs: list[str]) -> list[Any]:
         return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
 
-    @property
-    def _rows(self) -> int:
-        """Return how often the network runs for an image: once for each row of its constants."""
-        return max((len(value) for value in self._constants.values() if value.ndim > 1), default=1)
-
     def _feed(self, tensor: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-        rows = self._rows
-        given = tensor[:, None] if len(self._image.shape) == 5 else tensor
-        return {self._image.name: np.repeat(given, rows, axis=0) if rows > 1 else given} | self._constants
+        return image_feed(self._image, tensor, self._constants)
 
     def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
         """Raise ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
@@ -255,7 +236,7 @@ class OnnxModel:
         count = len(self.manifest.classes) if text is None else text.dimensions
         allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
         if len(shape) == 3:  # tokens of a vision tower, or one run per class
-            channels = shape[2] if text is not None else count if self._rows == count else None
+            channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
         else:
             channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
         if len(shape) not in (3, 4) or channels is None or (isinstance(channels, int) and channels not in allowed):
@@ -315,21 +296,6 @@ def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.Inferen
             f"{path}: expected an ONNX network, found {len(file.content)} bytes that ONNX Runtime "
             f"{ort.__version__} rejects: {reason}"
         ) from reason
-
-
-def constant_tensor(value: Any, node: Any, size: tuple[int, int]) -> npt.NDArray[Any]:
-    """Return the fixed value of an input. One number fills the whole input, whose two last free axes have the image's
-    `size` (rows, cols), as in a mask of valid pixels; a list of numbers is one row. Raises ModelError."""
-    given = np.asarray(value)
-    if given.ndim == 0 and len(node.shape) > 1:
-        free = (*(1,) * (len(node.shape) - 2), *size)
-        shape = tuple(n if isinstance(n, int) else m for n, m in zip(node.shape, free, strict=True))
-        given = np.broadcast_to(given, shape)
-    elif given.ndim < len(node.shape):
-        given = given.reshape((1,) * (len(node.shape) - given.ndim) + given.shape)
-    if node.type not in DTYPES or given.ndim != len(node.shape):
-        raise ModelError(f"input.constants: {node.name} is {value}; expected {node.type} {node.shape}")
-    return np.ascontiguousarray(given.astype(DTYPES[node.type]))
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:

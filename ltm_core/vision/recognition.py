@@ -14,12 +14,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.base.errors import ModelError
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.storage.config_io import checked
 from ltm_core.vision.install_io import RecipeFile, Source, merged
 from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
-from ltm_core.vision.network_image import InputSpec, as_tensor, camera_tensor, fitted
+from ltm_core.vision.network_image import DTYPES, InputSpec, as_tensor, camera_feed, constant_tensor, image_feed
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
-from ltm_core.vision.onnx_model import DTYPES, constant_tensor, open_session
+from ltm_core.vision.onnx_model import open_session
 from ltm_core.vision.vocabulary import labels_of_classes
 
 _CAMERA: Final = re.compile(r"^k$|^rays?$|intrinsic|camera|cam_|^focal|^fov|^f_?px", re.IGNORECASE)
@@ -39,25 +40,29 @@ Values = npt.NDArray[Any]
 def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name: str = "") -> NetworkManifest:
     """Return the manifest of a network, whose files are where `source` has them.
 
-    `stated`: keys of the manifest beside those of the source, also partly; `normalise` there is a normalisation of
-    `config/network_recipes.yaml`. `recipe`: the name of a recipe whose properties the network has. `name`: the name of
-    the model. Raises ModelError for a file that is no network, another checksum than stated, and properties that
-    nothing determines.
+    `stated`: further keys of the manifest, and `normalise`, a normalisation of `config/network_recipes.yaml`. `recipe`:
+    the name of a recipe whose properties the network has. `name`: that of the model. Raises ModelError for a file that
+    is no network or has another checksum than stated, and for properties that nothing determines.
     """
     known = merged(source.stated, stated)
+    if wrong := [key for key in ("input", "output", "mapping", "text") if not isinstance(known.get(key, {}), dict)]:
+        raise ModelError(f"{source.file}: {wrong[0]} is {known[wrong[0]]!r}; expected a mapping of keys to values")
     file = NetworkFile.read(source.file)
     if "sha256" in known and known["sha256"] not in (file.digest, file_digest(source.file)):
         raise ModelError(
             f"{source.file}: has sha256 {file.digest}, expected {known['sha256']}; download it again, or correct the "
             "checksum if you changed the network"
         )
-    content = _Recognition(source, file, known, recipe or source.recipe).content()
+    try:
+        content = _Recognition(source, file, known, recipe or source.recipe).content()
+    except ConfigError as reason:
+        raise ModelError(str(reason)) from reason
     if isinstance(text := content.get("text"), dict) and "file" in text:
         text = {"dimensions": content.pop("dimensions", 0), **text, "file": str(Path(text["file"]).resolve())}
         content["text"] = text
     content |= {
         "name": name or known.get("name") or source.name,
-        "file": str(source.file.resolve().parent / source.file.name),
+        "file": str(source.file.absolute()),
     }
     return NetworkManifest.of(content | {"sha256": file.digest}, str(source.file))
 
@@ -71,6 +76,7 @@ class _Recognition:
         self.config = source.config
         self.missing: list[str] = []
         """What cannot be determined: each as a clause with the option to state it."""
+        self.unknown_inputs = False
         self.source, self.shape = source, self._image_shape(stated)
         sides = self.shape[1:3] if self._layout(stated) == "NHWC" else self.shape[2:]
         graph = set(self.inputs), set(self.outputs), tuple(sides)
@@ -79,18 +85,22 @@ class _Recognition:
         known = RecipeFile.load().named(self.recipe).manifest if self.recipe else {}
         if self.config.get("depth_estimation_type") == "metric":
             known = merged(known, {"output": {"kind": "metric"}})
-        self.known = merged(merged({"input": {}, "output": {}}, known), stated)
-        constants = self.known["input"].get("constants", {})
-        self.known["input"]["constants"] = {n: v for n, v in constants.items() if n in self.inputs}
+        usual = known.get("input", {}).get("constants", {})
+        known = merged({"input": {}, "output": {}}, known)
+        known["input"] = {**known["input"], "constants": {n: v for n, v in usual.items() if n in self.inputs}}
+        self.known = merged(known, stated)
+        if unknown := set(self.known["input"].get("constants", {})) - set(self.inputs):
+            raise ModelError(f"{self.path}: has no input {', '.join(unknown)}; inputs: {_listed(self.inputs)}")
 
     def content(self) -> dict[str, Any]:
+        """Return the content of the manifest. Raises ModelError with everything that cannot be determined."""
         image = self._input()
-        self._reject_if_missing()
-        spec = InputSpec.model_validate(image)
-        free = all(not isinstance(side, int) for side in self.sides)
-        plain = not (self.known.get("coarse_look") or self.known.get("maps"))
-        if "fit" not in image and plain:
-            multiple = image.get("multiple") or (self._multiple(spec) if free else 0)
+        if self.unknown_inputs:
+            self._reject_if_missing()
+        spec = checked(InputSpec, image, f"{self.path}: input")
+        free = not any(isinstance(side, int) for side in self.sides)
+        if "fit" not in image and not (self.known.get("coarse_look") or self.known.get("maps")):
+            multiple = (image.get("multiple") or self._multiple(spec)) if free else 0
             spec = spec.model_copy(update={"fit": "aspect", "multiple": multiple} if multiple else {"fit": "pad"})
         if spec.fit == "aspect":
             sides = {k: max(1, round(getattr(spec, k) / spec.multiple)) * spec.multiple for k in ("width", "height")}
@@ -98,22 +108,17 @@ class _Recognition:
         output = self._output(self._run(spec))
         self._reject_if_missing()
         rest = {key: value for key, value in self.known.items() if key not in ("input", "output", "normalise")}
-        recipe = RecipeFile.load().named(self.recipe) if self.recipe else None
-        rest.setdefault("licence", self.source.licence or (recipe.licence if recipe else "unknown"))
-        if recipe is not None:
-            rest.setdefault("source", recipe.page)
-        rest.setdefault("card", f"determined from {self.path.name}")
-        return {**rest, "input": spec.model_dump(mode="json", exclude_defaults=True), "output": output}
+        usual = {"licence": self.source.licence or "unknown", "card": f"determined from {self.path.name}"}
+        if self.recipe:
+            recipe = RecipeFile.load().named(self.recipe)
+            usual |= {"licence": self.source.licence or recipe.licence, "source": recipe.page}
+        return {**usual, **rest, "input": spec.model_dump(mode="json", exclude_defaults=True), "output": output}
 
     # ---- input
 
     def _image_shape(self, stated: Mapping[str, Any]) -> list[Any]:
         """Find the input of the image; return its axes without the number of images of one view."""
-        fits = [
-            node
-            for node in self.inputs.values()
-            if len(node.shape) in (4, 5) and node.type in DTYPES and not _NOT_IMAGE.search(node.name)
-        ]
+        fits = [node for node in self.inputs.values() if len(node.shape) in (4, 5) and not _NOT_IMAGE.search(node.name)]
         named = [node for node in fits if _IMAGE.search(node.name)] or fits
         name = (stated.get("input") or {}).get("name")
         image = self.inputs.get(name) if name else named[0] if named else None
@@ -136,11 +141,10 @@ class _Recognition:
         known["width"] = width if isinstance(width, int) else known.get("width", wide)
         known["height"] = height if isinstance(height, int) else known.get("height", tall)
         known["layout"], known["name"] = self._layout(self.known), self.image.name
-        dtype = np.dtype(DTYPES[self.image.type]).name
-        known["dtype"] = dtype
+        known["dtype"] = dtype = np.dtype(DTYPES.get(self.image.type, np.object_)).name
         if dtype not in ("float32", "float16", "uint8"):
             raise ModelError(
-                f"{self.path}: input {self.image.name} is {dtype}; export it with float32, float16 or uint8"
+                f"{self.path}: input {self.image.name} is {self.image.type}; export it as float32 or uint8"
             )
         if dtype != "uint8" and not {"scale", "mean", "std"} & set(known):
             found = self.source.normalisation(
@@ -163,11 +167,16 @@ class _Recognition:
                 constants[name] = int(np.clip(tokens, 1200, 3600))
             elif name == "pixel_mask":
                 constants[name] = 1
+            elif name == "attention_mask" and "input_ids" in self.inputs:
+                if ids := constants.get("input_ids"):  # up to the end of text, the largest id of CLIP's tokenizer
+                    rows = np.atleast_2d(ids)
+                    constants[name] = (np.arange(rows.shape[1]) <= rows.argmax(axis=1)[:, None]).astype(int).tolist()
             else:
                 what = "the token ids of your prompts, one row per class, as" if _TEXT.search(name) else "its value as"
                 self.missing.append(
                     f"input {name} {node.type} {node.shape}: state {what} --set input.constants.{name}=..."
                 )
+                self.unknown_inputs = True
         if constants:
             known["constants"] = constants
         return known
@@ -175,19 +184,14 @@ class _Recognition:
     # ---- runs
 
     def _feed(self, spec: InputSpec) -> dict[str, Values]:
-        rng = np.random.default_rng(7)
-        small = fitted(rng.integers(0, 256, (spec.height, spec.width, 3), dtype=np.uint8), spec)
-        size = small.pixels.shape[:2]
-        matrix = np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1.0]])
-        tensor = as_tensor(small.pixels, spec)
-        tensor = tensor[:, None] if len(self.image.shape) == 5 else tensor
-        feed = {name: constant_tensor(v, self.inputs[name], size) for name, v in spec.constants.items()}
-        rows = max((len(value) for value in feed.values() if value.ndim > 1), default=1)
-        feed[self.image.name] = np.repeat(tensor, rows, axis=0)
+        rng, size = np.random.default_rng(7), (spec.height, spec.width)
+        tensor = as_tensor(rng.integers(0, 256, (*size, 3), dtype=np.uint8), spec)
+        feed = image_feed(
+            self.image, tensor, {n: constant_tensor(v, self.inputs[n], size) for n, v in spec.constants.items()}
+        )
         if spec.intrinsics in self.inputs:
-            node = self.inputs[spec.intrinsics]
-            shape = tuple(side if isinstance(side, int) else 1 for side in node.shape)
-            feed[node.name] = camera_tensor(matrix, shape, (size[0], size[1])).astype(DTYPES[node.type])
+            matrix = np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1.0]])
+            feed |= camera_feed(self.inputs[spec.intrinsics], matrix, tensor, spec)
         return feed
 
     def _run(self, spec: InputSpec) -> dict[str, Values]:
@@ -214,8 +218,7 @@ class _Recognition:
                 found = self._run(trial)
             except ModelError:
                 continue
-            planes = [value.shape[-2:] for value in found.values() if value.ndim >= 3 and min(value.shape[-2:]) > 4]
-            if all(_covers(trial, rows, cols) for rows, cols in planes):
+            if all(_covers(trial, *value.shape[-2:]) for value in _images(found)):
                 return multiple
         return 0
 
@@ -226,30 +229,26 @@ class _Recognition:
         name = known.get("name") or self._main(found)
         if name not in found:
             raise ModelError(f"{self.path}: has no output {name!r}; outputs: {_listed(self.outputs)}")
-        known["name"], values = name, found[name]
-        kind = known.get("kind") or self._kind(name, values, found, known)
-        if not kind:
-            return known
-        known["kind"] = kind
-        if kind in DEPTH_KINDS:
+        values = found[name]
+        known |= {"name": name, "kind": known.get("kind") or self._kind(name, values, found, known)}
+        if known["kind"] in DEPTH_KINDS:
             self._beside_depth(known, found)
-            return known
-        if kind == "embeddings":
+        elif known["kind"] == "embeddings":
             length = values.shape[-1 if values.ndim == 3 or known.get("layout") == "NHWC" else 1]
             self.known["dimensions"] = length
             if "text" not in self.known:
                 self.missing.append(f"the embeddings of the words, {length} numbers each: --set text.file=words.npz")
-            return known
-        self._classes(known, values, found)
+        elif known["kind"]:
+            self._classes(known, values, found)
         return known
 
     def _main(self, found: Mapping[str, Values]) -> str:
-        """Return the name of the main output: masks of queries, depth, or labels, else the only or first image."""
+        """Return the name of the main output: masks of queries, labels, or depth, else the only or first image."""
         masks = [n for n, value in found.items() if value.ndim == 4 and self._queries(value, found)]
         depth = [n for n in found if _DEPTH.search(n) and not _BESIDE_DEPTH.search(n)]
         logits = [n for n in found if "logits" in n.lower() and found[n].ndim >= 3]
         images = [n for n, value in found.items() if value.ndim >= 2 and min(value.shape[-2:]) > 4]
-        return (masks or depth or logits or images or list(found))[0]
+        return (masks or logits or depth or images or list(found))[0]
 
     def _queries(self, masks: Values, found: Mapping[str, Values]) -> str:
         """Return the name of the output with class logits of the masks' queries, if there is one."""
@@ -262,14 +261,13 @@ class _Recognition:
         low = name.lower()
         if _DEPTH.search(name) and not _BESIDE_DEPTH.search(name):
             stated = str(self.config.get("depth_estimation_type", ""))
-            points = 3 in (values.shape[1 if values.ndim > 2 else 0], values.shape[-1])
             if stated == "metric" or "metric" in low or "metric_scale" in found or self._has_camera():
                 return "metric"
             if stated == "relative" or "disp" in low or "inverse" in low:
                 return "relative_inverse"
             self.missing.append(
-                f"whether {name} is metres, inverse depth or depth of unknown scale: --set output.kind="
-                + ("metric|affine_invariant" if points else "metric|relative_inverse|affine_invariant")
+                f"whether {name} is metres, inverse depth or depth of unknown scale: --set output.kind=metric|"
+                "relative_inverse|affine_invariant"
             )
             return ""
         if np.issubdtype(values.dtype, np.integer):
@@ -306,15 +304,12 @@ class _Recognition:
     def _classes(self, known: dict[str, Any], values: Values, found: Mapping[str, Values]) -> None:
         if known["kind"] == "masks":
             known.setdefault("queries", self._queries(values, found))
-        names = list(self.known.get("classes", ()))
-        given = self.config.get("id2label")
-        if not names and isinstance(given, dict):
-            names = [str(given[key]) for key in sorted(given, key=int)]
+        names = list(self.known.get("classes", ())) or self.source.class_names()
         count = len(names)
         if known["kind"] not in ("ids", "masks"):
             nhwc = values.ndim == 4 and values.shape[3] == count != values.shape[1]
             known.setdefault("layout", "NHWC" if nhwc else "NCHW")
-        self.known["classes"] = names = _unique(names)
+        self.known["classes"] = names
         if not names:
             channels = "" if known["kind"] == "ids" else f" of output {known['name']} {list(values.shape)}"
             self.missing.append(
@@ -328,7 +323,10 @@ class _Recognition:
 
     def _reject_if_missing(self) -> None:
         if self.missing:
-            raise ModelError(f"{self.path}: cannot be determined: " + "; ".join(self.missing))
+            raise ModelError(
+                f"{self.path}: cannot be determined: {'; '.join(self.missing)}; or --like RECIPE for a network of a "
+                "known kind (`ltm models` lists recipes)"
+            )
 
 
 def _same_planes(node: Node, image: Node) -> bool:
@@ -336,15 +334,17 @@ def _same_planes(node: Node, image: Node) -> bool:
     return len(node.shape) == len(image.shape) and node.shape[1:] == image.shape[1:]
 
 
+def _images(found: Mapping[str, Values]) -> list[Values]:
+    """Return the outputs that are images, channels first: those of four and more axes if there are any."""
+    last = [np.moveaxis(v, -1, -3) if v.ndim >= 4 and v.shape[-1] <= 4 else v for v in found.values()]
+    images = [value for value in last if value.ndim >= 3 and min(value.shape[-2:]) > 4]
+    return [value for value in images if value.ndim >= 4] or images
+
+
 def _covers(spec: InputSpec, rows: int, cols: int) -> bool:
     """Return whether an output of this size covers the image of a network edge to edge."""
     down, across = spec.height / rows, spec.width / cols
     return abs(down - across) < 1e-9 and (down.is_integer() or (1.0 / down).is_integer())
-
-
-def _unique(names: list[str]) -> list[str]:
-    """Return names of classes, the repeated ones numbered."""
-    return [name if name not in names[:at] else f"{name} {at}" for at, name in enumerate(names)]
 
 
 def _listed(nodes: Mapping[str, Node]) -> str:
