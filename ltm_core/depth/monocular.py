@@ -17,8 +17,8 @@ from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
 from ltm_core.vision.network_image import as_tensor, fitted, pixel_rays, scaled_matrix
 from ltm_core.vision.onnx_model import OnnxModel
 
-_ROUNDS: Final = 8
-"""Rounds of reweighting of the shift of 3-D points."""
+_ROUNDS: Final = 100
+"""Maximum rounds of reweighting of the shift of 3-D points; real ones take about 5."""
 
 DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 
@@ -148,6 +148,8 @@ def shift_of_points(points: Float32Array, depth: Float32Array, rays: Float64Arra
     ray, xy, z = rays[:, known], points[:2, known].astype(np.float64), depth[known].astype(np.float64)
     nearest, shift = max(1e-6, 1e-3 * float(np.median(np.abs(z)))), 0.0
     for _ in range(_ROUNDS):
-        weight = 1.0 / np.maximum(z + shift, nearest) ** 2
+        weight, before = 1.0 / np.maximum(z + shift, nearest) ** 2, shift
         shift = float((weight * ray * (xy - ray * z)).sum() / (weight * ray * ray).sum())
+        if abs(shift - before) <= 1e-7 * abs(shift):
+            break
     return shift

@@ -259,7 +259,7 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
                 resumes = answer.status_code == 206
                 received = start if resumes else 0
                 with part.open("ab" if resumes else "wb") as out:
-                    for chunk in answer.iter_bytes(1 << 20):
+                    for chunk in answer.iter_bytes():
                         out.write(chunk)
                         received += len(chunk)
                         progress(received)

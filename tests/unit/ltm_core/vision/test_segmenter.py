@@ -16,8 +16,8 @@ from ltm_core.scoring.labels import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE
 from ltm_core.vision.network_image import InputSpec, as_tensor
-from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.second_scale import upsampled_winner
+from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
 

@@ -14,8 +14,7 @@ from scenes.networks import write_classifier, write_manifest
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.segmenter import open_vocabulary
+from ltm_core.vision.segmenter import Segmenter, open_vocabulary
 from ltm_core.vision.vocabulary import Vocabulary, parse_queries, read_queries
 
 WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
