@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator, model_validator
@@ -104,6 +103,8 @@ class FittedImage:
         tall, wide = max(1, round(rows)), max(1, round(cols))
         if abs(rows - tall) < 1e-6 and abs(cols - wide) < 1e-6:
             return planes[:, :tall, :wide]
+        import cv2  # not above: commands that only read manifests start without it
+
         down, across = rows / tall, cols / wide
         back = np.array([[across, 0, across / 2 - 0.5], [0, down, down / 2 - 0.5]])
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -114,6 +115,8 @@ class FittedImage:
 def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
     """Bring a photo (H, W, 3) uint8 RGB to the network's size as `spec.fit` says. Shrinks by area (no aliasing),
     enlarges bilinearly."""
+    import cv2
+
     height, width = image.shape[:2]
     wide, tall = spec.width, spec.height
     if spec.fit == "aspect":
