@@ -77,6 +77,27 @@ def test_any_photo_size_gives_labels_of_that_size(tmp_path: Path, size: tuple[in
     assert (labels == truth).mean() > 0.85
 
 
+@pytest.mark.parametrize("kind", ["logits", "ids"])
+@pytest.mark.parametrize("size", [(110, 170), (170, 110), (90, 400), (31, 47)])
+def test_padding_keeps_each_pixel_in_its_place(tmp_path: Path, kind: str, size: tuple[int, int]) -> None:
+    path = write_classifier(tmp_path, kind, channels="bgr")
+    photo, truth = _photo(size)
+    labels = Segmenter.open(changed(path, input={"fit": "pad"})).segment(photo).labels
+    sure = _away_from_edges(truth, round(max(size) / 48 * 2) + 2)
+    assert sure.mean() > 0.3
+    assert (labels[sure] == truth[sure]).mean() > 0.985
+
+
+def test_a_network_of_any_size_gets_the_photos_aspect_ratio(tmp_path: Path) -> None:
+    path = write_classifier(tmp_path, any_size=True)
+    photo, truth = _photo((180, 90))
+    segmenter = Segmenter.open(changed(path, input={"fit": "aspect", "multiple": 8}))
+    assert segmenter.logits(photo).shape[1:] == (28, 12)  # 56 x 24 pixels, the area of 48 x 32
+    assert (segmenter.segment(photo).labels == truth).mean() > 0.93
+    with pytest.raises(ModelError, match=r"aspect.*48"):
+        Segmenter.open(changed(write_classifier(tmp_path), input={"fit": "aspect"}))
+
+
 def test_confidence_is_the_probability_of_the_label(tmp_path: Path) -> None:
     """One grey tone everywhere: the classes' softmax is known, and two classes of one label add up."""
     gain = 3.0
