@@ -10,17 +10,24 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 from scenes.public_exports import EXPORTS
+from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.monocular import DepthNetwork, shift_of_points
 from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.install_io import install, source_of, stated_by
-from ltm_core.vision.labels import Label
+from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.network_image import pixel_rays
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.cli.models import trial_scene
 
 CAMERA = Camera(320, 180, 300.0, 290.0, 158.0, 93.0)
 
@@ -294,3 +301,31 @@ def test_a_malformed_file_of_a_hub_is_no_crash(tmp_path: Path, text: str) -> Non
             added(tmp_path / "zoe")
     else:
         assert added(tmp_path / "zoe").input.mean == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("export", ["segformer", "mask2former"])
+def test_an_added_label_network_labels_in_the_live_step(tmp_path: Path, export: str) -> None:
+    EXPORTS[export](tmp_path / export)
+    added(tmp_path / export)
+    step = LabellingStep(
+        load_site(write_small_site(tmp_path, recording=False).path), "mast", LabellingConfig(model=export)
+    )
+    found, _ = step.label(trial_scene())
+    shown = found.labels != UNLABELLED
+    assert shown.mean() > 0.5
+    np.testing.assert_array_equal(found.labels[shown], Segmenter.open(export).segment(trial_scene()).labels[shown])
+    assert export in step.described
+
+
+@pytest.mark.parametrize("folder", ["moge2_vits_static", "unidepth_v2_rays", "depth_pro_ext"])
+def test_an_added_depth_network_is_fused_in_the_live_step(tmp_path: Path, shared_models: Path, folder: str) -> None:
+    manifest = added(shared_models / "signatures" / folder)
+    site = load_site(write_small_site(tmp_path, recording=False).path)
+    step = FusingStep(site, "mast", FusingConfig(model=manifest.name))
+    rows, cols = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    traced = np.where(rows < 40, np.inf, 9e3 / (4 + rows) + 0.1 * cols).astype(np.float32)
+    frame = PosedImage(photo(), CAMERA, Pose.from_angles((0.0, 0.0, 900.0), 0.0), 0, "mast")
+    labels = np.where(rows < 40, Label.SKY, Label.GRASS).astype(np.uint8)
+    found = step.fuse(traced, frame, labels, None)
+    assert not found.trouble
+    assert found.fused.depth.shape == traced.shape
