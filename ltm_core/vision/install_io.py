@@ -25,7 +25,14 @@ from ltm_core.storage.config_io import load_yaml, parse_yaml, read_yaml
 from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_core.storage.text_io import read_text
 from ltm_core.vision.label_rules import calibration_path
-from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest, added_folder, find_file, shipped_names
+from ltm_core.vision.manifest import (
+    CALIBRATION_SUFFIX,
+    FUSION_SUFFIX,
+    NetworkManifest,
+    added_folder,
+    find_file,
+    shipped_names,
+)
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
 
 _LARGEST_SIDE_FILE: Final = 4 << 20
@@ -178,6 +185,8 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
     """
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
+    if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX)):
+        raise ModelError(f"a model cannot be named {name!r}; add --name with letters, digits, `_` and `-`")
     if name in shipped_names():
         raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
     if is_file(target) and NetworkManifest.load(target).sha256 != manifest.sha256:

@@ -127,6 +127,8 @@ class _Recognition:
                 f"{self.path}: has no input for an image ({_listed(self.inputs)}); give the vision part of the network,"
                 " or --set input.name=NAME"
             )
+        if isinstance(image.shape[0], int) and image.shape[0] != 1:
+            raise ModelError(f"{self.path}: takes {image.shape[0]} images at once; export it for one image")
         self.image = image
         return [image.shape[0], *image.shape[-3:]]
 
@@ -238,7 +240,7 @@ class _Recognition:
             self.known["dimensions"] = length
             if "text" not in self.known:
                 self.missing.append(f"the embeddings of the words, {length} numbers each: --set text.file=words.npz")
-        elif known["kind"]:
+        elif known["kind"] in ("logits", "probabilities", "ids", "masks"):
             self._classes(known, values, found)
         return known
 

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import onnxruntime as ort
 import pytest
-from scenes.public_exports import EXPORTS
+from onnx import TensorProto
+from scenes.public_exports import EXPORTS, Graph
 from scenes.small_site import write_small_site
+from typer.testing import CliRunner
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
@@ -27,6 +29,7 @@ from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.network_image import pixel_rays
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.cli import main
 from ltm_ros.cli.models import trial_scene
 
 CAMERA = Camera(320, 180, 300.0, 290.0, 158.0, 93.0)
@@ -329,3 +332,82 @@ def test_an_added_depth_network_is_fused_in_the_live_step(tmp_path: Path, shared
     found = step.fuse(traced, frame, labels, None)
     assert not found.trouble
     assert found.fused.depth.shape == traced.shape
+
+
+def _depth_graph(path: Path, camera: tuple[str, list[int]] | None = None, **changes: Any) -> Path:
+    """A depth of green / 255 + 1, times the largest value of the input for the camera; `changes` of its last steps."""
+    graph = Graph("image", [changes.get("images", 1), 3, 32, 48], 1, 1)
+    planes = graph.add("Conv", ["image", graph.constant(np.array([0, 1, 0], np.float32).reshape(1, 3, 1, 1))])
+    depth = graph.add("Add", [planes, graph.constant(np.float32(changes.get("offset", 1.0)))])
+    if camera is not None:
+        given = graph.takes(camera[0], TensorProto.FLOAT, camera[1])
+        depth = graph.add("Mul", [depth, graph.add("ReduceMax", [given], keepdims=0)])
+    element, shape = TensorProto.FLOAT, [changes.get("images", 1), 1, 32, 48]
+    if changes.get("points"):
+        depth = graph.add("Transpose", [graph.add("Concat", [planes, planes, depth], axis=1)], perm=[0, 2, 3, 1])
+        shape = [1, 32, 48, 3]
+    if changes.get("double"):
+        element, depth = TensorProto.DOUBLE, graph.add("Cast", [depth], to=TensorProto.DOUBLE)
+    if changes.get("logarithm"):
+        depth = graph.add("Log", [depth])
+    graph.gives("depth", depth, shape if changes.get("rank", True) else None, element)
+    return graph.write(path)
+
+
+FX = 48 / 320 * 300
+
+
+@pytest.mark.parametrize(
+    ("camera", "largest"),
+    [
+        (("K", [1, 3, 3]), FX),
+        (("K", [3, 3]), FX),
+        (("intrinsics", [1, 4]), FX),
+        (("focal_length", [1]), FX),
+        (("rays", [1, 3, 32, 48]), 1.0),
+    ],
+)
+def test_each_form_of_a_camera_input_gets_the_camera_of_the_networks_pixels(
+    tmp_path: Path, camera: tuple[str, list[int]], largest: float
+) -> None:
+    manifest = added(_depth_graph(tmp_path / "net.onnx", camera), "normalise=unit", name="net")
+    assert (manifest.output.kind, manifest.input.intrinsics, manifest.input.fit) == ("metric", camera[0], "pad")
+    values = DepthNetwork.open("net").predict(np.full((180, 320, 3), 102, np.uint8), CAMERA).values
+    assert values.shape == (27, 48)
+    np.testing.assert_allclose(values, 1.4 * largest, rtol=2e-3)
+
+
+@pytest.mark.parametrize("changes", [{"points": True}, {"double": True}, {"rank": False}])
+def test_other_forms_of_a_depth_output_run(tmp_path: Path, changes: dict[str, Any]) -> None:
+    added(_depth_graph(tmp_path / "net.onnx", **changes), "normalise=unit", "output.kind=metric", name="net")
+    values = DepthNetwork.open("net").predict(np.full((180, 320, 3), 102, np.uint8), CAMERA).values
+    np.testing.assert_allclose(values, 1.4, rtol=1e-5)
+
+
+def test_a_network_without_a_depth_is_rejected_before_it_is_copied(tmp_path: Path, data_folder: Path) -> None:
+    file = _depth_graph(tmp_path / "net.onnx", logarithm=True, offset=-9.0)
+    command = ["models", "add", str(file), "--set", "normalise=unit", "--set", "output.kind=metric"]
+    result = CliRunner().invoke(main.cli, [*command, "--name", "net", "--out", str(tmp_path / "out")])
+    assert isinstance(result.exception, ModelError)
+    assert "net" in str(result.exception)
+    assert not data_folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "name", "message"),
+    [
+        ({"images": 8}, [], "net", r"8 images"),
+        ({}, [], "../evil", r"\.\./evil"),
+        ({}, [], "net_fusion", r"net_fusion"),
+        ({}, ["output.kind=disparity"], "net", r"disparity"),
+        ({}, ["output.kind=logits"], "net", r"classes=\["),
+        ({}, ["input.layout=NHWC"], "net", r"Expected: 48"),
+    ],
+)
+def test_what_cannot_be_a_network_of_ours_is_rejected(
+    tmp_path: Path, data_folder: Path, changes: dict[str, Any], options: list[str], name: str, message: str
+) -> None:
+    file = _depth_graph(tmp_path / "net.onnx", **changes)
+    with pytest.raises(ModelError, match=message):
+        added(file, "normalise=unit", "output.kind=metric", *options, name=name)
+    assert not data_folder.exists()
