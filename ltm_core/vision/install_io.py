@@ -113,10 +113,11 @@ class Source:
         """Return width and height of the image for a network that takes any size."""
         size = self.preprocessor.get("size")
         size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
-        if {"height", "width"} <= set(size):
-            return int(size["width"]), int(size["height"])
-        if isinstance(short := size.get("shortest_edge"), int):
-            return min(round(short * 16 / 9), int(size.get("longest_edge", 2 * short))), short
+        known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
+        if {"height", "width"} <= set(known):
+            return known["width"], known["height"]
+        if short := known.get("shortest_edge", 0):
+            return min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
         return _SIZE
 
     def class_names(self) -> list[str]:
@@ -191,6 +192,8 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
         raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
     if is_file(target) and NetworkManifest.load(target).sha256 != manifest.sha256:
         raise ModelError(f"{target}: another network of this name is installed; add --name OTHER, or delete that file")
+    if is_folder(files) and not is_file(target):
+        raise ModelError(f"{files}: exists, but has no manifest {target.name}; add --name OTHER, or delete it")
     folder.mkdir(parents=True, exist_ok=True)
     network = NetworkFile.read(manifest.model_file())
     content = manifest.model_dump(mode="json", exclude_defaults=True) | {"file": f"{name}/{name}.onnx"}
@@ -258,7 +261,9 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
         with httpx.Client(timeout=60.0, headers={"user-agent": "ltm"}) as client:
             request = client.build_request("GET", url, headers={"range": f"bytes={start}-"} if start else {})
             answer = client.send(request, stream=True)
-            while answer.next_request is not None:  # the first answer has the checksum, the last one the file
+            for _ in range(10):  # the first answer has the checksum, the last one the file
+                if answer.next_request is None:
+                    break
                 digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
                 answer.close()
                 answer = client.send(answer.next_request, stream=True)
@@ -327,7 +332,7 @@ def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source
         stated["text"] = {**text, "file": str(find_file(Path(text["file"]), folder, str(path)))}
     if isinstance(card := content.get("card"), str) and is_file(folder / card):
         stated["card"] = str(folder / card)
-    made = added_folder() / ".downloads" / name
+    made = added_folder() / ".downloads" / re.sub(r"\W", "_", name)
     try:
         file = find_file(Path(content["file"]), folder, str(path), str(content.get("source", "")))
     except ModelError as absent:

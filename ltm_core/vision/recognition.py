@@ -58,12 +58,9 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
     if isinstance(text := content.get("text"), dict) and "file" in text:
-        text = {"dimensions": content.pop("dimensions", 0), **text, "file": str(Path(text["file"]).resolve())}
+        text = {"dimensions": content.pop("dimensions", 0), **text, "file": str(Path(str(text["file"])).resolve())}
         content["text"] = text
-    content |= {
-        "name": name or known.get("name") or source.name,
-        "file": str(source.file.absolute()),
-    }
+    content |= {"name": name or known.get("name") or source.name, "file": str(source.file.absolute())}
     return NetworkManifest.of(content | {"sha256": file.digest}, str(source.file))
 
 
@@ -79,9 +76,8 @@ class _Recognition:
         self.unknown_inputs = False
         self.source, self.shape = source, self._image_shape(stated)
         sides = self.shape[1:3] if self._layout(stated) == "NHWC" else self.shape[2:]
-        graph = set(self.inputs), set(self.outputs), tuple(sides)
+        self.sides, graph = sides, (set(self.inputs), set(self.outputs), tuple(sides))
         self.recipe = recipe or RecipeFile.load().matching(*graph, str(self.config.get("model_type", "")))
-        self.sides = sides
         known = RecipeFile.load().named(self.recipe).manifest if self.recipe else {}
         if self.config.get("depth_estimation_type") == "metric":
             known = merged(known, {"output": {"kind": "metric"}})
@@ -163,10 +159,8 @@ class _Recognition:
             if _CAMERA.search(name) or node.shape[-2:] == [3, 3] or _same_planes(node, self.image):
                 known["intrinsics"] = name
             elif name == "num_tokens":
-                tokens = (
-                    known["width"] * known["height"] / 14**2
-                )  # patches of 14 x 14 pixels; MoGe-2 takes 1200 to 3600
-                constants[name] = int(np.clip(tokens, 1200, 3600))
+                patches = known["width"] * known["height"] // 14**2  # MoGe-2 takes 1200 to 3600
+                constants[name] = min(max(patches, 1200), 3600)
             elif name == "pixel_mask":
                 constants[name] = 1
             elif name == "attention_mask" and "input_ids" in self.inputs:
