@@ -39,9 +39,6 @@ _LARGEST_SIDE_FILE: Final = 4 << 20
 _GENERIC: Final = re.compile(r"^(model|onnx|end2end|network|[0-9a-f]{16,})([_-].*)?$|^(snapshots|resolve|main)$")
 """Names of files and folders that say nothing about the network."""
 
-_SIZE: Final = (640, 352)
-"""Width and height of the image for a network that takes any size and states none."""
-
 Progress = Callable[[int], None]
 
 
@@ -109,8 +106,9 @@ class Source:
     recipe: str = ""
     beside: tuple[Path, ...] = ()
 
-    def size(self) -> tuple[int, int]:
-        """Return width and height of the image for a network that takes any size."""
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Return width and height of the image for a network that takes any size: those of the preprocessor, else
+        those given, if not 0, else 640 x 352."""
         size = self.preprocessor.get("size")
         size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
         known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
@@ -118,7 +116,7 @@ class Source:
             return known["width"], known["height"]
         if short := known.get("shortest_edge", 0):
             return min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
-        return _SIZE
+        return width or 640, height or 352
 
     def class_names(self) -> list[str]:
         """Return the names of the classes of its `config.json`, the repeated ones numbered; empty if it has none."""

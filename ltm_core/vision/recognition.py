@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import onnxruntime as ort
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.storage.config_io import checked
@@ -70,7 +71,8 @@ class _Recognition:
         self.session = open_session(file, source.file)
         self.inputs: dict[str, Node] = {node.name: node for node in self.session.get_inputs()}
         self.outputs: dict[str, Node] = {node.name: node for node in self.session.get_outputs()}
-        self.config = source.config
+        self.config, self.quiet = source.config, ort.RunOptions()
+        self.quiet.log_severity_level = 4  # failures at some sizes are expected
         self.missing: list[str] = []
         """What cannot be determined: each as a clause with the option to state it."""
         self.unknown_inputs = False
@@ -135,9 +137,10 @@ class _Recognition:
     def _input(self) -> dict[str, Any]:
         known = dict(self.known["input"])
         height, width = self.sides
-        wide, tall = self.source.size()
-        known["width"] = width if isinstance(width, int) else known.get("width", wide)
-        known["height"] = height if isinstance(height, int) else known.get("height", tall)
+        wide, tall = self.source.size(known.get("width", 0), known.get("height", 0))
+        stated = self.stated.get("input", {})
+        known["width"] = width if isinstance(width, int) else stated.get("width", wide)
+        known["height"] = height if isinstance(height, int) else stated.get("height", tall)
         known["layout"], known["name"] = self._layout(self.known), self.image.name
         known["dtype"] = dtype = np.dtype(DTYPES.get(self.image.type, np.object_)).name
         if dtype not in ("float32", "float16", "uint8"):
@@ -192,7 +195,7 @@ class _Recognition:
 
     def _run(self, spec: InputSpec) -> dict[str, Values]:
         try:
-            found = self.session.run(list(self.outputs), self._feed(spec))
+            found = self.session.run(list(self.outputs), self._feed(spec), self.quiet)
         except ModelError:
             raise
         except Exception as reason:  # the runtime's errors have no common base

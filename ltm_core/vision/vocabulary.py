@@ -126,8 +126,8 @@ def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
     return found
 
 
-_OBJECTS = {"canopy", "plant life", "air"}
-"""Words that mean something else as classes of a network: ADE20K's canopy is an awning."""
+_OBJECTS = {"canopy", "wood", "broom", "air"}
+"""Words that mean something else as classes of a network: ADE20K's canopy is an awning, COCO's wood a material."""
 
 
 LARGEST = 64 << 20

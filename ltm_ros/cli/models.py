@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter
 
 
+_SHOWN = 12
+"""Maximum number of unlabelled classes that are printed."""
+
+
 class Action(StrEnum):
     """Action of `ltm models`."""
 
@@ -94,7 +98,8 @@ def _add(
     role = "depth_model" if added.output.is_depth else "model"
     unmapped = [each for each in added.classes if each not in added.mapping]
     if unmapped:
-        console.print(f"unlabelled classes: {', '.join(unmapped)}", markup=False, highlight=False)
+        shown = ", ".join(unmapped[:_SHOWN]) + (", ..." if len(unmapped) > _SHOWN else "")
+        console.print(f"{len(unmapped)} of {len(added.classes)} classes have no label: {shown}", markup=False)
     console.print(f"licence: {added.licence}", markup=False, highlight=False)
     console.print(
         f"added {added.name} to {added.folder}; use it as `{role}: {added.name}` in a site file", markup=False

@@ -115,6 +115,18 @@ def queries(
     return graph.write(folder / "model.onnx")
 
 
+def skips(folder: Path) -> Path:
+    """A network with a skip connection over a stride of 16 that fails at other multiples, without JSON files."""
+    graph = Graph("input", [1, 3, "height", "width"], len(ADE), 1)
+    small = graph.add("MaxPool", [graph.features], kernel_shape=[16, 16], strides=[16, 16])
+    scales = graph.constant(np.array([1, 1, 16, 16], np.float32))
+    large = graph.add("Resize", [small, "", scales], mode="nearest")
+    graph.gives(
+        "output", graph.add("Softmax", [graph.add("Add", [large, graph.features])], axis=1), [1, len(ADE), "h", "w"]
+    )
+    return graph.write(folder / "net.onnx")
+
+
 def zoedepth(folder: Path) -> Path:
     hub(folder, {"model_type": "zoedepth"}, HALF | {"size": {"height": 96, "width": 128}, "ensure_multiple_of": 32})
     graph = Graph("pixel_values", ["b", 3, "height", "width"], 1, 1)

@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 from onnx import TensorProto
-from scenes.public_exports import EXPORTS, Graph
+from scenes.public_exports import ADE, EXPORTS, Graph, skips
 from scenes.small_site import write_small_site
 from typer.testing import CliRunner
 
@@ -227,6 +227,15 @@ def test_a_label_network_of_a_hub_needs_no_options(tmp_path: Path, export: str) 
     assert set(np.unique(segmenter.segment(photo()).labels)) <= {*map(int, Label), 255}
     total = sum(segmenter.class_probabilities(photo()).values())
     assert np.all(total <= 1 + 1e-5)
+
+
+def test_sizes_and_probabilities_are_determined_by_running(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    manifest = added(skips(tmp_path), "normalise=unit", f"classes={list(ADE.values())}", name="skips")
+    assert (manifest.input.multiple, manifest.output.kind) == (16, "probabilities")
+    assert (manifest.input.width, manifest.input.height) == (640, 352)
+    assert not capfd.readouterr().err
+    found, _, _ = direct(manifest)
+    close(Segmenter.open("skips").logits(photo()), found["output"][0])
 
 
 @pytest.mark.parametrize(("export", "leading"), [("siglip", 0), ("dinov3_text", 5), ("lseg", None)])
