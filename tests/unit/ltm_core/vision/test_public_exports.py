@@ -386,6 +386,29 @@ def test_each_form_of_a_camera_input_gets_the_camera_of_the_networks_pixels(
     np.testing.assert_allclose(values, 1.4 * largest, rtol=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "assumed"),
+    [
+        ("focallength_px", 777.0, 777.0),
+        ("fov", 50.0, 24 / np.tan(np.radians(25))),
+        ("fov_rad", np.radians(50), 24 / np.tan(np.radians(25))),
+    ],
+)
+def test_metres_follow_the_focal_length_that_the_network_assumed(
+    tmp_path: Path, name: str, value: float, assumed: float
+) -> None:
+    graph = Graph("pixel_values", [1, 3, 48, 48], 1, 1)
+    zero = graph.add("Mul", [graph.features, graph.constant(np.float32(0.0))])
+    graph.gives("predicted_depth", graph.add("Add", [zero, graph.constant(np.float32(2.0))]), [1, 1, 48, 48])
+    pooled = graph.add("GlobalAveragePool", [zero])
+    graph.gives(name, graph.add("Add", [pooled, graph.constant(np.float32(value))]), [1, 1, 1, 1])
+    options = [] if name == "focallength_px" else ["normalise=half", "output.kind=metric", "input.fit=stretch"]
+    manifest = added(graph.write(tmp_path / "net.onnx"), *options, name="net")  # Depth Pro is known by its outputs
+    assert (manifest.output.kind, manifest.output.focal, manifest.input.fit) == ("metric", name, "stretch")
+    values = DepthNetwork.open("net").predict(photo(), CAMERA).values
+    np.testing.assert_allclose(values, 2.0 * (48 / 320 * 300) / assumed, rtol=1e-5)
+
+
 @pytest.mark.parametrize("changes", [{"points": True}, {"double": True}, {"rank": False}])
 def test_other_forms_of_a_depth_output_run(tmp_path: Path, changes: dict[str, Any]) -> None:
     added(_depth_graph(tmp_path / "net.onnx", **changes), "normalise=unit", "output.kind=metric", name="net")
