@@ -96,7 +96,7 @@ class DepthNetwork:
         if output.metre_scale is not None:
             rays = pixel_rays(scaled_matrix(camera.matrix, size, values.shape), values.shape)[:2]
             values += np.float32(shift_of_points(planes, values, rays))
-            values *= np.float32(np.squeeze(found[output.metre_scale]))
+            values *= np.float32(self._number(output.metre_scale, found))
         if output.kind == "metric":
             values = self._metres(values, matrix, found, photo.pixels.shape[1])
         return NetworkDepth(values, cast(DepthKind, output.kind))
@@ -112,17 +112,21 @@ class DepthNetwork:
             metres = 1.0 / metres if output.inverse else metres
         assumed = output.canonical_focal_px
         if output.focal is not None:
-            assumed = float(np.squeeze(found[output.focal]))
+            assumed = self._number(output.focal, found)
             if "fov" in output.focal.lower():
                 angle = np.radians(assumed) if assumed > np.pi else assumed
                 assumed = width / 2.0 / float(np.tan(angle / 2.0))
-            if not np.isfinite(assumed) or assumed <= 0.0:
-                raise ModelError(
-                    f"model {self.manifest.name!r}: its {output.focal} is {assumed}; expected a positive one"
-                )
         if assumed is not None:
             metres = metres * (matrix[0, 0] / assumed)
         return metres.astype(np.float32)
+
+    def _number(self, name: str, found: dict[str, npt.NDArray[Any]]) -> float:
+        """Return the one positive number of an output. Raises ModelError for others."""
+        value = found[name]
+        if value.size != 1 or not np.isfinite(value).all() or value.min() <= 0.0:
+            given = value.ravel()[:4].tolist()
+            raise ModelError(f"model {self.manifest.name!r}: its {name} is {given}; expected one positive number")
+        return float(value.reshape(()))
 
 
 def depth_planes(output: npt.NDArray[Any], layout: str) -> Float32Array | None:

@@ -409,6 +409,16 @@ def test_metres_follow_the_focal_length_that_the_network_assumed(
     np.testing.assert_allclose(values, 2.0 * (48 / 320 * 300) / assumed, rtol=1e-5)
 
 
+@pytest.mark.parametrize(("value", "shown"), [(0.0, "0.0"), (np.nan, "nan"), ([300.0, 310.0], "310.0")])
+def test_a_focal_length_that_is_no_positive_number_is_an_error(tmp_path: Path, value: Any, shown: str) -> None:
+    graph = Graph("pixel_values", [1, 3, 48, 48], 1, 1)
+    graph.gives("predicted_depth", graph.add("Exp", [graph.features]), [1, 1, 48, 48])
+    graph.gives("focallength_px", graph.constant(np.atleast_1d(np.asarray(value, np.float32))), None)
+    added(graph.write(tmp_path / "net.onnx"), "output.focal=focallength_px", name="net")
+    with pytest.raises(ModelError, match=rf"focallength_px.*{shown}"):
+        DepthNetwork.open("net").predict(photo(), CAMERA)
+
+
 @pytest.mark.parametrize("changes", [{"points": True}, {"double": True}, {"rank": False}])
 def test_other_forms_of_a_depth_output_run(tmp_path: Path, changes: dict[str, Any]) -> None:
     added(_depth_graph(tmp_path / "net.onnx", **changes), "normalise=unit", "output.kind=metric", name="net")
