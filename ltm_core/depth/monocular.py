@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Final, Literal, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from ltm_core.base.errors import ImageError, ModelError
-from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
-from ltm_core.vision.onnx_model import OnnxModel, input_tensor
+from ltm_core.vision.network_image import as_tensor, fitted, pixel_rays, scaled_matrix
+from ltm_core.vision.onnx_model import OnnxModel
+
+_ROUNDS: Final = 100
+"""Maximum rounds of reweighting of the shift of 3-D points; real ones take about 5."""
 
 DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 
@@ -46,12 +51,7 @@ class DepthNetwork:
     """
 
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
-        if not manifest.output.is_depth:
-            raise ModelError(
-                f"model {manifest.name!r} outputs {manifest.output.kind} of labels, not depth; "
-                f"a depth model's output is one of {', '.join(DEPTH_KINDS)}"
-            )
-        self.manifest = manifest
+        self.manifest = manifest.require(depth=True)
         self._model = OnnxModel(manifest, threads)
         self.fusion = load_fusion_config(manifest)
 
@@ -63,8 +63,8 @@ class DepthNetwork:
     def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
         """Return the depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
 
-        Metres of a network that answers for one focal length are scaled to the camera's. What is no number, and of
-        metres what is not above 0, becomes NaN. Raises ImageError for another shape or dtype, and where camera and
+        Metres of a network that assumes a focal length are scaled to the camera's. Pixels without a finite depth, or
+        without a positive one in metres, become NaN. Raises ImageError for another shape or dtype, and if camera and
         photo differ in size.
         """
         if rgb.shape != (camera.height, camera.width, 3) or rgb.dtype != np.uint8:
@@ -72,36 +72,88 @@ class DepthNetwork:
                 f"photo of {rgb.shape} {rgb.dtype} does not fit a camera of {camera.width} x {camera.height}: "
                 f"expected ({camera.height}, {camera.width}, 3) uint8 RGB"
             )
-        spec = self.manifest.input
-        across, down = spec.width / camera.width, spec.height / camera.height
-        # Edge to edge: pixel centres move by half a pixel when the image is resized.
-        matrix = np.array(
-            [
-                [camera.fx * across, 0.0, (camera.cx + 0.5) * across - 0.5],
-                [0.0, camera.fy * down, (camera.cy + 0.5) * down - 0.5],
-                [0.0, 0.0, 1.0],
-            ],
-            np.float32,
-        )
-        output = self._model.run(input_tensor(rgb, spec), matrix if spec.intrinsics is not None else None)
-        values = np.squeeze(output)
-        if values.ndim != 2:
+        photo = fitted(rgb, self.manifest.input)
+        size, output = rgb.shape[:2], self.manifest.output
+        matrix = scaled_matrix(camera.matrix, size, (photo.rows, photo.cols))
+        main, *beside = self._model.outputs(as_tensor(photo.pixels, self.manifest.input), matrix)
+        found = dict(zip(output.beside, beside, strict=True))
+        planes = depth_planes(main, output.layout)
+        if planes is None:
             raise ModelError(
-                f"model {self.manifest.name!r}: its depth has shape {output.shape}, expected one number a pixel"
+                f"model {self.manifest.name!r}: its depth has shape {main.shape}, expected a depth or a 3-D point per "
+                "pixel"
             )
-        values = np.array(values, np.float32)
+        planes = photo.without_padding(planes)
+        values = np.array(planes[-1], np.float32)
         values[~np.isfinite(values)] = np.nan
-        kind = cast(DepthKind, self.manifest.output.kind)
-        if kind == "metric":
-            values = self._metres(values, float(np.sqrt(matrix[0, 0] * matrix[1, 1])))
-        return NetworkDepth(values, kind)
+        if output.valid is not None:
+            valid = depth_planes(found[output.valid], output.layout)
+            if valid is None or photo.without_padding(valid).shape[1:] != values.shape:
+                raise ModelError(f"model {self.manifest.name!r}: its {output.valid} has another size than its depth")
+            # A probability of 0.5 and more, or a logit above 0.
+            limit = 0.5 if valid.min() >= 0.0 and valid.max() <= 1.0 else 1e-6
+            values[photo.without_padding(valid)[0] < limit] = np.nan
+        if output.metre_scale is not None:
+            rays = pixel_rays(scaled_matrix(camera.matrix, size, values.shape), values.shape)[:2]
+            values += np.float32(shift_of_points(planes, values, rays))
+            values *= np.float32(self._number(output.metre_scale, found))
+        if output.kind == "metric":
+            values = self._metres(values, matrix, found, photo.pixels.shape[1])
+        return NetworkDepth(values, cast(DepthKind, output.kind))
 
-    def _metres(self, values: Float32Array, focal_px: float) -> Float32Array:
-        """`focal_px`: of the network's input; its two axes may be stretched differently, so their geometric mean."""
+    def _metres(
+        self, values: Float32Array, matrix: Float64Array, found: dict[str, npt.NDArray[Any]], width: int
+    ) -> Float32Array:
+        """Return metres along the optical axis. Focal lengths are horizontal ones: if a photo is stretched, networks
+        know the width of their view (Depth Pro)."""
         output = self.manifest.output
         with np.errstate(divide="ignore", invalid="ignore"):
             metres = np.where(values > 0, values, np.nan)
             metres = 1.0 / metres if output.inverse else metres
-        if output.canonical_focal_px is not None:
-            metres = metres * (focal_px / output.canonical_focal_px)
+        assumed = output.canonical_focal_px
+        if output.focal is not None:
+            assumed = self._number(output.focal, found)
+            if "fov" in output.focal.lower():
+                angle = np.radians(assumed) if assumed > np.pi else assumed
+                assumed = width / 2.0 / float(np.tan(angle / 2.0))
+        if assumed is not None:
+            metres = metres * (matrix[0, 0] / assumed)
         return metres.astype(np.float32)
+
+    def _number(self, name: str, found: dict[str, npt.NDArray[Any]]) -> float:
+        """Return the one positive number of an output. Raises ModelError for others."""
+        value = found[name]
+        if value.size != 1 or not np.isfinite(value).all() or value.min() <= 0.0:
+            given = value.ravel()[:4].tolist()
+            raise ModelError(f"model {self.manifest.name!r}: its {name} is {given}; expected one positive number")
+        return float(value.reshape(()))
+
+
+def depth_planes(output: npt.NDArray[Any], layout: str) -> Float32Array | None:
+    """Return a network's depth (1, h, w), or its 3-D points (3, h, w); None for another shape."""
+    shape = [size for axis, size in enumerate(output.shape) if size != 1 or axis >= output.ndim - 2]
+    planes = output.reshape(shape)
+    if planes.ndim == 3 and planes.shape[-1] in (1, 3) and (layout == "NHWC" or planes.shape[0] != 3):
+        planes = np.moveaxis(planes, -1, 0)
+    planes = planes[None] if planes.ndim == 2 else planes
+    return np.asarray(planes, np.float32) if planes.ndim == 3 and len(planes) in (1, 3) else None
+
+
+def shift_of_points(points: Float32Array, depth: Float32Array, rays: Float64Array) -> float:
+    """Return the shift along the optical axis that brings 3-D points (3, h, w) of unknown shift onto a camera's rays.
+
+    `depth`: their third plane (h, w), NaN where it does not count. `rays` (2, h, w): x and y at depth 1. The image
+    residual of x = ray (z + shift) is minimised, reweighted by the depth (Wang et al., MoGe, CVPR 2025, with a known
+    focal length).
+    """
+    known = np.isfinite(depth) & np.isfinite(points).all(axis=0)
+    if not known.any():
+        return 0.0
+    ray, xy, z = rays[:, known], points[:2, known].astype(np.float64), depth[known].astype(np.float64)
+    nearest, shift = max(1e-6, 1e-3 * float(np.median(np.abs(z)))), 0.0
+    for _ in range(_ROUNDS):
+        weight, before = 1.0 / np.maximum(z + shift, nearest) ** 2, shift
+        shift = float((weight * ray * (xy - ray * z)).sum() / (weight * ray * ray).sum())
+        if abs(shift - before) <= 1e-7 * abs(shift):
+            break
+    return shift

@@ -173,7 +173,7 @@ def _networks(site: Site) -> Iterator[SiteFinding]:
         if not name:
             continue
         try:
-            model = OnnxModel(NetworkManifest.find(name))
+            model = OnnxModel(NetworkManifest.find(name).require(depth=key == "depth_model"))
         except LtmError as error:
             yield SiteFinding.of("networks", key, error)
         else:

@@ -1,98 +1,346 @@
-"""Install a model (`ltm models add`): check and test its files and copy them where models are found by name."""
+"""Find, download and install networks (`ltm models add`): files, recipes, and the user's folder of models."""
 
 from __future__ import annotations
 
-import hashlib
+import json
+import re
 import shutil
-import urllib.error
-import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
-from ltm_core.base.errors import ModelError
-from ltm_core.storage.disk_io import is_file
+import yaml
+from pydantic import Field
+
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.storage.config_io import load_yaml, parse_yaml, read_yaml
+from ltm_core.storage.disk_io import is_file, is_folder
+from ltm_core.storage.text_io import read_text
 from ltm_core.vision.label_rules import calibration_path
-from ltm_core.vision.manifest import NetworkManifest, added_folder, shipped_names
+from ltm_core.vision.manifest import (
+    CALIBRATION_SUFFIX,
+    FUSION_SUFFIX,
+    NetworkManifest,
+    added_folder,
+    find_file,
+    shipped_names,
+)
+from ltm_core.vision.onnx_file import NetworkFile, file_digest
 
-_CHUNK = 1 << 20
-_TIMEOUT_S = 60.0
+_LARGEST_SIDE_FILE: Final = 4 << 20
+_GENERIC: Final = re.compile(r"^(model|onnx|end2end|network|[0-9a-f]{16,})([_-].*)?$|^(snapshots|resolve|main)$")
+"""Names of files and folders that say nothing about the network."""
+
+Progress = Callable[[int], None]
 
 
-def add_model(
-    manifest_path: Path,
-    fetch: bool,
-    progress: Callable[[int], None] = lambda received: None,
-    folder: Path | None = None,
-) -> NetworkManifest:
-    """Copy a manifest and its files into `folder` (default: the user's own models); return the new manifest.
+class Condition(StrictModel):
+    """Properties that a file must all have: `model_type` of its `config.json`, names of inputs and outputs, and height
+    and width of its image."""
 
-    The network file is taken where the manifest finds it, or, with `fetch`, from its URL; nothing is downloaded unless
-    asked, and the checksum decides what is kept. `progress` gets the bytes received. Raises ModelError: a name that
-    ships, a wrong file, or no file and no `fetch`.
+    model_types: tuple[str, ...] = ()
+    inputs: frozenset[str] = frozenset()
+    outputs: frozenset[str] = frozenset()
+    sides: tuple[int, int] | None = None
+
+
+class Recipe(StrictModel):
+    """A public network: see `config/network_recipes.yaml`."""
+
+    licence: str
+    page: str
+    url: str = Field("", pattern=r"^(https?://.*|)$")
+    files: dict[str, str | None] = Field(default_factory=dict)
+    when: tuple[Condition, ...] = ()
+    manifest: dict[str, Any] = Field(default_factory=dict)
+
+
+class RecipeFile(StrictModel):
+    """Content of `config/network_recipes.yaml`."""
+
+    normalisations: dict[str, dict[str, Any]]
+    recipes: dict[str, Recipe]
+
+    @classmethod
+    @cache
+    def load(cls) -> RecipeFile:
+        """Read the file that ships. Raises ConfigError."""
+        return load_yaml(config_path("network_recipes.yaml"), cls)
+
+    def named(self, name: str) -> Recipe:
+        """Return a recipe by its name. Raises ModelError."""
+        if name not in self.recipes:
+            raise ModelError(f"no recipe {name!r}; recipes: {', '.join(self.recipes)}")
+        return self.recipes[name]
+
+    def matching(self, inputs: set[str], outputs: set[str], sides: tuple[Any, ...], model_type: str) -> str:
+        """Return the name of the first recipe with a condition that a network meets, empty if none."""
+        for name, recipe in self.recipes.items():
+            for when in recipe.when:
+                fits = when.inputs <= inputs and when.outputs <= outputs and when.sides in (None, sides)
+                if fits and (not when.model_types or model_type in when.model_types):
+                    return name
+        return ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A network to add. `stated`: keys of its manifest that are known. `config`, `preprocessor`: the JSON objects that
+    hubs put beside it. `licence`: that of its README, empty if unknown. `recipe`: the name of its recipe, if known.
+    `beside`: files of its calibration to copy."""
+
+    file: Path
+    name: str
+    stated: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    preprocessor: dict[str, Any] = field(default_factory=dict)
+    licence: str = ""
+    recipe: str = ""
+    beside: tuple[Path, ...] = ()
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Return width and height of the image for a network that takes any size: those of the preprocessor, else
+        those given, if not 0, else 640 x 352."""
+        size = self.preprocessor.get("size")
+        size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
+        known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
+        if {"height", "width"} <= set(known):
+            return known["width"], known["height"]
+        if short := known.get("shortest_edge", 0):
+            return min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
+        return width or 640, height or 352
+
+    def class_names(self) -> list[str]:
+        """Return the names of the classes of its `config.json`, the repeated ones numbered; empty if it has none."""
+        given = self.config.get("id2label")
+        keys = sorted(given, key=lambda key: (len(str(key)), str(key))) if isinstance(given, dict) else []
+        names = [str(self.config["id2label"][key]) for key in keys]
+        return [name if name not in names[:at] else f"{name} {at}" for at, name in enumerate(names)]
+
+    def normalisation(self, stated: str, usual: str) -> dict[str, Any] | None:
+        """Return the keys of `InputSpec` for the values of pixels: those of the normalisation `stated`, of the
+        preprocessor, or of the `usual` normalisation; None if nothing states them. Raises ModelError for a name that
+        is no normalisation."""
+        named, given = RecipeFile.load().normalisations, self.preprocessor
+        if name := stated or ("" if given else usual):
+            if name not in named:
+                raise ModelError(f"normalise is {name!r}; choose one of {', '.join(named)}")
+            return dict(named[name])
+        if not given:
+            return None
+        found: dict[str, Any] = {"channels": "bgr"} if given.get("do_flip_channel_order") else {}
+        if given.get("do_rescale", True):
+            found["scale"] = float(given.get("rescale_factor") or 1.0 / 255.0)
+        if given.get("do_normalize", "image_mean" in given):
+            found |= {"mean": given.get("image_mean", [0.5] * 3), "std": given.get("image_std", [0.5] * 3)}
+        return found
+
+
+@contextmanager
+def source_of(given: str, progress: Progress = lambda received: None, fetch: bool = False) -> Iterator[Source]:
+    """Yield the network that `ltm models add` is to add: an ONNX file, its folder, a manifest, or a recipe by its name.
+
+    The files of a recipe are downloaded into the user's folder of models, and deleted once the network is added;
+    `progress` gets the bytes received. A manifest's file is downloaded from its `url` only with `fetch`. Raises
+    ModelError.
     """
-    manifest = NetworkManifest.load(manifest_path)
-    if manifest.name in shipped_names():
-        raise ModelError(
-            f"{manifest_path}: a model named {manifest.name!r} ships with the project; choose another name"
-        )
-    if manifest_path.stem != manifest.name:
-        raise ModelError(f"{manifest_path}: its name is {manifest.name!r}; rename the file to {manifest.name}.yaml")
-    folder = added_folder() if folder is None else folder
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / manifest.file.name
-    part = target.with_name(f"{target.name}.part")
-    try:
-        _obtain(manifest, part, fetch, progress)
-        found = _sha256(part)
-        if found != manifest.sha256:
+    path = Path(given)
+    if path.suffix in (".yaml", ".yml"):
+        with _of_manifest(path, fetch, progress) as found:
+            yield found
+    elif is_folder(path):
+        yield _of_file(_file_in(path))
+    elif is_file(path):
+        yield _of_file(path)
+    elif path.suffix or "/" in given:
+        raise ModelError(f"{given}: no such file or folder; give an ONNX file, its folder, a manifest, or a recipe")
+    else:
+        recipe, folder = RecipeFile.load().named(given), added_folder() / ".downloads" / given
+        if not recipe.url:
             raise ModelError(
-                f"model {manifest.name!r}: the file has sha256 {found}, expected {manifest.sha256}; it was deleted"
+                f"{given}: no public ONNX export is known; export it from {recipe.page}, then: ltm models add FILE "
+                f"--like {given}"
             )
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
-    content = manifest_path.read_text(encoding="utf-8")
-    # The copy's files lie beside it, whatever folders the original named.
-    content = content.replace(str(manifest.file), manifest.file.name)
-    if manifest.text is not None:
-        shutil.copyfile(manifest.text_file(), folder / manifest.text.file.name)
-        content = content.replace(str(manifest.text.file), manifest.text.file.name)
-    for beside in (manifest_path.parent / manifest.card, calibration_path(manifest_path)):
-        if is_file(beside):
-            shutil.copyfile(beside, folder / beside.name)
-    added = folder / f"{manifest.name}.yaml"
-    added.write_text(content, encoding="utf-8")
-    return NetworkManifest.load(added)
+        for name, digest in recipe.files.items():
+            download(f"{recipe.url}/{name}", folder / name, digest, progress)
+        found = _of_file(next(folder / name for name in recipe.files if name.endswith(".onnx")))
+        yield replace(found, name=given.replace("-", "_"), recipe=given)
+        shutil.rmtree(folder)
 
 
-def _obtain(manifest: NetworkManifest, part: Path, fetch: bool, progress: Callable[[int], None]) -> None:
-    try:
-        shutil.copyfile(manifest.model_file(), part)
+def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
+    """Copy a checked manifest and all its files to the user's models; return the new manifest.
+
+    The files of each network have a folder of its own, so that no network overwrites another's. Raises ModelError for
+    the name of a model that ships, or of another network that is installed.
+    """
+    folder, name = added_folder(), manifest.name
+    target, files = folder / f"{name}.yaml", folder / name
+    if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX)):
+        raise ModelError(f"a model cannot be named {name!r}; add --name with letters, digits, `_` and `-`")
+    if name in shipped_names():
+        raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
+    if is_file(target) and NetworkManifest.load(target).sha256 != manifest.sha256:
+        raise ModelError(f"{target}: another network of this name is installed; add --name OTHER, or delete that file")
+    if is_folder(files) and not is_file(target):
+        raise ModelError(f"{files}: exists, but has no manifest {target.name}; add --name OTHER, or delete it")
+    folder.mkdir(parents=True, exist_ok=True)
+    network = NetworkFile.read(manifest.model_file())
+    content = manifest.model_dump(mode="json", exclude_defaults=True) | {"file": f"{name}/{name}.onnx"}
+    with TemporaryDirectory(dir=folder, prefix=".adding-") as made:
+        stage = Path(made) / name
+        stage.mkdir()
+        shutil.copyfile(manifest.model_file(), stage / f"{name}.onnx")
+        for weights in network.weights:  # the graph refers to them by these names
+            (stage / weights).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(manifest.model_file().parent / weights, stage / weights)
+        if manifest.text is not None:
+            shutil.copyfile(manifest.text_file(), stage / manifest.text_file().name)
+            content["text"] |= {"file": f"{name}/{manifest.text_file().name}"}
+        if is_file(manifest.folder / manifest.card):
+            shutil.copyfile(manifest.folder / manifest.card, stage / "card.md")
+            content["card"] = f"{name}/card.md"
+        if NetworkFile.read(stage / f"{name}.onnx").digest != manifest.sha256:
+            raise ModelError(f"{manifest.model_file()}: changed while it was copied; add it again")
+        shutil.rmtree(files, ignore_errors=True)
+        stage.replace(files)
+    for beside in source.beside:
+        shutil.copyfile(beside, folder / f"{name}{beside.name.removeprefix(source.name)}")
+    target.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return NetworkManifest.load(target)
+
+
+def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested mappings, those of `second` over those of `first`."""
+    both = {k: merged(first[k], v) for k, v in second.items() if isinstance(v, dict) and isinstance(first.get(k), dict)}
+    return {**first, **second, **both}
+
+
+def stated_by(options: Sequence[str]) -> dict[str, Any]:
+    """Return the keys of a manifest that `--set KEY=VALUE` options state, values as YAML. Raises ConfigError."""
+    stated: dict[str, Any] = {}
+    for option in options:
+        key, equals, value = option.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"--set {option}: expected KEY=VALUE, as in output.kind=metric")
+        content = parse_yaml(value, f"--set {key}")
+        for part in reversed(key.split(".")):
+            content = {part: content}
+        stated = merged(stated, content)
+    return stated
+
+
+def download(url: str, target: Path, digest: str | None, progress: Progress = lambda received: None) -> None:
+    """Download a file, continuing an interrupted download; `progress` gets the bytes received.
+
+    `digest`: its SHA-256; None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is
+    deleted. Raises ModelError.
+    """
+    import httpx
+
+    if url.startswith("file://"):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(url2pathname(urlsplit(url).path), target)
         return
+    if is_file(target) and digest is not None and file_digest(target) == digest:
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(f"{target.name}.part")
+    start = part.stat().st_size if is_file(part) else 0
+    try:
+        with httpx.Client(timeout=60.0, headers={"user-agent": "ltm"}) as client:
+            request = client.build_request("GET", url, headers={"range": f"bytes={start}-"} if start else {})
+            answer = client.send(request, stream=True)
+            for _ in range(10):  # the first answer has the checksum, the last one the file
+                if answer.next_request is None:
+                    break
+                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
+                answer.close()
+                answer = client.send(answer.next_request, stream=True)
+            digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
+            if answer.status_code != 416:  # the part is the whole file
+                answer.raise_for_status()
+                resumes = answer.status_code == 206
+                received = start if resumes else 0
+                with part.open("ab" if resumes else "wb") as out:
+                    for chunk in answer.iter_bytes():
+                        out.write(chunk)
+                        received += len(chunk)
+                        progress(received)
+            answer.close()
+    except (httpx.HTTPError, OSError) as reason:
+        raise ModelError(f"{url}: cannot be downloaded ({reason}); run the command again to continue") from reason
+    if digest is not None and (found := file_digest(part)) != digest:
+        part.unlink()
+        raise ModelError(f"{url}: has sha256 {found}, expected {digest}; it was deleted")
+    part.replace(target)
+
+
+def _linked(tag: str) -> str | None:
+    return tag.strip('"') if re.fullmatch(r'"?[0-9a-f]{64}"?', tag) else None
+
+
+def _of_file(path: Path) -> Source:
+    hub = [path.parent, path.parent.parent] if path.parent.name == "onnx" else [path.parent]
+    found: dict[str, Any] = {}
+    for key in ("config", "preprocessor_config"):
+        file = next((folder / f"{key}.json" for folder in hub if is_file(folder / f"{key}.json")), None)
+        try:
+            content = {} if file is None else json.loads(read_text(file, _LARGEST_SIDE_FILE, ModelError))
+        except ValueError as reason:
+            raise ModelError(f"{file}: is not JSON ({reason}); download it again or remove it") from reason
+        found[key] = content if isinstance(content, dict) else {}
+    licence = ""
+    for readme in (folder / "README.md" for folder in hub if is_file(folder / "README.md")):
+        header = read_text(readme, _LARGEST_SIDE_FILE, ModelError)[:4000]
+        licence = next(iter(re.findall(r"^licen[cs]e(?:_name)?:\s*(\S+)\s*$", header, re.MULTILINE)), "")
+    names = [path.stem, *(parent.name for parent in path.absolute().parents)]
+    telling = next((each for each in names if each and not _GENERIC.match(each.lower())), "model")
+    name = re.sub(r"[^a-z0-9]+", "_", telling.lower()).strip("_") or "model"
+    return Source(path, name, {}, found["config"], found["preprocessor_config"], licence)
+
+
+def _file_in(folder: Path) -> Path:
+    """Return the ONNX file of a folder as hubs have it. Raises ModelError for none, or several without `model.onnx`."""
+    files = sorted([*folder.glob("*.onnx"), *folder.glob("onnx/*.onnx")])
+    usual = [file for file in files if file.name == "model.onnx"] or files
+    if len(usual) != 1:
+        found = ", ".join(str(file.relative_to(folder)) for file in usual) or "none"
+        raise ModelError(f"{folder}: expected one ONNX file, found {found}; give the file")
+    return usual[0]
+
+
+@contextmanager
+def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source]:
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not isinstance(content.get("file"), str):
+        raise ModelError(f"{path}: expected a mapping with `file`, the name of the ONNX file")
+    folder, url = path.resolve().parent, content.get("url")
+    stated = {key: value for key, value in content.items() if key != "file"}
+    name = str(content.get("name", path.stem))
+    if isinstance(text := content.get("text"), dict) and isinstance(text.get("file"), str):
+        stated["text"] = {**text, "file": str(find_file(Path(text["file"]), folder, str(path)))}
+    if isinstance(card := content.get("card"), str) and is_file(folder / card):
+        stated["card"] = str(folder / card)
+    made = added_folder() / ".downloads" / re.sub(r"\W", "_", name)
+    try:
+        file = find_file(Path(content["file"]), folder, str(path), str(content.get("source", "")))
     except ModelError as absent:
-        if manifest.url is None:
+        if not isinstance(url, str):
             raise
         if not fetch:
-            raise ModelError(
-                f"model {manifest.name!r}: no file {manifest.file}; it is available at {manifest.url}. Add --fetch "
-                "to download it"
-            ) from absent
-    try:
-        # The manifest takes https and file URLs only.
-        source = urllib.request.urlopen(manifest.url, timeout=_TIMEOUT_S)  # nosec B310
-        with source, part.open("wb") as out:
-            received = 0
-            while chunk := source.read(_CHUNK):
-                out.write(chunk)
-                received += len(chunk)
-                progress(received)
-    except (urllib.error.URLError, OSError) as reason:
-        raise ModelError(f"model {manifest.name!r}: {manifest.url} cannot be fetched: {reason}") from reason
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
+            raise ModelError(f"{absent}. It is available at {url}: add --fetch to download it") from absent
+        file = made / Path(content["file"]).name
+        download(url, file, stated.get("sha256"), progress)
+    found = _of_file(file)
+    beside = (calibration_path(path), path.with_name(f"{path.stem}{FUSION_SUFFIX}"))
+    yield replace(found, name=name, stated=stated, beside=tuple(filter(is_file, beside)))
+    shutil.rmtree(made, ignore_errors=True)

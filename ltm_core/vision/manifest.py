@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, PrivateAttr, field_validator, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
+from ltm_core.vision.network_image import InputSpec
 
 DEFAULT_MODEL: Final = "landscape_v2"
 """Default segmentation network."""
@@ -22,7 +23,7 @@ DEFAULT_DEPTH_MODEL: Final = "landscape_v2_depth"
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
-DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
+DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output with one depth per pixel; the others label pixels."""
 
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
@@ -31,45 +32,6 @@ FUSION_SUFFIX: Final = "_fusion.yaml"
 
 SHIPPED_LABEL_HEAD: Final = "landscape"
 """Name of the label head that leaves the network's scores unchanged."""
-
-
-class InputSpec(StrictModel):
-    """The image that the network takes: one image a run, resized (aspect not kept) to `width` x `height` pixels.
-
-    A float network gets `(value * scale - mean) / std` for each channel, values 0..255 before; a uint8 network
-    gets the bytes as they are.
-    """
-
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    layout: Literal["NCHW", "NHWC"]
-    dtype: Literal["float32", "uint8"]
-    channels: Literal["rgb", "bgr"] = "rgb"
-    scale: float = Field(default=1.0, gt=0)
-    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    name: str | None = None  # of the graph's input; needed only where the graph has several
-    intrinsics: str | None = None  # name of a second input that takes K, (1, 3, 3) float32 in pixels of the first
-
-    @field_validator("std")
-    @classmethod
-    def _std_positive(cls, std: tuple[float, float, float]) -> tuple[float, float, float]:
-        if min(std) <= 0:
-            raise ValueError("each value must be above 0")
-        return std
-
-    @model_validator(mode="after")
-    def _bytes_stay_bytes(self) -> InputSpec:
-        if self.dtype == "uint8" and (self.scale != 1.0 or any(self.mean) or set(self.std) != {1.0}):
-            raise ValueError("scale, mean and std belong to float32 inputs; remove them for dtype uint8")
-        return self
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """Return the shape of the input tensor."""
-        if self.layout == "NCHW":
-            return (1, 3, self.height, self.width)
-        return (1, self.height, self.width, 3)
 
 
 class CoarseLook(StrictModel):
@@ -102,30 +64,45 @@ class Withdrawal(StrictModel):
 class OutputSpec(StrictModel):
     """The tensor that the network gives, at any resolution.
 
-    Kinds of labels: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class a
-    pixel. One channel of `probabilities` with two classes is the probability of the second.
+    Kinds of labels: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class per
+    pixel. One channel of `probabilities` with two classes is the probability of the second. `masks` (Mask2Former, EoMT,
+    OneFormer) is the logit of each query's mask; the output `queries` has the class logits of each query, the last for
+    no class. `embeddings` is a vector per pixel, or per patch as a list of tokens, which is compared with the
+    embeddings of words in the manifest's `text` (LSeg, CLIP with dense features).
 
-    `embeddings` is a vector a pixel on the class axis, to be compared with embeddings of words (LSeg, CLIP with dense
-    features): the manifest's `text` says which.
+    Kinds of depth: `relative_inverse` is inverse depth up to a scale and a shift (MiDaS, Depth Anything: larger is
+    nearer); `affine_invariant` is depth up to a scale and a shift (Marigold); `metric` is metres along the optical
+    axis, or 1/m if `inverse`. Of three channels, which are 3-D points, the third is the depth.
 
-    Kinds of depth, one float a pixel: `relative_inverse` is inverse depth but for a scale and a shift (MiDaS, Depth
-    Anything, TCMonoDepth: larger is nearer); `affine_invariant` is depth but for a scale and a shift (Marigold);
-    `metric` is metres along the optical axis, or 1/m where `inverse`. A metric network that answers for one focal
-    length says which, in pixels of its input (`canonical_focal_px`): its metres are then multiplied by the true focal
-    length over that one (Metric3D: 1000; Depth Pro, `inverse`: the input's width).
+    Outputs beside it: `valid`, the probability or logit that a pixel has a depth; `focal`, the focal length in pixels
+    of the input, or the horizontal field of view (a name with `fov`), that the network assumed; `metre_scale`, the
+    factor from affine-invariant 3-D points to metres, whose shift is solved from the camera's rays (MoGe-2). A metric
+    network made for one focal length states it in pixels of its input (`canonical_focal_px`). Metres are multiplied by
+    the true focal length over the assumed one (Metric3D: 1000; Depth Pro, `inverse`: the input's width).
     """
 
-    kind: Literal["logits", "probabilities", "ids", "relative_inverse", "affine_invariant", "metric", "embeddings"]
+    kind: Literal[
+        "logits", "probabilities", "ids", "masks", "embeddings", "relative_inverse", "affine_invariant", "metric"
+    ]
     layout: Literal["NCHW", "NHWC"] = "NCHW"
-    name: str | None = None  # of the graph's output; the first where absent
+    name: str | None = None  # of the graph's output; the first if absent
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
     # Class -> what is added to its logits: gives a class that training weighed up its true rarity (Menon et al. 2021).
     offsets: dict[str, float] = Field(default_factory=dict)
     # Class -> what is taken off its logits, at most, where the photo is redder than what is green (`label_rules`).
     redness: dict[str, Annotated[float, Field(gt=0, le=20)]] = Field(default_factory=dict)
     withdraw: Withdrawal = Withdrawal()
+    queries: str | None = None
+    valid: str | None = None
+    focal: str | None = None
+    metre_scale: str | None = None
     inverse: bool = False
     canonical_focal_px: float | None = Field(default=None, gt=0)
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """Return the names of the outputs that are read beside the main one."""
+        return tuple(name for name in (self.queries, self.valid, self.focal, self.metre_scale) if name is not None)
 
     @property
     def is_depth(self) -> bool:
@@ -133,13 +110,16 @@ class OutputSpec(StrictModel):
         return self.kind in DEPTH_KINDS
 
     @model_validator(mode="after")
-    def _metric_alone_has_units(self) -> OutputSpec:
-        if self.kind != "metric" and (self.inverse or self.canonical_focal_px is not None):
-            raise ValueError(f"inverse and canonical_focal_px belong to kind metric; remove them for {self.kind}")
-        if self.kind != "logits" and self.offsets:
-            raise ValueError(f"offsets belong to kind logits; remove them for {self.kind}")
-        if self.kind != "logits" and self.redness:
-            raise ValueError(f"redness belongs to kind logits; remove it for {self.kind}")
+    def _keys_belong_to_the_kind(self) -> OutputSpec:
+        known = {"offsets": "logits", "redness": "logits", "queries": "masks"}
+        known |= dict.fromkeys(("inverse", "canonical_focal_px", "focal", "metre_scale"), "metric")
+        for key, kind in known.items():
+            if getattr(self, key) and self.kind != kind:
+                raise ValueError(f"{key} belongs to kind {kind}; remove it for {self.kind}")
+        if self.kind == "masks" and self.queries is None:
+            raise ValueError("kind masks needs queries, the output with the class logits of each query")
+        if self.focal is not None and self.canonical_focal_px is not None:
+            raise ValueError("focal and canonical_focal_px contradict each other; remove one")
         return self
 
 
@@ -232,6 +212,14 @@ class NetworkManifest(StrictModel):
         return manifest
 
     @classmethod
+    def of(cls, content: dict[str, Any], place: str) -> NetworkManifest:
+        """Return a manifest that has no file yet; its files have absolute paths. `place` is named in the ModelError."""
+        try:
+            return checked(cls, content, place)
+        except ConfigError as reason:
+            raise ModelError(str(reason)) from reason
+
+    @classmethod
     def find(cls, path_or_name: str | Path) -> NetworkManifest:
         """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
         text = str(path_or_name)
@@ -242,6 +230,16 @@ class NetworkManifest(StrictModel):
             names = ", ".join([*shipped_names(), *added_names()]) or "none"
             raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
         return cls.load(path)
+
+    def require(self, depth: bool) -> NetworkManifest:
+        """Return the manifest if it is of a depth network (`depth`) or of a label network. Raises ModelError."""
+        if self.output.is_depth == depth:
+            return self
+        found, key = ("depth, not labels", "depth_model") if self.output.is_depth else ("labels, not depth", "model")
+        raise ModelError(
+            f"model {self.name!r} predicts {found} (output.kind {self.output.kind}); name it as `{key}`, and choose a "
+            f"{'depth' if depth else 'label'} network here"
+        )
 
     def serving(self, head: str) -> NetworkManifest:
         """Return the network used by a camera with this label head: itself, or the network of its heads
@@ -264,34 +262,33 @@ class NetworkManifest(StrictModel):
         return max(1, self.input.width // 2)
 
     def model_file(self) -> Path:
-        """Return the path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare
-        name.
-
-        Raises ModelError with every place looked at.
-        """
-        return self._located(self.file)
+        """Return the path of the network, as `find_file` finds it. Raises ModelError."""
+        return find_file(self.file, self.folder, f"model {self.name!r}", self.source)
 
     def text_file(self) -> Path:
         """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
         none."""
         if self.text is None:
             raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
-        return self._located(self.text.file)
+        return find_file(self.text.file, self.folder, f"model {self.name!r}", self.source)
 
-    def _located(self, file: Path) -> Path:
-        places = [self.folder / file]
-        if not file.is_absolute():
-            for folder in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
-                places += [Path(folder) / file, Path(folder) / file.name]
-        for place in places:
-            if is_file(place):
-                return place
-        looked = ", ".join(dict.fromkeys(str(place) for place in places))
-        source = f" (source: {self.source})" if self.source else ""
-        raise ModelError(
-            f"model {self.name!r}: no file {file}; searched {looked}. "
-            f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
-        )
+
+def find_file(file: Path, folder: Path, what: str, source: str = "") -> Path:
+    """Return the path of a file beside a manifest in `folder`, else in a folder of `LTM_MODEL_PATH`, by path or bare
+    name. `what` names the model and `source` the file's origin in the ModelError for a missing file."""
+    places = [folder / file]
+    if not file.is_absolute():
+        for other in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
+            places += [Path(other) / file, Path(other) / file.name]
+    for place in places:
+        if is_file(place):
+            return place
+    searched = ", ".join(dict.fromkeys(str(place) for place in places))
+    origin = f" (source: {source})" if source else ""
+    raise ModelError(
+        f"{what}: no file {file}; searched {searched}. Put it in one of these places or name its folder in "
+        f"{MODEL_PATH_VARIABLE}{origin}"
+    )
 
 
 def models_folder() -> Path:

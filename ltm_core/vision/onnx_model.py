@@ -8,7 +8,6 @@ of it computed that others in this process ask this file for; they take their pa
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,14 +16,15 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import onnxruntime as ort
 
 from ltm_core.base.errors import ModelError
-from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.vision.manifest import InputSpec, NetworkManifest
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.network_image import DTYPES, camera_feed, constant_tensor, image_feed, rows_of
+from ltm_core.vision.onnx_file import NetworkFile
 
 _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
@@ -66,10 +66,10 @@ class SharedRuns:
         return made[: len(outputs)]
 
 
-_loaded: WeakValueDictionary[tuple[str, int], _Loaded] = WeakValueDictionary()
+_loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
-_ELEMENT_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
+_FLOATS: Final = ("tensor(float)", "tensor(float16)", "tensor(double)")
 
 
 class _Loaded:
@@ -93,41 +93,47 @@ class OnnxModel:
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         self.manifest = manifest
         self.path = manifest.model_file()
-        content = self.path.read_bytes()
-        found = hashlib.sha256(content).hexdigest()
-        if found != manifest.sha256:
+        file = NetworkFile.read(self.path)
+        if file.digest != manifest.sha256:
+            weights = f" with {', '.join(file.weights)}" if file.weights else ""
             raise ModelError(
-                f"model {manifest.name!r}: {self.path} has sha256 {found}, expected {manifest.sha256}; "
+                f"model {manifest.name!r}: {self.path}{weights} has sha256 {file.digest}, expected {manifest.sha256}; "
                 "download the file again, or update the checksum if you changed the network"
             )
         # Who opens the same file in this process gets the same session, which any number of threads may run.
+        key = file.digest, threads, str(manifest.input.constants)
         with _one_at_a_time:
-            loaded = _loaded.get((found, threads))
+            loaded = _loaded.get(key)
             if loaded is None:
-                loaded = _loaded[found, threads] = _Loaded(_session(content, self.path, threads))
+                loaded = _loaded[key] = _Loaded(open_session(file, self.path, threads))
         self._loaded, self._session = loaded, loaded.session
-        self._input_name = self._checked_input()
+        self._constants: dict[str, npt.NDArray[Any]] = {}
+        self._camera: Any = None
+        self._image = self._checked_inputs()
         self._output_name = self._checked_output()
         # A file with heads of labels and of depth computes only the one that is asked for.
         self._options = ort.RunOptions()
         self._options.only_execute_path_to_fetches = True
         loaded.runs.join(self, self._output_name)
 
-    def run(self, tensor: npt.NDArray[Any], intrinsics: Float32Array | None = None) -> npt.NDArray[Any]:
-        """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor.
+    def run(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> npt.NDArray[Any]:
+        """Run the network on a tensor of the manifest's input shape and dtype, and return its output tensor; arguments
+        and errors as of `outputs`."""
+        return np.asarray(self.outputs(tensor, matrix)[0])
 
-        `intrinsics`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
-        ModelError where the network needs it and it is not given.
+    def outputs(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> list[npt.NDArray[Any]]:
+        """Run the network, and return its output tensor and those that the manifest names beside it, in that order;
+        float16 and float64 as float32.
+
+        `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
+        ModelError if the network needs it and it is missing.
         """
-        feed = {self._input_name: tensor}
-        if (name := self.manifest.input.intrinsics) is not None:
-            if intrinsics is None:
-                raise self._wrong(f"input {name!r}", "a camera matrix", "none")
-            feed[name] = np.ascontiguousarray(intrinsics, np.float32)[None]
-            (output,) = self._run([self._output_name], feed)
-        else:
-            (output,) = self._shared(tensor, [self._output_name])
-        return np.asarray(output)
+        names = [self._output_name, *self.manifest.output.beside]
+        if self._camera is None:
+            return self._shared(tensor, names)
+        if matrix is None:
+            raise self._wrong(f"input {self._camera.name!r}", "a camera matrix", "none")
+        return self._run(names, self._feed(tensor) | camera_feed(self._camera, matrix, tensor, self.manifest.input))
 
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
@@ -138,7 +144,7 @@ class OnnxModel:
         gives something else by such a name.
         """
         names = [self._output_name, *maps]
-        output, *found = self._run(names, {self._input_name: tensor}) if part else self._shared(tensor, names)
+        output, *found = self._run(names, self._feed(tensor)) if part else self._shared(tensor, names)
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)
             if values.ndim != 4 or values.dtype != np.float32 or values.shape[1] != channels:
@@ -146,38 +152,56 @@ class OnnxModel:
         return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
 
     def _shared(self, tensor: npt.NDArray[Any], outputs: list[str]) -> list[Any]:
-        return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, {self._input_name: tensor}))
+        return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
+
+    def _feed(self, tensor: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+        return image_feed(self._image, tensor, self._constants)
 
     def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
         """Raise ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
         try:
-            return list(self._session.run(outputs, feed, self._options))
+            found = self._session.run(outputs, feed, self._options)
         except Exception as reason:  # of the runtime's errors, which have no common base
             raise ModelError(
                 f"model {self.manifest.name!r} ({self.path}): ONNX Runtime {ort.__version__} cannot run it ({reason}); "
                 "use the network that the manifest describes"
             ) from reason
+        return [v.astype(np.float32) if v.dtype in (np.float16, np.float64) else v for v in map(np.asarray, found)]
 
-    def _checked_input(self) -> str:
+    def _checked_inputs(self) -> Any:
+        """Return the input node of the image, and keep those of the camera and the constants."""
         spec = self.manifest.input
         nodes = {node.name: node for node in self._session.get_inputs()}
         if spec.intrinsics is not None:
-            matrix = nodes.pop(self._named(spec.intrinsics, list(nodes), "input for the camera matrix"))
-            if matrix.type != "tensor(float)" or not _fits(matrix.shape, (1, 3, 3)):
-                found = f"{matrix.type} {matrix.shape}"
-                raise self._wrong(f"input {spec.intrinsics!r}", "tensor(float) [1, 3, 3]", found)
+            camera = nodes.pop(self._named(spec.intrinsics, list(nodes), "input for the camera"))
+            numbers = [size for size in camera.shape if isinstance(size, int) and size != 1]
+            rays = len(camera.shape) >= 3 and 3 in (camera.shape[1], camera.shape[-1])
+            if camera.type not in _FLOATS or not (numbers in ([3, 3], [], [4]) or rays):
+                expected = "floats [1, 3, 3] (K), [4] (fx, fy, cx, cy), [1] (focal length) or [1, 3, h, w] (rays)"
+                raise self._wrong(f"input {camera.name!r}", expected, f"{camera.type} {camera.shape}")
+            self._camera = camera
+        for name, value in spec.constants.items():
+            node = nodes.pop(self._named(name, list(nodes), "input with a constant"))
+            self._constants[name] = constant_tensor(value, node, (spec.height, spec.width))
         name = self._named(spec.name, list(nodes), "input")
         if len(nodes) > 1:
-            raise self._wrong("inputs", "one image", f"{len(nodes)} ({', '.join(nodes)})")
+            others = ", ".join(f"{node.name} {node.type} {node.shape}" for node in nodes.values() if node.name != name)
+            raise self._wrong("inputs", "one image, input.intrinsics and input.constants", f"also {others}")
         node = nodes[name]
-        if node.type != _ELEMENT_TYPES[spec.dtype]:
-            raise self._wrong(f"input {name!r}: type", _ELEMENT_TYPES[spec.dtype], node.type)
+        if DTYPES.get(node.type) != np.dtype(spec.dtype):
+            raise self._wrong(f"input {name!r}: type", spec.dtype, node.type)
+        shape = (
+            [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
+        )
         coarse = self.manifest.coarse_look
         for image in (spec,) if coarse is None else (spec, coarse.image(spec)):
-            if not _fits(node.shape, image.shape):
+            if not _fits(shape, image.shape):
                 expected = f"{list(image.shape)} ({image.layout}, {image.width} x {image.height})"
                 raise self._wrong(f"input {name!r}: shape", expected, node.shape)
-        return name
+        sides = shape[2:] if spec.layout == "NCHW" else shape[1:3]
+        if spec.fit == "aspect" and any(isinstance(side, int) for side in sides):
+            raise self._wrong("input.fit: aspect", "an input with free height and width (or fit: pad)", node.shape)
+        return node
 
     def _checked_output(self) -> str:
         spec = self.manifest.output
@@ -185,28 +209,40 @@ class OnnxModel:
         name = self._named(spec.name, list(nodes), "output")
         for wanted in self.manifest.maps:
             self._named(wanted, list(nodes), "map")
+        for wanted in spec.beside:
+            self._named(wanted, list(nodes), "output")
         node = nodes[name]
+        shape = node.shape
         if spec.kind == "ids":
             if not node.type.startswith(("tensor(int", "tensor(uint")):
                 raise self._wrong(f"output {name!r}: type", "an integer tensor of class ids", node.type)
-            if len(node.shape) not in (2, 3, 4):
-                raise self._wrong(f"output {name!r}: shape", "[1, height, width]", node.shape)
+            if len(shape) not in (0, 2, 3, 4):
+                raise self._wrong(f"output {name!r}: shape", "[1, height, width]", shape)
             return name
-        if node.type != "tensor(float)":
-            raise self._wrong(f"output {name!r}: type", f"tensor(float) of {spec.kind}", node.type)
+        if node.type not in _FLOATS:
+            raise self._wrong(f"output {name!r}: type", f"a float tensor of {spec.kind}", node.type)
+        if not shape:  # not stated: what comes out is checked
+            return name
         if spec.is_depth:
-            if not _one_channel(node.shape, spec.layout):
-                raise self._wrong(f"output {name!r}: shape", "[1, h, w], or with one channel", node.shape)
+            axes = [size for size in shape if size != 1]
+            if len(axes) > 2 and not any(isinstance(size, str | None) or size == 3 for size in axes):
+                raise self._wrong(f"output {name!r}: shape", "[1, h, w], one channel or 3-D points", shape)
+            return name
+        if spec.kind == "masks":
+            if len(shape) != 4:
+                raise self._wrong(f"output {name!r}: shape", "[1, queries, h, w]", shape)
             return name
         text = self.manifest.text
         count = len(self.manifest.classes) if text is None else text.dimensions
         allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
-        axis = 1 if spec.layout == "NCHW" else 3
-        channels = node.shape[axis] if len(node.shape) == 4 else None
-        if len(node.shape) != 4 or (isinstance(channels, int) and channels not in allowed):
+        if len(shape) == 3:  # tokens of a vision tower, or one run per class
+            channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
+        else:
+            channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
+        if len(shape) not in (3, 4) or channels is None or (isinstance(channels, int) and channels not in allowed):
             what = "classes" if text is None else "dimensions of text.dimensions"
-            shape = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
-            raise self._wrong(f"output {name!r}: shape", f"{shape} ({spec.layout}, {count} {what})", node.shape)
+            expected = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
+            raise self._wrong(f"output {name!r}: shape", f"{expected} ({spec.layout}, {count} {what})", shape)
         return name
 
     def _named(self, wanted: str | None, present: list[str], what: str) -> str:
@@ -237,8 +273,11 @@ def _share_arena() -> None:
     ort.create_and_register_allocator(place, ort.OrtArenaCfg(0, of_the_runtime, of_the_runtime, of_the_runtime))
 
 
-def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
-    """Call it with the lock."""
+def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.InferenceSession:
+    """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError.
+
+    Callers of several threads hold a lock.
+    """
     _share_arena()
     options = ort.SessionOptions()
     options.add_session_config_entry("session.use_env_allocators", "1")
@@ -249,21 +288,14 @@ def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
     # Waiting threads sleep: a tower's cores are shared with the tracer and the camera driver.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return ort.InferenceSession(content, sess_options=options, providers=["CPUExecutionProvider"])
+        what = str(path) if file.weights else file.content
+        return ort.InferenceSession(what, sess_options=options, providers=["CPUExecutionProvider"])
     # The runtime's errors have no common base but Exception; each of them means that this file cannot be run.
     except Exception as reason:
         raise ModelError(
-            f"{path}: expected an ONNX network, found {len(content)} bytes that ONNX Runtime "
+            f"{path}: expected an ONNX network, found {len(file.content)} bytes that ONNX Runtime "
             f"{ort.__version__} rejects: {reason}"
         ) from reason
-
-
-def _one_channel(shape: list[int | str | None], layout: str) -> bool:
-    """Return whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
-    if len(shape) == 4:
-        channels = shape[1 if layout == "NCHW" else 3]
-        return not isinstance(channels, int) or channels == 1
-    return len(shape) in (2, 3)
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
@@ -271,36 +303,3 @@ def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
     return len(found) == len(expected) and all(
         not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
     )
-
-
-def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Return the network's input tensor for a photo (H, W, 3) uint8 RGB, resized without keeping the aspect."""
-    return as_tensor(fitted(image, spec), spec)
-
-
-def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
-    """Resize a photo (H, W, 3) uint8 RGB to the network's size. Shrinks by area (no aliasing), enlarges bilinearly."""
-    height, width = image.shape[:2]
-    if (width, height) == (spec.width, spec.height):
-        return image
-    shrinks = spec.width <= width and spec.height <= height
-    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, (spec.width, spec.height), interpolation=method), np.uint8)
-
-
-def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Return the tensor of a photo (height, width, 3) uint8 RGB of the network's size."""
-    if spec.channels == "bgr":
-        image = image[..., ::-1]
-    planar = spec.layout == "NCHW"
-    tensor: npt.NDArray[Any] = np.moveaxis(image, -1, 0) if planar else image
-    if spec.dtype == "uint8":
-        return np.ascontiguousarray(tensor[None])
-    std = np.asarray(spec.std, dtype=np.float32)
-    factor = np.float32(spec.scale) / std
-    offset = np.asarray(spec.mean, dtype=np.float32) / std
-    tensor = np.array(tensor, np.float32, order="C")
-    by_channel = (3, 1, 1) if planar else (3,)
-    tensor *= factor.reshape(by_channel)
-    tensor -= offset.reshape(by_channel)
-    return tensor[None]

@@ -1,5 +1,7 @@
 """Segment photos of any size into label images with the network of a manifest."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.errors import ConfigError, ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
 from ltm_core.vision.label_rules import against_green, agreed, doubt_of_photographs, load_calibration, withdraw
@@ -17,14 +19,18 @@ from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import (
     DEFAULT_MODEL,
     SHIPPED_LABEL_HEAD,
-    InputSpec,
     NetworkManifest,
     Withdrawal,
 )
-from ltm_core.vision.onnx_model import OnnxModel, as_tensor, fitted, input_tensor
-from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
-from ltm_core.vision.tensors import upsampled_winner
-from ltm_core.vision.word_embeddings_io import load_text
+from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
+from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, with_distant_tiles
+from ltm_core.vision.vocabulary import QueryMatch, Vocabulary, load_text, read_queries
+
+_COLORS = (
+    (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),
+    (90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (135, 190, 235),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,11 +63,7 @@ class Segmenter:
         words: Sequence[str] | None = None,
         head: LabelHead | None = None,
     ) -> None:
-        if manifest.output.is_depth:
-            raise ModelError(
-                f"model {manifest.name!r} outputs {manifest.output.kind} depth, not labels; choose a segmentation model"
-            )
-        self.manifest = manifest
+        self.manifest = manifest.require(depth=False)
         self.labels = LabelSet.load() if labels is None else labels
         self._text = None if manifest.text is None else load_text(manifest).only(words)
         self.classes = manifest.classes if self._text is None else self._text.names
@@ -86,7 +88,7 @@ class Segmenter:
         labels: LabelSet | None = None,
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
-    ) -> "Segmenter":
+    ) -> Segmenter:
         """Open a segmenter by its manifest's path, or the name of one in `config/models`, with a label head by its name
         or path.
 
@@ -133,7 +135,7 @@ class Segmenter:
         _check(image)
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
-            return self._from_ids(self._model.run(input_tensor(image, self.manifest.input)), height, width)
+            return self._from_ids(fitted(image, self.manifest.input), height, width)
         scores, maps = self._answer(image)
         probabilities = self._label_probabilities(self._of_whole(image, scores, maps))
         if zoom > 1.0 and Label.SKY in self._group_labels:
@@ -150,10 +152,13 @@ class Segmenter:
             confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
 
-    def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:
+    def _from_ids(self, photo: FittedImage, height: int, width: int) -> Segmentation:
+        output = self._model.run(as_tensor(photo.pixels, self.manifest.input))
         ids = np.squeeze(output)
         if ids.ndim != 2:
             raise ModelError(f"model {self.manifest.name!r}: ids have shape {output.shape}, expected (1, h, w)")
+        tall, wide = photo.pixels.shape[:2]
+        ids = ids[: max(1, round(len(ids) * photo.rows / tall)), : max(1, round(ids.shape[1] * photo.cols / wide))]
         # Out-of-range ids have no class, so no label.
         known = np.where((ids >= 0) & (ids < len(self.classes)), ids, 255).astype(np.uint8)
         labels = cv2.resize(self._label_of_id[known], (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
@@ -186,9 +191,14 @@ class Segmenter:
         self, image: UInt8Array, names: Sequence[str], part: bool = False, spec: InputSpec | None = None
     ) -> tuple[Float32Array, dict[str, Float32Array]]:
         spec = spec or self.manifest.input
-        small = fitted(image, spec)
-        output, maps = self._model.run_with_maps(as_tensor(small, spec), names, part)
-        return self._scores(output, small), dict(zip(names, maps, strict=True))
+        photo = fitted(image, spec)
+        tensor = as_tensor(photo.pixels, spec)
+        if self.manifest.output.kind == "masks":
+            masks, queries = self._model.outputs(tensor)
+            return self._scores(mask_scores(masks, queries, len(self.classes)), photo), {}
+        output, maps = self._model.run_with_maps(tensor, names, part)
+        maps = [photo.without_padding(planes) for planes in maps]
+        return self._scores(output, photo), dict(zip(names, maps, strict=True))
 
     def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
         """Return the scores (K, h, w) of a whole image, corrected by its head and averaged with the coarse look's."""
@@ -216,11 +226,19 @@ class Segmenter:
         probabilities = self._probabilities(self.logits(image))
         return dict(zip(self.classes, probabilities, strict=True))
 
-    def _scores(self, output: npt.NDArray[Any], image: UInt8Array) -> Float32Array:
-        """Return the network output of a photo, `image` in the network's size -> (K, h, w), checked."""
+    def _scores(self, output: npt.NDArray[Any], photo: FittedImage) -> Float32Array:
+        """Return the network output of a photo -> (K, h, w) of the photo's field of view, checked."""
         spec = self.manifest.output
-        scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
-        scores = np.ascontiguousarray(scores, dtype=np.float32)
+        if output.ndim == 3 and self._text is not None:
+            scores = token_planes(output[0], photo.pixels.shape[:2])
+        elif output.ndim == 3 or (output.ndim == 4 and output.shape[0] == len(self.classes) > 1):
+            scores = output if output.ndim == 3 else output[:, 0]  # one run per class
+        else:
+            scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
+        count = len(self.classes) if self._text is None else self._text.vectors.shape[1]
+        if scores.ndim != 3 or not (len(scores) == count or (len(scores), count) == (1, 2)):
+            raise ModelError(f"model {self.manifest.name!r}: output has shape {output.shape}, expected {count} classes")
+        scores = np.ascontiguousarray(photo.without_padding(np.ascontiguousarray(scores, dtype=np.float32)))
         if not np.isfinite(scores.sum()):
             raise ModelError(
                 f"model {self.manifest.name!r}: its {spec.kind} hold NaN or infinity; the network is broken"
@@ -228,7 +246,7 @@ class Segmenter:
         for name, offset in spec.offsets.items():
             scores[self.classes.index(name)] += np.float32(offset)
         if spec.redness:
-            against = against_green(image, *scores.shape[1:])
+            against = against_green(photo.photo_part(), *scores.shape[1:])
             for name, most in spec.redness.items():
                 scores[self.classes.index(name)] -= np.float32(most) * against
         return scores if self._text is None else self._text.scores(scores)
@@ -240,6 +258,8 @@ class Segmenter:
             scores = scores * np.float32(1.0 / temperature)
             scores = np.exp(scores - scores.max(axis=0))
             return np.asarray(scores / scores.sum(axis=0), np.float32)
+        if self.manifest.output.kind == "masks":
+            return np.asarray(scores / np.maximum(scores.sum(axis=0), 1.0), np.float32)
         low, high = float(scores.min()), float(scores.max())
         if low < -1e-3 or high > 1.0 + 1e-3:
             raise ModelError(
@@ -262,6 +282,42 @@ class Segmenter:
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score
         return grouped
+
+
+def open_vocabulary(
+    manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
+) -> tuple[Segmenter, list[QueryMatch]]:
+    """Return a segmenter whose labels are the queries, in their order, and the match of each.
+
+    Among a text network's words only the queries compete; another network's classes that answer no query stay
+    unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
+    """
+    if len(queries) > UNLABELLED:
+        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
+    readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
+    labels = LabelSet(
+        names=tuple(queries),
+        colors=tuple(_COLORS[i % len(_COLORS)] for i in range(len(queries))),
+        ground_cover=tuple(query != "sky" for query in queries),
+    )
+    mapping = {name: reading.query for reading in readings for name in reading.classes}
+    words = queries if manifest.text is not None else None
+    return Segmenter(manifest.model_copy(update={"mapping": mapping}), threads, labels, words), readings
+
+
+def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float32Array:
+    """Return the scores (1, K, h, w) of `count` classes from masks (1, Q, h, w) and class logits (1, Q, K or K + 1) of
+    queries: the sum over queries of class probability times mask probability (Cheng et al., MaskFormer, 2021).
+
+    Raises ModelError for another number of classes.
+    """
+    if queries.ndim != 3 or masks.ndim != 4 or queries.shape[2] not in (count, count + 1):
+        raise ModelError(f"query logits have shape {queries.shape}, masks {masks.shape}; expected {count} classes")
+    weight = np.exp(queries[0] - queries[0].max(axis=1, keepdims=True))
+    weight = (weight / weight.sum(axis=1, keepdims=True))[:, :count]
+    inside = 1.0 / (1.0 + np.exp(-np.clip(masks[0], -60.0, 60.0)))
+    # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
+    return np.asarray(np.einsum("qk,qhw->khw", weight, inside), np.float32)[None]
 
 
 def _check(image: UInt8Array) -> None:

@@ -7,24 +7,21 @@ then read as one of them through `config/vocabulary.yaml`, and the reading says 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from ltm_core.base.errors import ConfigError
+import numpy as np
+
+from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.word_embeddings_io import load_text
-
-_COLORS = (
-    (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),
-    (90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (135, 190, 235),
-)  # fmt: skip
 
 
 class _VocabularyFile(StrictModel):
@@ -116,22 +113,73 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
     raise ConfigError(f"unknown word {query!r}; similar words: {close} (see config/vocabulary.yaml)")
 
 
-def open_vocabulary(
-    manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
-) -> tuple[Segmenter, list[QueryMatch]]:
-    """Return a segmenter whose labels are the queries, in their order, and the match of each.
+def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
+    """Return the label of each class of a network whose name is in the vocabulary: `earth, ground` by its first known
+    part, and COCO's `tree-merged` as `tree`. Other classes are missing."""
+    known = Vocabulary.load().label_of
+    found: dict[str, str] = {}
+    for name in names:
+        parts = [part.strip().replace("_", " ") for part in re.split(r"[,;]|--", name.lower())]
+        parts = [re.sub(r"-(merged|other|stuff)|\bother-", "", part).strip("- ") for part in parts]
+        if label := next((known[part] for part in parts if part in known and part not in _OBJECTS), None):
+            found[name] = label
+    return found
 
-    Among a text network's words only the queries compete; another network's classes that answer no query stay
-    unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
-    """
-    if len(queries) > UNLABELLED:
-        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
-    readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
-    labels = LabelSet(
-        names=tuple(queries),
-        colors=tuple(_COLORS[i % len(_COLORS)] for i in range(len(queries))),
-        ground_cover=tuple(query != "sky" for query in queries),
-    )
-    mapping = {name: reading.query for reading in readings for name in reading.classes}
-    words = queries if manifest.text is not None else None
-    return Segmenter(manifest.model_copy(update={"mapping": mapping}), threads, labels, words), readings
+
+_OBJECTS = {"canopy", "wood", "broom", "air"}
+"""Words that mean something else as classes of a network: ADE20K's canopy is an awning, COCO's wood a material."""
+
+
+LARGEST = 64 << 20
+"""Maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class TextEmbeddings:
+    """Words and their directions: `names` (K), `vectors` (K, D) float32 of length 1, `scale` of the cosine."""
+
+    names: tuple[str, ...]
+    vectors: Float32Array
+    scale: float
+
+    def only(self, words: Sequence[str] | None) -> TextEmbeddings:
+        """Return these words only, in order; all for None. Raises ModelError for a missing word."""
+        if words is None:
+            return self
+        absent = sorted(set(words) - set(self.names))
+        if absent:
+            raise ModelError(f"no embedding of {', '.join(absent)}; words: {', '.join(self.names[:40])}")
+        return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
+
+    def scores(self, dense: Float32Array) -> Float32Array:
+        """Return `scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
+        length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
+        # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
+        cosine = np.einsum("kd,dhw->khw", self.vectors, dense) / np.maximum(length, 1e-12)
+        return np.asarray(np.float32(self.scale) * cosine, np.float32)
+
+
+def load_text(manifest: NetworkManifest) -> TextEmbeddings:
+    """Load the text embeddings of a manifest. Raises ModelError for a missing file, other arrays, another dimension
+    than stated, repeated words, or words in `mapping` that are missing."""
+    path, spec = manifest.text_file(), manifest.text
+    if spec is None:
+        raise ModelError(f"model {manifest.name!r} has no text embeddings")
+    words, given = load_arrays(path, ("names", "embeddings"), LARGEST, ModelError)
+    if words.dtype.kind not in "US" or given.dtype.kind not in "fiu":
+        raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")
+    names, vectors = tuple(str(name) for name in words.ravel()), np.asarray(given, np.float32)
+    if vectors.shape != (len(names), spec.dimensions) or not names:
+        raise ModelError(
+            f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "
+            "row a name, as text.dimensions states"
+        )
+    if len(set(names)) != len(names):
+        raise ModelError(f"{path}: repeated names; give each word once")
+    unknown = sorted(set(manifest.mapping) - set(names))
+    if unknown:
+        raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
+        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; generate the file again")
+    return TextEmbeddings(names, vectors / length, spec.scale)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +13,14 @@ from rich.console import Console
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
+    from ltm_core.base.types import UInt8Array
+    from ltm_core.depth.monocular import NetworkDepth
     from ltm_core.vision.manifest import NetworkManifest
+    from ltm_core.vision.segmenter import Segmenter
+
+
+_SHOWN = 12
+"""Maximum number of unlabelled classes that are printed."""
 
 
 class Action(StrEnum):
@@ -27,8 +35,10 @@ def models(
     action: Annotated[
         Action, typer.Argument(help="list: all manifests; check: run one on photos; add: install one.")
     ] = Action.list,
-    name: Annotated[str | None, typer.Argument(help="Model name (check) or path of a manifest (check, add).")] = None,
-    images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check).")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Model name or manifest (check); ONNX file, folder, manifest or recipe (add).")
+    ] = None,
+    images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check, add).")] = None,
     classes: Annotated[
         str | None, typer.Option(help='Classes given as words: "dry grass, chaparral, oak, road" (check).')
     ] = None,
@@ -36,10 +46,13 @@ def models(
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(help="Magnification of a second pass over distant slopes (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
+    named: Annotated[str, typer.Option("--name", help="Name of the model; default: that of its file (add).")] = "",
+    stated: Annotated[
+        list[str] | None, typer.Option("--set", help="Key of the manifest, as output.kind=metric; repeatable (add).")
+    ] = None,
+    like: Annotated[str, typer.Option(help="Recipe whose properties the file has (add).")] = "",
 ) -> None:
-    """List the networks, check one (shapes, time, images), or install one by its manifest."""
-    from rich.console import Console
-
+    """List the networks, check one (shapes, time, images), or install one."""
     console = Console()
     if action is Action.list:
         _list(console)
@@ -47,30 +60,50 @@ def models(
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
-    from ltm_ros.cli.models_check import check, check_depth
 
     require_folder(out)
-    manifest = NetworkManifest.find(name or DEFAULT_MODEL)
-    if action is Action.add:
-        if name is None:
-            raise ConfigError("give the manifest to add: ltm models add my_network.yaml")
-        manifest = _add(console, Path(name), fetch)
-    if manifest.output.is_depth:
-        check_depth(console, manifest, threads, images, out)
-    else:
-        check(console, manifest, threads, images, out, classes=classes, zoom=zoom)
+    if action is Action.check:
+        _check(console, NetworkManifest.find(name or DEFAULT_MODEL), threads, images, out, classes, zoom)
+        return
+    if name is None:
+        raise ConfigError("give the network to add: ltm models add model.onnx (or its folder, a manifest, or a recipe)")
+    _add(console, name, fetch, named, stated or [], like, threads, images, out)
 
 
-def _add(console: Console, path: Path, fetch: bool) -> NetworkManifest:
+def _add(
+    console: Console,
+    given: str,
+    fetch: bool,
+    name: str,
+    options: list[str],
+    like: str,
+    threads: int,
+    images: Path | None,
+    out: Path,
+) -> None:
+    """Determine the manifest of a network, run the network on photos, and then copy it."""
     from rich.progress import Progress
 
-    from ltm_core.vision.install_io import add_model
+    from ltm_core.vision.install_io import install, source_of, stated_by
+    from ltm_core.vision.recognition import recognise
 
     with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("fetching", total=None)
-        added = add_model(path, fetch, lambda received: bar.update(task, completed=received))
-    console.print(f"added {added.name} to {added.folder}; use it as `model: {added.name}` in a site file", markup=False)
-    return added
+        task = bar.add_task("downloading", total=None)
+        source = source_of(given, lambda received: bar.update(task, completed=received), fetch)
+        with source as found:
+            bar.stop()
+            manifest = recognise(found, stated_by(options), like, name)
+            _check(console, manifest, threads, images, out)
+            added = install(manifest, found)
+    role = "depth_model" if added.output.is_depth else "model"
+    unmapped = [each for each in added.classes if each not in added.mapping]
+    if unmapped:
+        shown = ", ".join(unmapped[:_SHOWN]) + (", ..." if len(unmapped) > _SHOWN else "")
+        console.print(f"{len(unmapped)} of {len(added.classes)} classes have no label: {shown}", markup=False)
+    console.print(f"licence: {added.licence}", markup=False, highlight=False)
+    console.print(
+        f"added {added.name} to {added.folder}; use it as `{role}: {added.name}` in a site file", markup=False
+    )
 
 
 def _list(console: Console) -> None:
@@ -108,3 +141,155 @@ def _list(console: Console) -> None:
     print_table(console, "", ("model", "input", "output", "licence", "sha256", "state"), rows)
     for fault in faults:
         console.print(fault, markup=False, highlight=False)
+    _list_recipes(console)
+
+
+def _list_recipes(console: Console) -> None:
+    from ltm_core.vision.install_io import RecipeFile
+
+    known = RecipeFile.load().recipes
+    rows = [
+        (name, "ltm models add" if recipe.url else "export it", recipe.licence, recipe.page)
+        for name, recipe in known.items()
+    ]
+    print_table(console, "", ("recipe", "file", "licence", "page"), rows)
+
+
+def _check(
+    console: Console,
+    manifest: NetworkManifest,
+    threads: int,
+    images: Path | None,
+    out: Path,
+    classes: str | None = None,
+    zoom: float = 1.0,
+) -> None:
+    """Print the model's input, output and running time; write images.
+
+    With `classes`, comma-separated words replace the model's classes. Without `images`, a drawn scene is used.
+    """
+    from ltm_core.storage.image_io import photos_in, read_rgb
+
+    photos = [(path, read_rgb(path)) for path in photos_in(images)] if images is not None else []
+    photos = photos or [(Path("trial_scene"), trial_scene())]
+    spec, kind = manifest.input, manifest.output.kind
+    console.print(f"{manifest.name}: {manifest.model_file()}; sha256 {manifest.sha256[:12]}...", markup=False)
+    console.print(f"input {spec.layout} {spec.dtype} {spec.shape} {spec.fit}; output {kind}", markup=False)
+    if manifest.output.is_depth:
+        _check_depth(console, manifest, threads, photos, out)
+    else:
+        _check_labels(console, manifest, threads, photos, out, classes, zoom)
+
+
+def _check_labels(
+    console: Console,
+    manifest: NetworkManifest,
+    threads: int,
+    photos: list[tuple[Path, UInt8Array]],
+    out: Path,
+    classes: str | None,
+    zoom: float,
+) -> None:
+    import numpy as np
+
+    from ltm_core.vision.segmenter import Segmenter, open_vocabulary
+    from ltm_core.vision.vocabulary import parse_queries
+
+    if classes is None:
+        segmenter = Segmenter(manifest, threads)
+    else:
+        segmenter, readings = open_vocabulary(manifest, parse_queries(classes), threads)
+        for reading in readings:
+            console.print(f"{reading.query!r} {reading.how}", markup=False)
+    noise = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
+    times = _milliseconds(segmenter, noise)
+    console.print(
+        f"1920 x 1080, {threads} thread(s): median {np.median(times):.1f} ms, p95 {np.percentile(times, 95):.1f} ms"
+    )
+    for path, photo in photos:
+        _overlay(console, segmenter, photo, path, out, zoom)
+
+
+def _check_depth(
+    console: Console, manifest: NetworkManifest, threads: int, photos: list[tuple[Path, UInt8Array]], out: Path
+) -> None:
+    """Print the depth and running time of a depth model; write images (red near, blue far)."""
+    import numpy as np
+
+    from ltm_core.base.errors import ModelError
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.geometry.camera import Camera
+    from ltm_core.pictures import to_jpeg
+
+    network = DepthNetwork(manifest, threads)
+    for path, photo in photos:
+        camera = Camera.from_fov(photo.shape[1], photo.shape[0], 50.0)
+        network.predict(photo, camera)
+        start = time.perf_counter()
+        found = network.predict(photo, camera)
+        milliseconds = (time.perf_counter() - start) * 1e3
+        if not np.isfinite(found.values).any():
+            raise ModelError(
+                f"model {manifest.name!r}: no pixel of {path.name} has a depth; the network or its kind is wrong"
+            )
+        target = out / f"{path.stem}_{manifest.name}.jpg"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(to_jpeg(np.vstack([photo, _depth_colors(found, photo.shape[:2])])))
+        spread = f"{np.nanmin(found.values):.4g}..{np.nanmax(found.values):.4g}"
+        console.print(f"{path.name}: {found.kind} {spread}, {milliseconds:.0f} ms -> {target}")
+
+
+def trial_scene() -> UInt8Array:
+    """Return a drawn scene (360, 640, 3) with sky, two ridges and a meadow, for tests without a photo."""
+    import cv2
+    import numpy as np
+
+    rng = np.random.default_rng(5)
+    height, width = 360, 640
+    rows, cols = np.mgrid[0:height, 0:width]
+    scene = np.array([120, 165, 215]) + rows[..., None] * np.array([0.16, 0.12, 0.06])
+    rough = cv2.resize(rng.normal(0.0, 1.0, (height // 3, width // 3)), (width, height))[..., None]
+    far = rows > 120 + 35 * np.sin(cols / 90.0) + 12 * np.sin(cols / 23.0)
+    near = rows > 190 + 30 * np.cos(cols / 120.0) + 4 * np.sin(cols / 7.0)
+    meadow = rows > 270 + cols / 30.0
+    for part, color, contrast in ((far, (105, 120, 130), 6), (near, (52, 66, 38), 18), (meadow, (176, 160, 96), 14)):
+        scene = np.where(part[..., None], np.array(color) + contrast * rough, scene)
+    return np.asarray(np.clip(scene, 0, 255), np.uint8)
+
+
+def _milliseconds(segmenter: Segmenter, image: UInt8Array) -> list[float]:
+    """Return the wall time of each of up to 15 calls of `segment` within 10 s, after one call that is not counted."""
+    segmenter.segment(image)
+    times: list[float] = []
+    while len(times) < 15 and sum(times) < 10e3:
+        start = time.perf_counter()
+        segmenter.segment(image)
+        times.append((time.perf_counter() - start) * 1e3)
+    return times
+
+
+def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
+    """Return the ranks of a depth image as colours."""
+    import cv2
+    import numpy as np
+
+    values = found.values if found.kind == "relative_inverse" else -found.values
+    ranks = np.searchsorted(np.sort(values[np.isfinite(values)]), values) / values.size * 255.0
+    large = cv2.resize(np.nan_to_num(ranks).astype(np.uint8), size[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1])
+
+
+def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
+    import numpy as np
+
+    from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
+
+    labels = segmenter.segment(photo, zoom).labels
+    shares = np.bincount(labels.ravel(), minlength=256) / labels.size
+    seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
+    legend = label_legend(photo.shape[1], segmenter.labels, seen)
+    target = out / f"{path.stem}_{segmenter.manifest.name}.jpg"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(to_jpeg(with_legend(overlay_labels(photo, labels, segmenter.labels), legend)))
+    text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
+    console.print(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text} -> {target}")

@@ -22,6 +22,7 @@ from ltm_core.site.site_check import SiteCheck, check_site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import free_bytes, require_folder
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_ros.cameras.opening import doubts_of
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
@@ -150,6 +151,10 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
         given = {name: value for name, value in spec.parameters.items() if name != "use_sim_time"}
         try:
             checked(_config_of(importlib.import_module(spec.module)), given, f"nodes.{spec.executable}")
+            for key in ("model", "label_model"):
+                if name := given.get(key):
+                    depth = key == "model" and spec.executable == "topodepth"
+                    NetworkManifest.find(str(name)).require(depth)
         except LtmError as error:
             wrong = True
             yield SiteFinding.of("site", "nodes", error)

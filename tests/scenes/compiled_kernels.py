@@ -35,7 +35,7 @@ from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_core.vision.labels import Label, LabelSet
-from ltm_core.vision.tensors import upsampled_winner
+from ltm_core.vision.second_scale import upsampled_winner
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.simulator.run import make_site, rasters_at
 from ltm_lab.tracers.march import march

@@ -59,6 +59,16 @@ def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> 
     assert not said(checked(tmp_path, 890.0, **both), SiteVerdict.DOUBTFUL)
 
 
+@pytest.mark.parametrize(
+    ("key", "wrong"), [("model", "landscape_v2_depth"), ("depth_model", "landscape_v2"), ("model", "tcmonodepth")]
+)
+def test_a_network_of_the_wrong_kind_is_an_error(tmp_path: Path, key: str, wrong: str) -> None:
+    ((name, message),) = said(checked(tmp_path, 890.0, **{key: wrong}), SiteVerdict.WRONG)
+    assert name == key
+    assert wrong in message
+    assert f"`{'depth_model' if key == 'model' else 'model'}`" in message
+
+
 def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890 / 0.3048), SiteVerdict.WRONG)
     assert name == "dem"

@@ -14,10 +14,10 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.scoring.labels import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
-from ltm_core.vision.onnx_model import input_tensor
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE
+from ltm_core.vision.network_image import InputSpec, as_tensor
+from ltm_core.vision.second_scale import upsampled_winner
 from ltm_core.vision.segmenter import Segmentation, Segmenter
-from ltm_core.vision.tensors import upsampled_winner
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
 
@@ -75,6 +75,27 @@ def test_any_photo_size_gives_labels_of_that_size(tmp_path: Path, size: tuple[in
     labels = Segmenter.open(write_classifier(tmp_path)).segment(photo).labels
     assert labels.shape == size
     assert (labels == truth).mean() > 0.85
+
+
+@pytest.mark.parametrize("kind", ["logits", "ids"])
+@pytest.mark.parametrize("size", [(110, 170), (170, 110), (90, 400), (31, 47)])
+def test_padding_keeps_each_pixel_in_its_place(tmp_path: Path, kind: str, size: tuple[int, int]) -> None:
+    path = write_classifier(tmp_path, kind, channels="bgr")
+    photo, truth = _photo(size)
+    labels = Segmenter.open(changed(path, input={"fit": "pad"})).segment(photo).labels
+    sure = _away_from_edges(truth, round(max(size) / 48 * 2) + 2)
+    assert sure.mean() > 0.3
+    assert (labels[sure] == truth[sure]).mean() > 0.985
+
+
+def test_a_network_of_any_size_gets_the_photos_aspect_ratio(tmp_path: Path) -> None:
+    path = write_classifier(tmp_path, any_size=True)
+    photo, truth = _photo((180, 90))
+    segmenter = Segmenter.open(changed(path, input={"fit": "aspect", "multiple": 8}))
+    assert segmenter.logits(photo).shape[1:] == (28, 12)  # 56 x 24 pixels, the area of 48 x 32
+    assert (segmenter.segment(photo).labels == truth).mean() > 0.93
+    with pytest.raises(ModelError, match=r"aspect.*48"):
+        Segmenter.open(changed(write_classifier(tmp_path), input={"fit": "aspect"}))
 
 
 def test_confidence_is_the_probability_of_the_label(tmp_path: Path) -> None:
@@ -155,7 +176,7 @@ def test_normalisation_follows_the_manifest() -> None:
         width=5, height=3, layout="NCHW", dtype="float32", channels="bgr", scale=0.5, mean=(1, 2, 3), std=(2, 4, 8)
     )
     photo = np.random.default_rng(3).integers(0, 256, (3, 5, 3), dtype=np.uint8)
-    tensor = input_tensor(photo, spec)
+    tensor = as_tensor(photo, spec)
     assert tensor.shape == (1, 3, 3, 5)
     assert tensor.dtype == np.float32
     expected = (photo[2, 4, ::-1] * 0.5 - np.array([1, 2, 3])) / np.array([2, 4, 8])

@@ -14,8 +14,8 @@ from scenes.networks import write_classifier, write_manifest
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.vocabulary import Vocabulary, open_vocabulary, parse_queries, read_queries
+from ltm_core.vision.segmenter import Segmenter, open_vocabulary
+from ltm_core.vision.vocabulary import Vocabulary, labels_of_classes, parse_queries, read_queries
 
 WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
 DIMENSIONS, SCALE = 6, 9.0
@@ -155,3 +155,26 @@ def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:
     path.write_text("synonyms: {grass: [oats], shrub: [oats]}\n")
     with pytest.raises(ConfigError, match=r"'oats' is mapped to grass and to shrub"):
         Vocabulary.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("palm, palm tree", "tree"),  # ADE20K
+        ("plant, flora, plant life", "shrub"),
+        ("earth, ground", "bare"),
+        ("canopy", None),
+        ("mountain, mount", None),
+        ("tree-merged", "tree"),  # COCO
+        ("sky-other-merged", "sky"),
+        ("plant-other", "shrub"),
+        ("wood", None),
+        ("nature--water", "water"),  # Mapillary Vistas
+        ("construction--flat--road", "bare"),
+        ("nature--vegetation", None),
+        ("Grassland", "grass"),
+        ("LABEL_3", None),
+    ],
+)
+def test_the_label_of_a_networks_class_is_that_of_its_first_known_word(name: str, label: str | None) -> None:
+    assert labels_of_classes([name]) == ({} if label is None else {name: label})
