@@ -83,7 +83,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
         if self._watch.reason:
             self.health.note(CONTRADICTED)
             self.health.trouble(CONTRADICTED, self._watch.reason)
-        self.health.gauge("pose", self._watch.reason or "not contradicted")
+        self.health.gauge(f"reason.{CONTRADICTED}", self._watch.reason)
         sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")

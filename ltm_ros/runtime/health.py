@@ -258,7 +258,7 @@ class NodeRow:
     causes: str = ""
     """Causes of drops: `overload 2, pose 1`."""
     reasons: tuple[str, ...] = ()
-    """Reason of the first drop of each cause, after its name."""
+    """Reason of the first drop of each cause, after its name, and of poses that images contradict."""
 
     @classmethod
     def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
@@ -273,7 +273,11 @@ class NodeRow:
             float(summary.get("latency_p95_ms", math.nan)),
             float(summary.get("work_p50_ms", math.nan)),
             ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
+            tuple(
+                f"{key.removeprefix('reason.')}: {why}"
+                for key, why in summary.items()
+                if key.startswith("reason.") and why
+            ),
         )
 
 

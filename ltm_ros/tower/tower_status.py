@@ -248,7 +248,7 @@ class TowerWatch:
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,
-            wrong=_camera_wrong(name, state, why, pose, judge),
+            wrong=_camera_wrong(name, state, why, pose, judge, own.get("fuel_votes")),
         )
 
     def _state(self, name: str, now_s: float, age_s: float | None) -> tuple[CameraState, str]:
@@ -282,9 +282,13 @@ class TowerWatch:
         return since_s
 
 
-def _camera_wrong(name: str, state: CameraState, why: str, pose: str, judge: NodeReport | None) -> str:
+def _camera_wrong(
+    name: str, state: CameraState, why: str, pose: str, judge: NodeReport | None, votes: NodeReport | None
+) -> str:
     if not state.sending:
         return f"{name}: {why or state}"
+    if votes is not None and (contradicted := votes.values.get("reason.pose_contradicted")):
+        return f"{name}: {contradicted}"
     if "pose_suspected" in pose or "slipped" in pose:
         why = judge.values.get("last_verdict", "") if judge else ""
         return f"{name}: the pose is uncertain{f' ({why})' if why else ''}; check whether the mount has moved"

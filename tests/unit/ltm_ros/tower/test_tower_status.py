@@ -54,6 +54,17 @@ def test_a_doubted_pose_is_said_where_frames_come() -> None:
     )
 
 
+@pytest.mark.parametrize("why", ["80% of the skyline contradict the terrain", ""])
+def test_a_pose_that_images_contradict_is_said_of_its_camera(why: str) -> None:
+    watch = TowerWatch("ridge", (*NODES, "/ridge/north/fuel_votes"), 120.0)
+    votes = Health()
+    votes.gauge("reason.pose_contradicted", why)
+    for name, health in (healths() | {"/ridge/north/fuel_votes": votes}).items():
+        watch.hear(name, False, "ok", health.summary(), now_s=50.0)
+    (said,) = [c.wrong for c in status_of(watch).cameras if c.name == "north"]
+    assert said == (f"north: {why}" if why else "")
+
+
 @pytest.mark.parametrize(("now_s", "alive"), [(59.9, True), (60.1, False)])
 def test_a_node_that_falls_silent_is_missed(now_s: float, alive: bool) -> None:
     status = status_of(watch_of(healths()), now_s)
