@@ -53,7 +53,7 @@ class Cluster:
         place = urlsplit(self.address)
         if place.scheme == "tls":
             if not (self.ca and self.certificate and self.key):
-                raise ArchiveError(f"{self.address}: give --tls-ca, --tls-cert and --tls-key, PEM files")
+                raise ArchiveError(f"{self.address}: give --tls CA CERT KEY, PEM files")
         elif place.scheme != "tcp" or not _loopback(place.hostname or ""):
             raise ArchiveError(
                 f"{self.address}: a scheduler executes any code it is sent, so other hosts must use tls://"

@@ -30,24 +30,27 @@ def reprocess(
     ],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
     out: Annotated[str, typer.Option("--out", "-o", help="Folder for results, or s3://bucket/folder.")],
-    workers: Annotated[int, typer.Option(min=0, help="Worker processes on this machine; 0: work in this process.")] = 2,
-    cluster: Annotated[str, typer.Option(help="Dask scheduler to use instead: tls://host:8786.")] = "",
-    tls_ca: Annotated[Path | None, typer.Option(help="CA certificate of the cluster (PEM).")] = None,
-    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate (PEM).")] = None,
-    tls_key: Annotated[Path | None, typer.Option(help="Key of the certificate (PEM).")] = None,
+    workers: Annotated[
+        str,
+        typer.Option(metavar="N|ADDRESS", help="Worker processes (0: this one), or a Dask scheduler, tls://host:8786."),
+    ] = "2",
+    tls: Annotated[
+        tuple[Path, Path, Path] | None,
+        typer.Option(metavar="CA CERT KEY", help="PEM files for a Dask scheduler: CA, own certificate and key."),
+    ] = None,
     cameras: Annotated[str, typer.Option(help="Only these cameras, separated by commas.")] = "",
     since: Annotated[str, typer.Option(help="First date or time, such as 2026-05-31, UTC.")] = "",
     until: Annotated[str, typer.Option(help="Last date (inclusive) or time, UTC.")] = "",
     sample: Annotated[str, typer.Option(help="Frames of each camera: all, or 4/day, 1/hour.")] = "all",
     shard: Annotated[str, typer.Option(help="i/n: process only the i-th of n parts, without a map.")] = "1/1",
-    frames_per_task: Annotated[int, typer.Option(min=1, help="Maximum frames per camera and day.")] = 1500,
     max_failed: Annotated[str, typer.Option(help="Accepted share of lost frames.")] = "0.1%",
     burns: Annotated[Path | None, typer.Option(help="GeoJSON of burned areas, with `burned_at`.")] = None,
     terrain: Annotated[
         bool, typer.Option("--terrain", help="Also compute the site's terrain and use its changes.")
     ] = False,
-    cache: Annotated[str, typer.Option(help="Folder for files of stores while they are read.")] = "",
-    cache_gb: Annotated[float, typer.Option(min=0.001, help="Maximum size of these files per machine, in GB.")] = 20.0,
+    cache_gb: Annotated[
+        float, typer.Option(min=0.001, help="Maximum size of the files of stores in the user's cache folder, in GB.")
+    ] = 20.0,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only count frames, find gaps and estimate the cost.")
     ] = False,
@@ -65,7 +68,7 @@ def reprocess(
     from ltm_ros.fuel_map.layers import when
 
     console = Console()
-    engine = _engine(workers, cluster, tls_ca, tls_cert, tls_key)
+    engine = _engine(workers, tls)
     options = ArchiveOptions(
         archives=tuple(archives),
         site=site,
@@ -74,12 +77,11 @@ def reprocess(
         since_ns=when(since if "T" in since else f"{since}T00:00:00") if since else None,
         until_ns=when(until) if until else None,
         sample=Sample.parsed(sample),
-        frames_per_task=frames_per_task,
         shard=_shard(shard),
         max_failed=_share(max_failed),
         burns=burns,
         terrain=terrain,
-        cache=CacheConfig(cache or CacheConfig().folder, round(cache_gb * 1e9)),
+        cache=CacheConfig(most_bytes=round(cache_gb * 1e9)),
     )
     with counting_bar(console, "scanning") as progress:
         planned = look_through(options, progress)
@@ -156,12 +158,15 @@ def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, floa
     return mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:])
 
 
-def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | None, key: Path | None) -> Engine:
+def _engine(workers: str, tls: tuple[Path, Path, Path] | None) -> Engine:
+    from ltm_core.base.errors import ArchiveError
     from ltm_ros.archive.engine import Cluster, on_cluster, on_workers, serial
 
-    if cluster:
-        return on_cluster(Cluster(cluster, ca, certificate, key))
-    return on_workers(workers) if workers else serial
+    if "://" in workers:
+        return on_cluster(Cluster(workers, *(tls or ())))
+    if not workers.isdecimal():
+        raise ArchiveError(f"--workers {workers}: give a number of processes, or the address of a Dask scheduler")
+    return on_workers(int(workers)) if int(workers) else serial
 
 
 def _print(console: Console, summary: Summary, out: str) -> None:

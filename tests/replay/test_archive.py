@@ -117,7 +117,7 @@ def test_a_command_that_is_killed_with_its_scheduler_goes_on(
     options: ArchiveOptions, small_site: SmallSite, expected: str
 ) -> None:
     command = [sys.executable, "-m", "ltm_ros.cli.main", "reprocess", str(small_site.bag), "--out", options.out]
-    command += ["--site", str(small_site.path), "--frames-per-task", "1", "--workers", "2"]
+    command += ["--site", str(small_site.path), "--workers", "2"]
     with subprocess.Popen(command) as process:
         wait_for(lambda: ResultFolder(options.out).names(EVIDENCE), "a result")
         process.kill()
@@ -524,7 +524,7 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
 
 @pytest.mark.parametrize(
     ("option", "wrong"),
-    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--cluster", "tcp://10.0.0.1:8786"),
+    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--workers", "tcp://10.0.0.1:8786"),
      ("--cluster", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:

@@ -6,10 +6,13 @@ import errno
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RasterError
@@ -39,6 +42,20 @@ def test_help_names_every_command() -> None:
     result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
     assert all(f" {command} " in result.output for command in COMMANDS)
+
+
+def options_of(command: Any, path: str) -> Iterator[tuple[str, int]]:
+    """Yield each command below `command` with its number of options."""
+    for name, found in getattr(command, "commands", {}).items():
+        yield from options_of(found, f"{path} {name}")
+    if not hasattr(command, "commands"):
+        yield path, sum(parameter.param_type_name == "option" for parameter in command.params)
+
+
+def test_no_command_has_more_than_fourteen_options() -> None:
+    counts = dict(options_of(get_command(main.cli), "ltm"))
+    assert len(counts) > len(COMMANDS)
+    assert {path: count for path, count in counts.items() if count > 14} == {}
 
 
 def test_short_help_and_version() -> None:
