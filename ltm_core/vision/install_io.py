@@ -11,8 +11,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import ModelError
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_rules import calibration_path
-from ltm_core.vision.manifest import NetworkManifest, added_folder, shipped_names
+from ltm_core.vision.manifest import RECORDS, NetworkManifest, added_folder, shipped_names
 
 _CHUNK = 1 << 20
 _TIMEOUT_S = 60.0
@@ -57,9 +56,12 @@ def add_model(
     if manifest.text is not None:
         shutil.copyfile(manifest.text_file(), folder / manifest.text.file.name)
         content = content.replace(str(manifest.text.file), manifest.text.file.name)
-    for beside in (manifest_path.parent / manifest.card, calibration_path(manifest_path)):
-        if is_file(beside):
-            shutil.copyfile(beside, folder / beside.name)
+    source = manifest_path.parent
+    for beside in (source / manifest.card, *(source / RECORDS).glob("*.yaml")):
+        copy = folder / beside.relative_to(source)
+        if is_file(beside) and not is_file(copy):
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(beside, copy)
     added = folder / f"{manifest.name}.yaml"
     added.write_text(content, encoding="utf-8")
     return NetworkManifest.load(added)

@@ -10,11 +10,12 @@ import numpy as np
 import yaml
 
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.fuel.reliability_io import ReliabilityRecord, labels_digest, shares_of, write_record
 from ltm_core.label_heads.head_fit import balanced, fit_temperature
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
-from ltm_core.vision.label_rules import Calibration, calibration_path, write_calibration
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 
 _PIXELS = 4000  # of a frame, drawn for the temperature
@@ -52,14 +53,16 @@ def calibrate(
     manifest.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110), encoding="utf-8")
     scores = score_sets(Segmenter.open(manifest, labels=labels), frames)
     confusion = balanced([score.labels.confusion for score in scores.values()])
-    calibration = Calibration(
-        classes=labels.names,
-        confusion=tuple(tuple(float(v) for v in row) for row in confusion),
-        measured_on=", ".join(f"{name} ({len(members)} frames)" for name, members in sets.items()),
-        photographs=sum(not frame.rendered for members in sets.values() for frame in members),
-        ece={name: score.calibration.ece for name, score in scores.items()},
+    network = NetworkManifest.load(manifest)
+    record = ReliabilityRecord(
+        source="labels on " + ", ".join(f"{name} ({len(members)} frames)" for name, members in sets.items()),
+        network=network.name,
+        labels=labels_digest(network),
+        photos=sum(not frame.rendered for members in sets.values() for frame in members),
+        ece={name: round(score.calibration.ece, 4) for name, score in scores.items()},
+        shares=shares_of(labels.names, confusion),
     )
-    write_calibration(calibration_path(manifest), calibration)
+    write_record(record, manifest.parent)
     return temperature, scores
 
 

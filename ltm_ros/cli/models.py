@@ -12,6 +12,8 @@ from rich.console import Console
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from ltm_core.vision.manifest import NetworkManifest
 
 
@@ -21,13 +23,19 @@ class Action(StrEnum):
     list = "list"
     check = "check"
     add = "add"
+    measure = "measure"
 
 
 def models(
     action: Annotated[
-        Action, typer.Argument(help="list: all manifests; check: run one on photos; add: install one.")
+        Action, typer.Argument(help="list: all manifests; check: run one; add: install one; measure: its errors.")
     ] = Action.list,
-    name: Annotated[str | None, typer.Argument(help="Model name (check) or path of a manifest (check, add).")] = None,
+    name: Annotated[str | None, typer.Argument(help="Model name or path of a manifest.")] = None,
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(help="Recordings of the site from before any change (measure).")
+    ] = None,
+    site: Annotated[Path | None, typer.Option(help="Site file with a prior fuel map (measure).")] = None,
+    photos: Annotated[Path | None, typer.Option(help="Folder of labelled photos (measure).")] = None,
     images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check).")] = None,
     classes: Annotated[
         str | None, typer.Option(help='Classes given as words: "dry grass, chaparral, oak, road" (check).')
@@ -37,7 +45,7 @@ def models(
     zoom: Annotated[float, typer.Option(help="Magnification of a second pass over distant slopes (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
 ) -> None:
-    """List the networks, check one (shapes, time, images), or install one by its manifest."""
+    """List the networks, check one (shapes, time, images), install one by its manifest, or measure its label errors."""
     from rich.console import Console
 
     console = Console()
@@ -49,6 +57,9 @@ def models(
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
     from ltm_ros.cli.models_check import check, check_depth
 
+    if action is Action.measure:
+        _measure(console, name or DEFAULT_MODEL, site, recordings or [], photos)
+        return
     require_folder(out)
     manifest = NetworkManifest.find(name or DEFAULT_MODEL)
     if action is Action.add:
@@ -71,6 +82,35 @@ def _add(console: Console, path: Path, fetch: bool) -> NetworkManifest:
         added = add_model(path, fetch, lambda received: bar.update(task, completed=received))
     console.print(f"added {added.name} to {added.folder}; use it as `model: {added.name}` in a site file", markup=False)
     return added
+
+
+def _advance(bar: Progress, task: TaskID, done: int, of: int) -> None:
+    bar.update(task, completed=done, total=of)
+
+
+def _measure(console: Console, name: str, path: Path | None, recordings: list[Path], photos: Path | None) -> None:
+    from functools import partial
+
+    import numpy as np
+    from rich.progress import Progress
+
+    from ltm_core.fuel.life_form import LifeForm
+    from ltm_core.site.site_io import load_site
+    from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
+    from ltm_ros.recordings.measured_network import measure_network
+
+    site = None if path is None else load_site(path)
+    heads = {SHIPPED_LABEL_HEAD} if site is None else {camera.label_head for camera in site.cameras.values()}
+    for head in sorted(heads):
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task(f"measuring {name}", total=None)
+            progress = partial(_advance, bar, task)
+            found = measure_network(name, site, recordings, photos, head, progress)
+        right = np.diagonal(found.errors.shares)
+        text = ", ".join(f"{f.name.lower()} {right[f - 1]:.0%}" for f in LifeForm if np.isfinite(right[f - 1]))
+        console.print(f"{name}, label head {head}: {found.errors.state}; right labels: {text}", highlight=False)
+        alike = ", ".join(f"{key} {value:.2f}" for key, value in found.errors.correlation.model_dump().items())
+        console.print(f"correlation of errors: {alike}\n{found.path}", highlight=False, markup=False)
 
 
 def _list(console: Console) -> None:

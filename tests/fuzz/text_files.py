@@ -20,7 +20,7 @@ from fuzz.target import Target
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.fuel.codes import FuelClimate, FuelModels
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.reliability_io import stated_errors
 from ltm_core.fuel.overlays_io import read_burns
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
@@ -195,8 +195,8 @@ TEXT_FILES = (
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
     _yaml(
         "label_errors",
-        _shipped("fuel/label_errors/default.yaml", "fuel/label_errors/landscape_lite0.yaml"),
-        LabelErrors.load,
+        _shipped("models/reliability/landscape_v2_8c764a89d188.yaml"),
+        stated_errors,
     ),
     _yaml(
         "calibration",

@@ -85,7 +85,7 @@ def write_grass_site(folder: Path) -> Path:
     plain = write_site(folder)
     grid = load_site(plain).in_crs(grid_of(plain))
     write_geotiff(folder / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
-    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
+    errors = yaml.safe_load(lab_config("assumed_labels.yaml").read_text())
     errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
     (folder / "errors.yaml").write_text(yaml.safe_dump(errors))
     return write_site(folder, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from ltm_core.base.types import BoolArray
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
@@ -65,10 +65,19 @@ class TrialScore:
     users_rare: float
 
 
+def scaled(errors: LabelErrors, level: float) -> LabelErrors:
+    """Return the errors of a network with `level` times the share of wrong labels, at most all but a tenth of a
+    form's."""
+    wrong = errors.shares * (1 - np.eye(FORMS))
+    factor = np.minimum(level, 0.9 / np.maximum(wrong.sum(axis=1, keepdims=True), 1e-9))
+    shares = wrong * factor
+    return replace(errors, shares=shares + np.diag(1 - shares.sum(axis=1)))
+
+
 def run_fuel_job(job: FuelJob) -> list[TrialScore]:
     """Make a country and its frames, and score both maps that are made of them."""
     trial, seed, rules, labels = job.trial, job.seed, FusionRules(), LabelSet.load()
-    errors = job.errors.scaled(job.level)
+    errors = scaled(job.errors, job.level)
     world = make_world(seed, trial.prior_wrong, _ground(job.terrain))
     known = trial.known(errors)
     prior = world.prior if trial.has_prior else None

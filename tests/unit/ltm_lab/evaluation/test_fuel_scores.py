@@ -32,7 +32,7 @@ from ltm_ros.recordings.recorded_run import Recorded
 
 SIDE = 48
 FORMS = label_forms(LABELS)
-ERRORS = LabelErrors.assumed()
+ERRORS = stated_errors(lab_config("assumed_labels.yaml"))
 
 
 def test_what_a_map_found_and_what_it_invented() -> None:
