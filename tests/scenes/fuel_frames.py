@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ltm_core.base.resources import config_path
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -16,6 +15,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.resources import lab_config
 from ltm_msgs_py.pointcloud import votes_to_msg
 
 NAME = "kept"
