@@ -7,12 +7,13 @@ they read it with.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
+from ltm_core.base.errors import LtmError, ModelError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import doubt_of_dem, doubt_of_heights
@@ -162,8 +163,10 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
 
 
 def _reliability(site: Site) -> SiteFinding:
-    """Check whether the labels that vote were ever measured. Raises ConfigError, ModelError."""
-    network, heads = site_label_errors(site), camera_label_errors(site)
+    """Check whether the labels that vote were ever measured. Raises ConfigError."""
+    network, heads = site_label_errors(site), {}
+    with suppress(ModelError):  # `_heads` reports a head that cannot be taken
+        heads = camera_label_errors(site)
     never = [label_model(site)] if not network.measured and len(heads) < len(site.cameras) else []
     never += sorted({f"label head {site.cameras[name].label_head}" for name, of in heads.items() if not of.measured})
     if not never:
