@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
-from ltm_core.fuel.class_map import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap, code_colors, code_names
 from ltm_core.fuel.codes import FuelSystem, fuel_models
-from ltm_core.fuel.colors import code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry

@@ -18,8 +18,8 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import GroundLimits
-from ltm_core.fuel.reliability_io import known_errors
 from ltm_core.fuel.vote_columns import fitting, turn_of
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.reliability_io import known_errors, stated_errors
+from ltm_core.fuel.label_errors import LabelErrors, known_errors, stated_errors
 from ltm_core.site.site import Site
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.masks import ViewMasks

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
-from ltm_core.fuel.colors import code_colors, code_names
+from ltm_core.fuel.class_map import code_colors, code_names
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.fuel.reliability_io import ReliabilityRecord, labels_digest, shares_of, write_record
+from ltm_core.fuel.label_errors import ReliabilityRecord, labels_digest, shares_of, write_record
 from ltm_core.label_heads.head_fit import balanced, fit_temperature
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore

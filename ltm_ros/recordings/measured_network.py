@@ -11,10 +11,8 @@ import numpy as np
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.label_measurement import measure_labels
-from ltm_core.fuel.life_form import label_forms
-from ltm_core.fuel.reliability_io import (
+from ltm_core.fuel.label_errors import (
+    LabelErrors,
     ReliabilityRecord,
     known_errors,
     labels_digest,
@@ -22,6 +20,8 @@ from ltm_core.fuel.reliability_io import (
     shares_of,
     write_record,
 )
+from ltm_core.fuel.label_measurement import measure_labels
+from ltm_core.fuel.life_form import label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.head_fit import balanced

@@ -244,7 +244,7 @@ def check_shared_memory() -> Iterator[DoctorFinding]:
 
 
 def check_models() -> Iterator[DoctorFinding]:
-    from ltm_core.fuel.reliability_io import known_errors
+    from ltm_core.fuel.label_errors import known_errors
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 

@@ -20,8 +20,8 @@ from fuzz.target import Target
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.fuel.codes import FuelClimate, FuelModels
+from ltm_core.fuel.label_errors import stated_errors
 from ltm_core.fuel.overlays_io import read_burns
-from ltm_core.fuel.reliability_io import stated_errors
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.mount.mount_config import MountConfig

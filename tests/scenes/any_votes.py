@@ -6,13 +6,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from ltm_core.fuel.cell_state import EPOCH_S
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.reliability_io import stated_errors
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.resources import lab_config

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.reliability_io import stated_errors
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_lab.resources import lab_config

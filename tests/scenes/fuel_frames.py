@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff

@@ -12,8 +12,8 @@ import numpy as np
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Int16Array
+from ltm_core.fuel.class_map import Color, code_color
 from ltm_core.fuel.codes import fuel_models
-from ltm_core.fuel.colors import Color, code_color
 from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry

@@ -53,7 +53,7 @@ def fuel(
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.fuel.reliability_io import known_errors, stated_errors
+    from ltm_core.fuel.label_errors import known_errors, stated_errors
     from ltm_lab.bench.measure import conditions
     from ltm_lab.cli.eval.trial_runner import report, run_trials
     from ltm_lab.evaluation.fuel.trial import TRIALS, TUNING_SEEDS

@@ -137,7 +137,7 @@ def _simulated_frames(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.fuel.reliability_io import known_errors
+    from ltm_core.fuel.label_errors import known_errors
     from ltm_core.raster.dem import Dem
     from ltm_core.surface.config import TerrainConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL

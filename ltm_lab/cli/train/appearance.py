@@ -25,8 +25,8 @@ def appearance(
     """Learn from FRAMES what cells of known life form look like to a network, and how much its errors hang together."""
     from rich.console import Console
 
+    from ltm_core.fuel.label_errors import ReliabilityRecord, find_record, labels_digest, write_record
     from ltm_core.fuel.life_form import LifeForm
-    from ltm_core.fuel.reliability_io import ReliabilityRecord, find_record, labels_digest, write_record
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import models_folder
     from ltm_core.vision.segmenter import Segmenter

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.fuel.colors import code_color
+from ltm_core.fuel.class_map import code_color
 
 
 def attribute_table(path: Path) -> list[dict[str, str]]:

@@ -13,9 +13,8 @@ from scenes.examples import examples
 
 from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, known_errors
 from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
-from ltm_core.fuel.reliability_io import known_errors
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 

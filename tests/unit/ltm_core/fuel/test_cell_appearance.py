@@ -12,13 +12,12 @@ from scenes.fuel_frames import LABELS
 
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceFile, CellAppearanceModel, what_is_seen
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.frame_evidence import frame_evidence
+from ltm_core.fuel.label_errors import ReliabilityRecord, stated_errors, write_record
 from ltm_core.fuel.label_measurement import LEAST_CELLS, fit_cell_appearance, seen_cells
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
-from ltm_core.fuel.reliability_io import ReliabilityRecord, stated_errors, write_record
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.evaluation.fuel.cell_appearance_io import LearntLook, learn_cell_appearance
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError, ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.fuel.reliability_io import known_errors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, fit_head
 from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
 from ltm_core.label_heads.head_trial import teach_head

@@ -10,7 +10,7 @@ from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
-from ltm_core.fuel.reliability_io import known_errors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.observation import DepthFrame, LabelImage
 from ltm_core.surface.reference_surface import Reference

@@ -15,7 +15,7 @@ from scenes.small_scenario import small_scenario
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import fuse
-from ltm_core.fuel.reliability_io import known_errors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem

@@ -15,8 +15,8 @@ import yaml
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
 from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fuel.reliability_io import known_errors
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site

@@ -11,7 +11,7 @@ import yaml
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.fuel.reliability_io import known_errors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose

@@ -12,9 +12,8 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.fuel.class_map import write_fuel_map
-from ltm_core.fuel.label_errors import UNMEASURED, LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import UNMEASURED, LabelCorrelation, LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
-from ltm_core.fuel.reliability_io import stated_errors
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.scoring.fuel import score_map

@@ -136,7 +136,7 @@ def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> No
 
 def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path, tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.fuel.reliability_io import find_record
+    from ltm_core.fuel.label_errors import find_record
     from ltm_lab.training.curve_io import write_curve
     from ltm_lab.training.export import export
     from ltm_lab.training.finish import calibrate, score_sets

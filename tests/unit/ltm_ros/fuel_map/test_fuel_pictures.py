@@ -27,9 +27,8 @@ from typer.testing import CliRunner
 
 import ltm_ros.fuel_map.export
 from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.fuel.class_map import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap, code_color, code_colors, code_names
 from ltm_core.fuel.codes import FuelClimate, fuel_models
-from ltm_core.fuel.colors import code_color, code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.geometry.grid import GridGeometry

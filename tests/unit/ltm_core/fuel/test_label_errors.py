@@ -12,15 +12,22 @@ from scenes.evidence_scene import GRID, HOUR, LABELS, NOW, votes
 from scenes.networks import write_classifier
 
 from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import ALIKE, UNMEASURED, LabelErrors
+from ltm_core.fuel.label_errors import (
+    ALIKE,
+    UNMEASURED,
+    LabelErrors,
+    ReliabilityRecord,
+    find_record,
+    known_errors,
+    labels_digest,
+    write_record,
+)
 from ltm_core.fuel.label_measurement import measure_labels
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.reliability_io import ReliabilityRecord, find_record, known_errors, labels_digest, write_record
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
