@@ -246,18 +246,21 @@ def measure_labels(
         forms: of the labels (`life_form.label_forms`).
         reach: standard deviation in cells of the Gaussian that weighs pairs of cells (`FusionRules.context_cells`).
         changes: returns (H, W) the life forms of the cells that the map of these votes changes, 0 elsewhere.
-        known: the same by another network whose errors are known; None: there is none.
+        known: the same by another network whose errors are known; None: there is none. It is ignored if it changes
+            more than can have changed: it does not know this land.
 
     Raises ImageError for too few cells, and if too many have changed for the prior map to be a truth.
     """
     held = forms_of(codes)
     prior = np.where(held.sum(axis=-1) == 1, held.argmax(axis=-1) + 1, 255).astype(np.uint8)
-    changed = np.zeros_like(prior) if known is None else known
     seen = np.zeros(codes.shape, np.bool_)
     for frame in votes:
         seen[frame.rows, frame.cols] = True
+    if known is not None and (known[seen] > 0).sum() > _MOST_CHANGED * seen.sum():
+        known = None
+    changed = np.zeros_like(prior) if known is None else known
     for _ in range(1 if known is not None else _ROUNDS):
-        if (share := float((changed[seen] > 0).mean()) if seen.any() else 0.0) > _MOST_CHANGED:
+        if (share := (changed[seen] > 0).sum() / max(seen.sum(), 1)) > _MOST_CHANGED:
             raise ImageError(
                 f"{share:.0%} of the seen cells differ from the prior map; measure on frames from before the change, "
                 "or give a newer prior map"

@@ -127,15 +127,23 @@ def _votes(
     cameras = [name for name, camera in site.cameras.items() if camera.label_head == head]
     if not cameras:
         raise ConfigError(f"site {site.name} has no camera with label head {head!r}")
+    dem = site.open_dem()
+    fixed = {name: (c.pose.pose(dem, site.frame), None) for name, c in site.cameras.items() if c.pose is not None}
+    calibrations = {name: c.calibration.camera() for name, c in site.cameras.items() if c.calibration is not None}
     streams = [FrameStream(bag, site.name, cameras, _parts()) for bag in bags]
-    needed = ("photo", _POSE)
-    chosen = [(place, f.camera_name, f.stamp_ns) for place, s in enumerate(streams) for f in s.frames(needed)]
+    found = [(place, f) for place, stream in enumerate(streams) for f in stream.frames(["photo"])]
+    chosen = [
+        (f.stamp_ns, place, f.camera_name)
+        for place, f in found
+        if (_POSE in f or f.camera_name in fixed)
+        and ("camera" in f or "depth_camera" in f or f.camera_name in calibrations)
+    ]
     if not chosen:
         raise RecordingError(
-            f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with a pose; replay the recording with "
-            "`ltm replay RECORDING --record OUT`, and measure OUT"
+            f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with pose and calibration; replay the "
+            "recording with `ltm replay RECORDING --record OUT`, and measure OUT"
         )
-    wanted = set(evenly(sorted(chosen, key=lambda key: key[2]), MOST_FRAMES))
+    wanted = set(evenly(sorted(chosen), MOST_FRAMES))
     tracing = {name: TracingStep(site, name, TracingConfig()) for name in cameras}
     voting = {name: VotingStep(site, name) for name in cameras}
     labelling = {
@@ -145,22 +153,17 @@ def _votes(
     }
     votes: dict[str, list[CellVotes]] = {role: [] for role in networks}
     for place, stream in enumerate(streams):
-        for frame in stream.frames(needed):
+        for frame in stream.frames(["photo"]):
             name, stamp = frame.camera_name, frame.stamp_ns
-            if (place, name, stamp) not in wanted:
+            if (stamp, place, name) not in wanted:
                 continue
-            camera = frame.take("camera") or frame.take("depth_camera")
-            calibration = site.cameras[name].calibration
-            if camera is None and calibration is not None:
-                camera = calibration.camera()
-            if camera is None:
-                raise RecordingError(f"frame {stamp} of {name} has no camera_info, and the site file no calibration")
-            pose, covariance = frame.take(_POSE)
+            camera = frame.take("camera") or frame.take("depth_camera") or calibrations[name]
+            pose, covariance = frame.take(_POSE) or fixed[name]
             depth = tracing[name].trace(camera, pose).ranges.depth()
             assumed = voting[name].assumed if covariance is None else covariance
             for role in networks:
-                found, _ = labelling[role, name].label(frame.take("photo"), Looking.of(camera, pose), stamp)
-                cast = voting[name].cast(depth, camera, pose, found, stamp, assumed)
+                labels, _ = labelling[role, name].label(frame.take("photo"), Looking.of(camera, pose), stamp)
+                cast = voting[name].cast(depth, camera, pose, labels, stamp, assumed)
                 votes[role].append(voting[name].carried(cast))
             progress(len(votes["own"]), len(wanted))
     return votes, voting[cameras[0]]
