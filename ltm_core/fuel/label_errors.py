@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+import re
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -179,7 +181,8 @@ class ReliabilityRecord(StrictModel):
 
 def stated_errors(path: Path) -> LabelErrors:
     """Load label errors that a site file names. Raises ConfigError on invalid names and values."""
-    return load_yaml(path, ReliabilityRecord).errors()
+    errors = load_yaml(path, ReliabilityRecord).errors()
+    return replace(errors, state=f"stated in {path.name}") if errors.measured else errors
 
 
 def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None) -> LabelErrors:
@@ -205,13 +208,16 @@ def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None 
 
 
 def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
-    """Return the digest of what makes the labels of photos: the network's file, how its output becomes labels, and the
-    file of the label head. Raises ModelError if the words of the network are missing."""
+    """Return the digest of what makes the labels of photos: the network's file, how its output becomes labels, its
+    words if they are installed, and the file of the label head."""
     content: dict[str, Any] = manifest.model_dump(mode="json", include=_LABELS_BY, exclude_defaults=True)
     content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
-    files = [] if manifest.text is None else [manifest.text_file()]
-    content.get("text", {}).pop("file", None)
-    content["files"] = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (*files, *([] if head is None else [head]))]
+    files = [] if head is None else [head]
+    if manifest.text is not None:
+        content["text"].pop("file")
+        with suppress(ModelError):
+            files.append(manifest.text_file())
+    content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     return hashlib.sha256(json.dumps(_rounded(content), sort_keys=True).encode()).hexdigest()
 
 
@@ -229,18 +235,17 @@ def find_record(manifest: NetworkManifest, head: Path | None = None) -> Reliabil
     a shipped one; None if there is none. Raises ConfigError for an invalid record."""
     labels = labels_digest(manifest, head)
     for folder in dict.fromkeys((added_folder(), manifest.folder, models_folder())):
-        for path in sorted((folder / RECORDS).glob("*.yaml")):
-            if labels in path.read_text(encoding="utf-8", errors="replace"):
-                record = load_yaml(path, ReliabilityRecord)
-                if record.labels == labels:
-                    return record
+        for path in sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml")):
+            if (record := load_yaml(path, ReliabilityRecord)).labels == labels:
+                return record
     return None
 
 
 def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
     """Write a record to a folder of models, by default the user's, over that of the same labels; return its path.
     Raises ConfigError if it cannot be written."""
-    path = (folder or added_folder()) / RECORDS / f"{record.network}_{record.labels[:12]}.yaml"
+    name = re.sub(r"[^\w.-]+", "_", record.network)
+    path = (folder or added_folder()) / RECORDS / f"{name}_{record.labels[:12]}.yaml"
     content = record.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
     try:

@@ -12,7 +12,7 @@ from scipy import optimize
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_core.label_heads.head_samples import PhotoSamples
 
 _LAST_RIDGE: Final = 0.02
@@ -107,30 +107,10 @@ def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
     return np.asarray(each[samples.labels], np.float64)
 
 
-_RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
+TEMPERATURES = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
 _EXPONENTS = 5.0  # the largest of agreement; the least is that of temperatures
 _ENOUGH = 0.02  # of a set's pixels: a class of fewer is known the less from that set
 _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was never seen is not impossible
-
-
-def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
-    """Return the temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
-
-    `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
-    """
-    if len(logits) == 0 or logits.shape[0] != labels.shape[0]:
-        raise ImageError(f"logits {logits.shape} and labels {labels.shape}: expected (N, K) and (N,), N > 0")
-    scores = np.asarray(logits, np.float64)
-    rows = np.arange(len(scores))
-
-    def cost(log_temperature: float) -> float:
-        scaled = scores * np.exp(-log_temperature)
-        top = scaled.max(axis=1)
-        normaliser = top + np.log(np.exp(scaled - top[:, None]).sum(axis=1))
-        return float((normaliser - scaled[rows, labels]).mean())
-
-    bounds = (float(np.log(_RANGE[0])), float(np.log(_RANGE[1])))
-    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
 def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
@@ -146,7 +126,7 @@ def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
             -sum(np.where(right, exponent * logs, np.log(-np.expm1(exponent * logs))).mean() for logs, right in known)
         )
 
-    bounds = (float(np.log(_RANGE[0])), float(np.log(_EXPONENTS)))
+    bounds = (float(np.log(TEMPERATURES[0])), float(np.log(_EXPONENTS)))
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 

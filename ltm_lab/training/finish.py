@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
+from scipy import optimize
 
+from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.fuel.label_errors import ReliabilityRecord, labels_digest, shares_of, write_record
-from ltm_core.label_heads.head_fit import balanced, fit_temperature
+from ltm_core.label_heads.head_fit import TEMPERATURES, balanced
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.labels import LabelSet
@@ -64,6 +66,26 @@ def calibrate(
     )
     write_record(record, manifest.parent)
     return temperature, scores
+
+
+def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
+    """Return the temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
+
+    `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
+    """
+    if len(logits) == 0 or logits.shape[0] != labels.shape[0]:
+        raise ImageError(f"logits {logits.shape} and labels {labels.shape}: expected (N, K) and (N,), N > 0")
+    scores = np.asarray(logits, np.float64)
+    rows = np.arange(len(scores))
+
+    def cost(log_temperature: float) -> float:
+        scaled = scores * np.exp(-log_temperature)
+        top = scaled.max(axis=1)
+        normaliser = top + np.log(np.exp(scaled - top[:, None]).sum(axis=1))
+        return float((normaliser - scaled[rows, labels]).mean())
+
+    bounds = (float(np.log(TEMPERATURES[0])), float(np.log(TEMPERATURES[1])))
+    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
 def score_sets(segmenter: Segmenter, frames: Sequence[Frame]) -> dict[str, SetScore]:

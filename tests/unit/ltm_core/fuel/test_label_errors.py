@@ -175,7 +175,7 @@ def test_a_measured_network_finds_what_has_changed(confusion: np.ndarray) -> Non
     np.testing.assert_allclose(errors.shares[:3, :3], 0.8 * confusion[:3, :3] + 0.03, atol=0.08)
     layers = mapped(frames, codes, errors)
     new = (truth == LifeForm.TREE) & (codes == CODES[Label.SHRUB])
-    assert (layers.life_form[new] == LifeForm.TREE).mean() > 0.9
+    assert (layers.life_form[new] == LifeForm.TREE).mean() > 0.85
     assert layers.changed[~new].mean() < 0.01
 
 

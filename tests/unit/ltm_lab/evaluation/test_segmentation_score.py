@@ -12,13 +12,14 @@ from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.label_heads.head_fit import balanced, fit_temperature
+from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import read_frames
 from ltm_core.scoring.labels import CalibrationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli import main
 from ltm_lab.evaluation.segmentation.network_score import score_frames
+from ltm_lab.training.finish import fit_temperature
 
 
 def _frame(folder: Path, name: str, shift: int = 0) -> None:
