@@ -35,11 +35,14 @@ class _LabelInfo(_Strict):
     unlabelled: int
     labels: list[_Label] = Field(min_length=1)
     model: str = Field("", max_length=200)
+    reliability: str = Field("", max_length=200)
 
 
-def label_set_to_msg(labels: LabelSet, model: str = "") -> String:
-    """Return the classes, their colours and their part in votes, as JSON; `model`: the network, if known."""
-    return String(data=json.dumps(labels.info() | ({"model": model} if model else {})))
+def label_set_to_msg(labels: LabelSet, model: str = "", reliability: str = "") -> String:
+    """Return the classes, their colours and their part in votes, as JSON; `model`: the network, if known;
+    `reliability`: what its labels were measured on."""
+    about = {"model": model, "reliability": reliability}
+    return String(data=json.dumps(labels.info() | {name: text for name, text in about.items() if text}))
 
 
 def msg_to_model(msg: Any) -> str:

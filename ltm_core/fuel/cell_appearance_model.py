@@ -64,6 +64,14 @@ class CellAppearanceModel:
             weights[_NAMES.index(form)] = rows
         return cls(np.array(file.incidence), weights)
 
+    def as_file(self) -> CellAppearanceFile:
+        """Return the content of its file."""
+        known = {form.name.lower(): self.weights[form - 1] for form in LifeForm if self.known[form - 1]}
+        return CellAppearanceFile(
+            incidence=self.incidence.tolist(),
+            weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
+        )
+
     @cached_property
     def known(self) -> BoolArray:
         """Return (FORMS,) whether the network was tested on a form."""

@@ -33,7 +33,7 @@ from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
-from ltm_core.fuel.label_errors import FLOOR, LabelErrors
+from ltm_core.fuel.label_errors import ALIKE, FLOOR, UNMEASURED, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
@@ -73,8 +73,9 @@ class EvidenceMap:
         geometry: the fuel grid; votes must be on it.
         prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
         labels: what the votes count.
-        errors: of the network that labels; None: those assumed of an unknown one.
-        errors_of: camera -> those of its network, where that is another; of the correlations, those of `errors` hold.
+        errors: of the network that labels; None: those of a network that was never measured.
+        errors_of: camera -> those of its network, where that is another; of the correlations, those of `errors` hold,
+            or ALIKE if any network was never measured.
         climate: which codes changed cells get.
 
     Raises RasterError for a prior on another grid.
@@ -98,8 +99,10 @@ class EvidenceMap:
         self.climate = climate if climate is not None else FuelClimate.named("dry")
         self.newest_ns = 0
         """Latest counted stamp, rounded to seconds: the time of the map."""
-        self._errors = errors if errors is not None else LabelErrors.assumed()
+        self._errors = errors if errors is not None else UNMEASURED
         self._errors_of = dict(errors_of or {})
+        all_measured = all(known.measured for known in (self._errors, *self._errors_of.values()))
+        self._correlation = self._errors.correlation if all_measured else ALIKE
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
@@ -205,7 +208,7 @@ class EvidenceMap:
         codes = np.full(shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
         now = (self.newest_ns if at_ns is None else at_ns) / 1e9
         touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
-        correlation = self._errors.correlation
+        correlation = self._correlation
         worth, log_likelihood = pooled(
             *(state[name][touched] for name in ("shown", "best", "span")),
             now,

@@ -1,41 +1,44 @@
-"""Likelihood of a network's labels in a cell of each life form, and the correlation of its errors."""
+"""Label errors of a network and the reliability records that they come from.
+
+A record belongs to labels, not to a name. Its digest covers the network's file, everything in the manifest that turns
+its output into labels, and the label head. A renamed network keeps its record; another file, mapping or head has none.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Final, Self
 
 import numpy as np
+import yaml
 from pydantic import Field, model_validator
 
 from ltm_core.base.errors import ConfigError, ModelError
-from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.label_head import find_label_head, read_label_head
-from ltm_core.vision.label_rules import Calibration, load_calibration
-from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.manifest import RECORDS, SHIPPED_LABEL_HEAD, NetworkManifest, added_folder, models_folder
 
 FLOOR = 0.01
 """Minimum share of any label, so that a matrix counted on a few scenes never excludes one."""
-ASSUMED = "default"
-"""Name of the file for networks without a calibration."""
-PHOTO_STEP = 1.8
-"""Factor between label errors on photos and on renderings: the risk of the shipped network on land, of five views of
-real towers against the renderings `training_g`, 0.404 to 0.223 (docs/labels.md)."""
+NEVER: Final = "unmeasured"
+"""State of a network whose labels were never compared with anything."""
 _OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TREE)
-_NAMES = tuple(form.name.lower() for form in LifeForm)
 
 
 class LabelCorrelation(StrictModel):
     """Intraclass correlations of a network's label errors: how far errors of two pixels of one cell agree beyond
     chance.
 
-    0: each errs for itself; 1: always both. Measured against truth by `ltm-lab eval fuel BAG` (`label_correlation`).
+    0: each errs for itself; 1: always both. Measured by `label_measurement.look_correlation`.
     """
 
     cell: float = Field(ge=0, le=1)
@@ -69,22 +72,8 @@ class LabelCorrelation(StrictModel):
         return self.network / self.view if self.view > 0 else 0.0
 
 
-class _ErrorsFile(StrictModel):
-    source: str = Field(min_length=1)
-    shares: dict[str, dict[str, float]] | None = None
-    correlation: LabelCorrelation | None = None
-    appearance: CellAppearanceFile | None = None
-
-    @model_validator(mode="after")
-    def _names_are_life_forms(self) -> _ErrorsFile:
-        for form, row in (self.shares or {}).items():
-            if strange := [name for name in (form, *row) if name not in _NAMES]:
-                raise ValueError(
-                    f"shares.{form}: {', '.join(strange)} not a life form; life forms are {', '.join(_NAMES)}"
-                )
-            if min(row.values(), default=0) < 0 or not sum(row.values()) > 0:
-                raise ValueError(f"shares.{form}: shares must be 0 or more, not all 0; got {row}")
-        return self
+ALIKE: Final = LabelCorrelation(cell=1.0, stand=1.0, view=1.0, network=1.0)
+"""Correlation assumed if none was measured: all errors agree, so that many frames say as much as one pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +81,13 @@ class LabelErrors:
     """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
     form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
     `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
-    residual errors."""
+    residual errors. `state`: what they were measured on, NEVER for nothing."""
 
     shares: Float64Array
     correlation: LabelCorrelation
     source: str = ""
     appearance: CellAppearanceModel | None = None
+    state: str = "measured"
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -105,81 +95,10 @@ class LabelErrors:
         if not good or not np.allclose(self.shares[known].sum(axis=1), 1.0):
             raise ConfigError(f"label errors must be {FORMS} rows of shares that sum to 1, got {self.shares.tolist()}")
 
-    @classmethod
-    def load(cls, path: Path) -> LabelErrors:
-        """Load from YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; missing
-        values are those of the assumed network. Raises ConfigError on invalid names and values."""
-        content = load_yaml(path, _ErrorsFile)
-        appearance = None if content.appearance is None else CellAppearanceModel.of_file(content.appearance)
-        if content.shares is not None and content.correlation is not None:
-            return cls(_shares(content.shares), content.correlation, content.source, appearance)
-        assumed = cls.assumed()
-        shares = assumed.shares if content.shares is None else _shares(content.shares)
-        return cls(shares, content.correlation or assumed.correlation, content.source, appearance)
-
-    @classmethod
-    def assumed(cls) -> LabelErrors:
-        """Return the assumed errors of a network without measurements."""
-        path = _file_of(ASSUMED)
-        content = load_yaml(path, _ErrorsFile)
-        if content.shares is None or content.correlation is None:
-            raise ConfigError(f"{path}: must give both shares and correlation")
-        return cls(_shares(content.shares), content.correlation, content.source)
-
-    @classmethod
-    def of_model(cls, model: str) -> LabelErrors:
-        """Return the errors of a network by its manifest's name or path.
-
-        Shares are those of the calibration beside its manifest, correlations those of its file in
-        `config/fuel/label_errors/`; what neither says is that of the assumed network. Raises ConfigError.
-        """
-        assumed, own = cls.assumed(), _file_of(Path(model).stem)
-        given = load_yaml(own, _ErrorsFile) if own.is_file() else _ErrorsFile(source=assumed.source)
-        calibration = _calibration(model)
-        correlation = given.correlation or assumed.correlation
-        appearance = None if given.appearance is None else CellAppearanceModel.of_file(given.appearance)
-        if given.shares is not None:
-            return cls(_shares(given.shares), correlation, given.source, appearance)
-        if calibration is None:
-            return cls(assumed.shares, correlation, given.source, appearance)
-        about = f"its calibration on {calibration.measured_on}; of cells: {given.source}"
-        errors = cls(_calibrated(calibration, assumed.shares), correlation, about, appearance)
-        return errors._for_photographs(calibration)
-
-    @classmethod
-    def of_label_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
-        """Return the errors of a network with a label head, by the calibration in the head's file: its errors on photos
-        that did not train it.
-
-        How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
-        these. Raises ConfigError, ModelError as `find_label_head` and `read_label_head`.
-        """
-        assumed, manifest = cls.assumed(), NetworkManifest.find(model).serving(head)
-        file = find_label_head(head, manifest, heads)
-        if file is None:
-            return cls.of_model(model)
-        content = read_label_head(file, manifest)[1]
-        if (calibration := content.calibration) is None:
-            return assumed
-        about = f"label head {content.name}, on {calibration.measured_on}"
-        errors = cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
-        return errors._for_photographs(calibration)
-
-    def _for_photographs(self, calibration: Calibration) -> LabelErrors:
-        """Return the errors with the factor from renderings to photos, if no photo was used for the calibration."""
-        if not calibration.on_renderings_alone:
-            return self
-        about = f"{self.source}; not tested on photos, so assumed to be {PHOTO_STEP:g} times as large"
-        return replace(self.scaled(PHOTO_STEP), source=about)
-
-    def scaled(self, level: float) -> LabelErrors:
-        """Return the errors of a network with `level` times the share of wrong labels, at most all but a tenth of a
-        form's."""
-        wrong = self.shares * (1 - np.eye(FORMS))
-        total = wrong.sum(axis=1, keepdims=True)
-        factor = np.minimum(level, 0.9 / np.maximum(total, 1e-9))
-        shares = wrong * factor
-        return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
+    @property
+    def measured(self) -> bool:
+        """Return whether the labels were ever compared with anything."""
+        return self.state != NEVER
 
     def log_likelihood(self) -> Float64Array:
         """Return (FORMS, FORMS) log share by [life form, label]; -inf rows for unknown forms."""
@@ -191,6 +110,8 @@ class LabelErrors:
         rather than woody (shrubs or trees equally likely), for two cells with correlated errors as in one stand. 0 for
         other labels, and for a network that was not tested on all of them."""
         odds = np.zeros(256, np.float32)
+        if not self.measured:
+            return odds
         kept = [form - 1 for form in (*_OPEN, *_STANDING)]
         shares = np.maximum(self.shares[kept][:, kept], FLOOR)
         log_odds = np.log(shares[: len(_OPEN)].mean(axis=0) / shares[len(_OPEN) :].mean(axis=0))
@@ -198,35 +119,162 @@ class LabelErrors:
         return odds
 
 
-def _file_of(name: str) -> Path:
-    return config_path("fuel/label_errors") / f"{name}.yaml"
+UNMEASURED: Final = LabelErrors(np.full((FORMS, FORMS), 0.125) + 0.125 * np.eye(FORMS), ALIKE, NEVER, state=NEVER)
+"""The worst plausible errors: one label in four is right, the others are any, and all frames and views of a stand err
+alike. Labels then make a life form at most twice as likely as any other, and no cell is confident
+(`FusionRules.sure_odds`), so that the prior map has the last word."""
 
 
-def _shares(rows: dict[str, dict[str, float]]) -> Float64Array:
+_NAMES: Final = tuple(form.name.lower() for form in LifeForm)
+_LABELS_BY: Final = {"sha256", "input", "output", "classes", "mapping", "coarse_look", "text"}
+"""Keys of a manifest that change labels."""
+_HEAD: Final = """\
+# Reliability record of a label network, found by `labels` and not by name (docs/how/fuel.md).
+# shares: of the labels in cells of each life form. correlation: of the errors of two pixels of a cell, of two cells of
+# a stand, of two frames of a view, and of two views. appearance: weights of a constant, of the label shares of the cell
+# (grass, shrub, tree, bare, water, built, burned), of these times the confidence over 0.7, and of the shares of the
+# cells in front and behind; one row for each incidence. What is absent was not measured.
+"""
+
+
+class ReliabilityRecord(StrictModel):
+    """Reliability record of a network's labels. `source`: what was measured, for people. `labels`: digest of the labels
+    (`labels_digest`); empty in a file that a site names. `site`: site on whose recording it was measured. `photos`:
+    number of real photos used; None: unknown. `ece`: calibration error of the confidence by set."""
+
+    source: str = Field(min_length=1)
+    network: str = ""
+    labels: str = Field("", pattern=r"^([0-9a-f]{64})?$")
+    site: str = ""
+    photos: int | None = Field(None, ge=0)
+    ece: dict[str, float] = Field(default_factory=dict)
+    correlation: LabelCorrelation | None = None
+    shares: dict[str, dict[str, float]] | None = None
+    appearance: CellAppearanceFile | None = None
+
+    @model_validator(mode="after")
+    def _names_are_life_forms(self) -> Self:
+        for form, row in (self.shares or {}).items():
+            if strange := [name for name in (form, *row) if name not in _NAMES]:
+                raise ValueError(
+                    f"shares.{form}: {', '.join(strange)} not a life form; life forms are {', '.join(_NAMES)}"
+                )
+            if min(row.values(), default=0) < 0 or not sum(row.values()) > 0:
+                raise ValueError(f"shares.{form}: shares must be 0 or more, not all 0; got {row}")
+        return self
+
+    @property
+    def state(self) -> str:
+        """Return what the labels were measured on."""
+        if self.site:
+            return f"measured on site {self.site}"
+        return "measured on renderings only" if self.photos == 0 else "measured on photos"
+
+    def errors(self) -> LabelErrors:
+        """Return the label errors; what was not measured is as bad as plausible."""
+        appearance = None if self.appearance is None else CellAppearanceModel.of_file(self.appearance)
+        if self.shares is None and appearance is None and self.correlation is None:
+            return UNMEASURED
+        shares = UNMEASURED.shares if self.shares is None else _table(self.shares)
+        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state)
+
+
+def stated_errors(path: Path) -> LabelErrors:
+    """Load label errors that a site file names. Raises ConfigError on invalid names and values."""
+    errors = load_yaml(path, ReliabilityRecord).errors()
+    return replace(errors, state=f"stated in {path.name}") if errors.measured else errors
+
+
+def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None) -> LabelErrors:
+    """Return the errors of the labels of a network, by its manifest's name or path, with a label head.
+
+    They are those of the record of these labels; without one, those on the photos that did not train the label head;
+    else UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError
+    for a head that cannot be taken.
+    """
+    try:
+        manifest = NetworkManifest.find(model).serving(head)
+    except ModelError:
+        return UNMEASURED
+    file = find_label_head(head, manifest, heads)
+    record = find_record(manifest, file)
+    if record is None and file is not None:
+        content = read_label_head(file, manifest)[1]
+        if (found := content.calibration) is not None:
+            about = f"label head {content.name}, on {found.measured_on}"
+            shares = shares_of(found.classes, np.array(found.confusion))
+            record = ReliabilityRecord(source=about, photos=found.photographs, shares=shares)
+    return UNMEASURED if record is None else record.errors()
+
+
+def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
+    """Return the digest of what makes the labels of photos: the network's file, how its output becomes labels, its
+    words if they are installed, and the file of the label head."""
+    content: dict[str, Any] = manifest.model_dump(mode="json", include=_LABELS_BY, exclude_defaults=True)
+    content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
+    files = [] if head is None else [head]
+    if manifest.text is not None:
+        content["text"].pop("file")
+        with suppress(ModelError):
+            files.append(manifest.text_file())
+    content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    return hashlib.sha256(json.dumps(_rounded(content), sort_keys=True).encode()).hexdigest()
+
+
+def _rounded(value: Any) -> Any:
+    """Return a JSON value whose numbers have six digits, so that 1/255 is the same however it is written."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return f"{value:.6g}" if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def find_record(manifest: NetworkManifest, head: Path | None = None) -> ReliabilityRecord | None:
+    """Return the record of the labels of a network with a label head: the user's own, else one beside the manifest or
+    a shipped one; None if there is none. Raises ConfigError for an invalid record."""
+    labels = labels_digest(manifest, head)
+    for folder in dict.fromkeys((added_folder(), manifest.folder, models_folder())):
+        for path in sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml")):
+            if (record := load_yaml(path, ReliabilityRecord)).labels == labels:
+                return record
+    return None
+
+
+def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
+    """Write a record to a folder of models, by default the user's, over that of the same labels; return its path.
+    Raises ConfigError if it cannot be written."""
+    name = re.sub(r"[^\w.-]+", "_", record.network)
+    path = (folder or added_folder()) / RECORDS / f"{name}_{record.labels[:12]}.yaml"
+    content = record.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_HEAD + text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); check the folder's permissions") from error
+    return path
+
+
+def shares_of(classes: tuple[str, ...], confusion: Float64Array) -> dict[str, dict[str, float]]:
+    """Return the shares of a record from a confusion matrix (K, K) by [true class, label]."""
+    forms = [(index, name) for index, name in enumerate(classes) if name in _NAMES]
+    return {
+        name: {label: round(float(confusion[row, column]), 4) for column, label in forms}
+        for row, name in forms
+        if confusion[row, [column for column, _ in forms]].sum() > 0
+    }
+
+
+def rows_of(shares: Float64Array) -> dict[str, dict[str, float]]:
+    """Return the shares of a record from a table (FORMS, FORMS), without its unknown rows."""
+    known = [row for row in range(FORMS) if np.isfinite(shares[row]).all()]
+    return {_NAMES[row]: dict(zip(_NAMES, np.round(shares[row], 4).tolist(), strict=True)) for row in known}
+
+
+def _table(rows: dict[str, dict[str, float]]) -> Float64Array:
     shares = np.full((FORMS, FORMS), np.nan)
     for form, row in rows.items():
         values = np.array([row.get(name, 0.0) for name in _NAMES])
         shares[_NAMES.index(form)] = values / values.sum()
-    return shares
-
-
-def _calibration(model: str) -> Calibration | None:
-    """Return the calibration of a network; None for one without, and for unknown names."""
-    try:
-        manifest = NetworkManifest.find(model)
-    except ModelError:
-        return None
-    return load_calibration(manifest)
-
-
-def _calibrated(calibration: Calibration, otherwise: Float64Array) -> Float64Array:
-    """Return the confusion among life forms, that of `otherwise` for forms which the network does not know."""
-    shares = otherwise.copy()
-    names = {name: index for index, name in enumerate(calibration.classes) if name in _NAMES}
-    for form, row in names.items():
-        values = np.zeros(FORMS)
-        for label, column in names.items():
-            values[_NAMES.index(label)] = calibration.confusion[row][column]
-        if values.sum() > 0:
-            shares[_NAMES.index(form)] = values / values.sum()
     return shares

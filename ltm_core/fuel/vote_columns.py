@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import MessageError
 from ltm_core.base.named_columns import Columns, take
 from ltm_core.base.types import Int32Array, Int64Array
-from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 
 MAX_BYTES = 64_000

@@ -18,6 +18,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import GroundLimits
 from ltm_core.fuel.vote_columns import fitting, turn_of
 from ltm_core.fuel.votes import CellVotes, VoteCaster
@@ -155,6 +156,7 @@ class LabellingStep:
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
         self._zoom = config.zoom
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
+        self._reliability = known_errors(config.model or site.model, own.label_head, site.label_heads).state
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
         given = {name: value for name, value in chosen.items() if value is not None}
         self._segmenter.withdraw_otherwise = given
@@ -163,6 +165,11 @@ class LabellingStep:
     def described(self) -> str:
         """Return the name and checksum of the label network."""
         return self._segmenter.described
+
+    @property
+    def reliability(self) -> str:
+        """Return what the labels were measured on (`LabelErrors.state`)."""
+        return self._reliability
 
     @property
     def manifest(self) -> NetworkManifest:

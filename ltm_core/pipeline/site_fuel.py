@@ -25,13 +25,14 @@ from ltm_core.fuel.export.provenance import (
     software,
     surface_note,
 )
+from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, open_stored_surface
-from ltm_core.site.networks import camera_label_errors, site_label_errors
+from ltm_core.site.networks import camera_label_errors, labels_state, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
@@ -46,12 +47,16 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
     return empty_maps(site, geometry, labels)()
 
 
-def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable[[], LivingFuelMap]:
-    """Return a function that makes such maps from files that are read once, now. Raises as `site_evidence_map`."""
+def empty_maps(
+    site: Site, geometry: GridGeometry, labels: LabelSet, given: LabelErrors | None = None
+) -> Callable[[], LivingFuelMap]:
+    """Return a function that makes such maps from files that are read once, now; `given`: label errors instead of the
+    known ones. Raises as `site_evidence_map`."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     climate = FuelClimate.named(fuel.climate)
-    errors, of_cameras = site_label_errors(site), camera_label_errors(site)
+    known = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
+    errors, of_cameras = known
     return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
 
 
@@ -146,5 +151,6 @@ def provenance_of(
     own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
     climate = site.fuel.climate
     return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, climate, system, software(), terrain, shape, own
-    )
+        site.name, as_of, cells, seen, changed, name, of_prior, climate, system, software(), terrain, shape,
+        labels_state(site), own,
+    )  # fmt: skip

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, record
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
 from ltm_core.storage.text_io import load_array

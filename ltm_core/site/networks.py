@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import LabelErrors, known_errors, stated_errors
 from ltm_core.site.site import Site
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.masks import ViewMasks
@@ -15,10 +15,15 @@ from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
 
 
+def label_model(site: Site) -> str:
+    """Return the network whose labels vote: that of the node `segmentation` in the site file, or the site's."""
+    return str(site.nodes.get("segmentation", {}).get("model") or site.model)
+
+
 def site_label_errors(site: Site) -> LabelErrors:
     """Return the known label errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
-    return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
+    return known_errors(label_model(site)) if given is None else stated_errors(Path(given))
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
@@ -29,8 +34,18 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     if site.fuel.label_errors is not None:
         return {}
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
-    known = {head: LabelErrors.of_label_head(site.model, head, site.label_heads) for head in heads}
+    known = {head: known_errors(label_model(site), head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
+
+
+def labels_state(site: Site) -> str:
+    """Return what the labels that vote were measured on, for the map's information and exports; cameras with label
+    heads of another state are named. Raises as `site_label_errors` and `camera_label_errors`."""
+    states = dict.fromkeys(site.cameras, site_label_errors(site).state)
+    states |= {name: errors.state for name, errors in camera_label_errors(site).items()}
+    if len(found := set(states.values())) < 2:
+        return next(iter(found), site_label_errors(site).state)
+    return ", ".join(f"{name} {state}" for name, state in sorted(states.items()))
 
 
 def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -> Segmenter:

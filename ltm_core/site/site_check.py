@@ -7,12 +7,13 @@ they read it with.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
+from ltm_core.base.errors import LtmError, ModelError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.life_form import NODATA
@@ -23,7 +24,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import sampled
 from ltm_core.raster.heights_check import doubt_of_heights
 from ltm_core.site.camera_check import check_angles, check_camera, check_mask
-from ltm_core.site.networks import site_label_errors
+from ltm_core.site.networks import camera_label_errors, label_model, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.viewshed import PosedCamera
@@ -118,7 +119,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
     area = "fuel"
     try:
         FuelClimate.named(site.fuel.climate)
-        site_label_errors(site)
+        yield _reliability(site)
     except LtmError as error:
         yield SiteFinding.of(area, "climate and label errors", error)
     yield from _growth(site, check)
@@ -140,6 +141,22 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
             if doubt is not None:
                 verdict = SiteVerdict.WRONG if doubt.code == "unit" else SiteVerdict.DOUBTFUL
                 yield SiteFinding.of("terrain", "dem", doubt.text, verdict)
+
+
+def _reliability(site: Site) -> SiteFinding:
+    """Check whether the labels that vote were ever measured. Raises ConfigError."""
+    network, heads = site_label_errors(site), {}
+    with suppress(ModelError):  # `_heads` reports a head that cannot be taken
+        heads = camera_label_errors(site)
+    never = [label_model(site)] if not network.measured and len(heads) < len(site.cameras) else []
+    never += sorted({f"label head {site.cameras[name].label_head}" for name, of in heads.items() if not of.measured})
+    if not never:
+        return SiteFinding("fuel", "label errors", SiteVerdict.OK, network.state)
+    found = (
+        f"{', '.join(never)}: unmeasured, so that these labels change no cell of the prior map; measure them with "
+        f"`ltm models measure {label_model(site)} RECORDING --site SITE`"
+    )
+    return SiteFinding("fuel", "label errors", SiteVerdict.DOUBTFUL, found)
 
 
 def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
@@ -196,8 +213,7 @@ def _heads(site: Site) -> Iterator[SiteFinding]:
             manifest = NetworkManifest.find(site.model).serving(head)
             file = find_label_head(head, manifest, site.label_heads)
             if file is not None:
-                found, content = read_label_head(file, manifest)
-                doubt = f"it was {found.doubt}" if found.doubt else ""
+                content = read_label_head(file, manifest)[1]
                 if content.one_view and len(names) > 1:
                     doubt = "it was trained on one view and is for that only; train one for each"
         except LtmError as error:

@@ -24,10 +24,9 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import load_yaml, parse_yaml, read_yaml
 from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_core.storage.text_io import read_text
-from ltm_core.vision.label_rules import calibration_path
 from ltm_core.vision.manifest import (
-    CALIBRATION_SUFFIX,
     FUSION_SUFFIX,
+    RECORDS,
     NetworkManifest,
     added_folder,
     find_file,
@@ -95,7 +94,7 @@ class RecipeFile(StrictModel):
 class Source:
     """A network to add. `stated`: keys of its manifest that are known. `config`, `preprocessor`: the JSON objects that
     hubs put beside it. `licence`: that of its README, empty if unknown. `recipe`: the name of its recipe, if known.
-    `beside`: files of its calibration to copy."""
+    `beside`: its fusion constants and reliability records, to copy."""
 
     file: Path
     name: str
@@ -184,7 +183,7 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
     """
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
-    if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX)):
+    if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith(FUSION_SUFFIX):
         raise ModelError(f"a model cannot be named {name!r}; add --name with letters, digits, `_` and `-`")
     if name in shipped_names():
         raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
@@ -213,7 +212,10 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
         shutil.rmtree(files, ignore_errors=True)
         stage.replace(files)
     for beside in source.beside:
-        shutil.copyfile(beside, folder / f"{name}{beside.name.removeprefix(source.name)}")
+        record = beside.parent.name == RECORDS
+        copy = folder / RECORDS / beside.name if record else folder / f"{name}{beside.name.removeprefix(source.name)}"
+        copy.parent.mkdir(exist_ok=True)
+        shutil.copyfile(beside, copy)
     target.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return NetworkManifest.load(target)
 
@@ -341,6 +343,6 @@ def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source
         file = made / Path(content["file"]).name
         download(url, file, stated.get("sha256"), progress)
     found = _of_file(file)
-    beside = (calibration_path(path), path.with_name(f"{path.stem}{FUSION_SUFFIX}"))
+    beside = (path.with_name(f"{path.stem}{FUSION_SUFFIX}"), *(folder / RECORDS).glob("*.yaml"))
     yield replace(found, name=name, stated=stated, beside=tuple(filter(is_file, beside)))
     shutil.rmtree(made, ignore_errors=True)

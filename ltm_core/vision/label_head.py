@@ -27,7 +27,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_rules import Calibration, LabelAgreement, doubt_of_photographs
+from ltm_core.vision.label_rules import Calibration, LabelAgreement
 from ltm_core.vision.manifest import (
     SHIPPED_LABEL_HEAD,
     NetworkManifest,
@@ -41,7 +41,7 @@ class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
     `withdraw`: thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`:
-    name and checksum, for `labels/info`. `doubt`: warning about how it was tested.
+    name and checksum, for `labels/info`.
     """
 
     name: str
@@ -51,7 +51,6 @@ class LabelHead:
     temperature: float
     withdraw: Withdrawal = field(default_factory=Withdrawal)
     agreement: LabelAgreement = field(default_factory=LabelAgreement)
-    doubt: str = ""
 
     @property
     def maps(self) -> tuple[str, ...]:
@@ -154,7 +153,6 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
         temperature=content.temperature,
         withdraw=content.withdraw,
         agreement=content.agreement,
-        doubt=doubt_of_photographs(content.calibration),
     )
     return head, content
 

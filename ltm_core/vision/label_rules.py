@@ -14,20 +14,16 @@ Rules that correct what a network says of a photo: colour against *tree*, withdr
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_core.storage.config_io import load_yaml
-from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest, Withdrawal
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Withdrawal
 
 
 def cie_lab(photo: UInt8Array) -> Float32Array:
@@ -115,7 +111,7 @@ def agreed(probabilities: Float32Array, rule: LabelAgreement) -> Float32Array:
 
 
 class Calibration(StrictModel):
-    """Label errors of a model: `confusion[i][j]` is P(label j given | label i true), classes in the order of
+    """Label errors of a label head: `confusion[i][j]` is P(label j given | label i true), classes in the order of
     `labels.yaml`; `measured_on` names the data, and `photographs` the number of real photos (None: unknown)."""
 
     classes: tuple[str, ...]
@@ -133,43 +129,3 @@ class Calibration(StrictModel):
             if min(row) < 0 or abs(sum(row) - 1.0) > 1e-2:
                 raise ValueError(f"confusion: the row of {name} sums to {sum(row):.4f}, expected 1, none below 0")
         return self
-
-    @property
-    def on_renderings_alone(self) -> bool:
-        """Return whether no real photo was used, so that labels of photos have more errors."""
-        return self.photographs == 0
-
-    def matrix(self, labels: LabelSet) -> Float64Array:
-        """Return the matrix (K, K) for a label set whose first classes are those of the file; classes appended to the
-        set are assumed to be right. Raises ModelError for classes in another order."""
-        count = len(self.classes)
-        if labels.names[:count] != self.classes:
-            raise ModelError(
-                f"calibration has the classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
-            )
-        matrix = np.eye(len(labels))
-        matrix[:count, :count] = self.confusion
-        return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
-
-
-def doubt_of_photographs(calibration: Calibration | None) -> str:
-    """Return a warning for a network or label head that was not tested on photos; empty otherwise."""
-    if calibration is None:
-        return "never scored"
-    return "not tested on photos" if calibration.on_renderings_alone else ""
-
-
-def calibration_path(manifest_path: Path) -> Path:
-    """Return where the calibration of a manifest lies."""
-    return manifest_path.with_name(f"{manifest_path.stem}{CALIBRATION_SUFFIX}")
-
-
-def load_calibration(manifest: NetworkManifest) -> Calibration | None:
-    """Return the calibration beside a manifest; None if there is none. Raises ModelError for an invalid file."""
-    path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
-    if not is_file(path):
-        return None
-    try:
-        return load_yaml(path, Calibration)
-    except ConfigError as reason:
-        raise ModelError(str(reason)) from reason

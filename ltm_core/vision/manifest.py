@@ -26,7 +26,8 @@ MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output with one depth per pixel; the others label pixels."""
 
-CALIBRATION_SUFFIX: Final = "_calibration.yaml"
+RECORDS: Final = "reliability"
+"""Folder beside manifests with the reliability records of their labels."""
 FUSION_SUFFIX: Final = "_fusion.yaml"
 """Suffix of the file beside a manifest with the network's error model."""
 
@@ -313,6 +314,4 @@ def added_names() -> list[str]:
 
 
 def _names(folder: Path) -> list[str]:
-    return sorted(
-        path.stem for path in folder.glob("*.yaml") if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX))
-    )
+    return sorted(path.stem for path in folder.glob("*.yaml") if not path.name.endswith(FUSION_SUFFIX))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ltm_core.base.errors import ConfigError, ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
-from ltm_core.vision.label_rules import against_green, agreed, doubt_of_photographs, load_calibration, withdraw
+from ltm_core.vision.label_rules import against_green, agreed, withdraw
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import (
     DEFAULT_MODEL,
@@ -112,13 +112,9 @@ class Segmenter:
 
     @property
     def described(self) -> str:
-        """Return the names and checksums of network and label head, and whether they were tested on photos, for
-        `labels/info`. Raises ModelError for an unreadable calibration."""
+        """Return the names and checksums of network and label head, for `labels/info`."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        head = self.head
-        told = network if head is None else f"{network}, label head {head.described}"
-        doubt = doubt_of_photographs(load_calibration(self.manifest)) if head is None else head.doubt
-        return f"{told}, {doubt}" if doubt else told
+        return network if self.head is None else f"{network}, label head {self.head.described}"
 
     @property
     def model_path(self) -> Path:

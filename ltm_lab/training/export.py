@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.training.config import NetworkConfig, SplitConfig, TrainingConfig
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork, for_inference
@@ -80,9 +80,6 @@ def export_adapted(
     if base.heads_of:  # of the labels alone: depth that a site has taught serves cameras with a head as well
         content["heads_of"] = base.heads_of
     _write(manifest, content)
-    calibration = base.folder / f"{base.name}{CALIBRATION_SUFFIX}"
-    if calibration.is_file():
-        (folder / f"{name}{CALIBRATION_SUFFIX}").write_bytes(calibration.read_bytes())
     return manifest
 
 

@@ -12,11 +12,12 @@ from scipy import optimize
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.fuel.label_errors import ReliabilityRecord, labels_digest, shares_of, write_record
 from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
-from ltm_core.vision.label_rules import Calibration, calibration_path
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 
 _PIXELS = 4000  # of a frame, drawn for the temperature
@@ -55,14 +56,16 @@ def calibrate(
     manifest.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110), encoding="utf-8")
     scores = score_sets(Segmenter.open(manifest, labels=labels), frames)
     confusion = balanced([score.labels.confusion for score in scores.values()])
-    calibration = Calibration(
-        classes=labels.names,
-        confusion=tuple(tuple(float(v) for v in row) for row in confusion),
-        measured_on=", ".join(f"{name} ({len(members)} frames)" for name, members in sets.items()),
-        photographs=sum(not frame.rendered for members in sets.values() for frame in members),
-        ece={name: score.calibration.ece for name, score in scores.items()},
+    network = NetworkManifest.load(manifest)
+    record = ReliabilityRecord(
+        source="labels on " + ", ".join(f"{name} ({len(members)} frames)" for name, members in sets.items()),
+        network=network.name,
+        labels=labels_digest(network),
+        photos=sum(not frame.rendered for members in sets.values() for frame in members),
+        ece={name: round(score.calibration.ece, 4) for name, score in scores.items()},
+        shares=shares_of(labels.names, confusion),
     )
-    write_calibration(calibration_path(manifest), calibration)
+    write_record(record, manifest.parent)
     return temperature, scores
 
 
@@ -84,18 +87,6 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
 
     bounds = (float(np.log(_RANGE[0])), float(np.log(_RANGE[1])))
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
-
-
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    content = {
-        "classes": list(calibration.classes),
-        "measured_on": calibration.measured_on,
-        **({} if calibration.photographs is None else {"photographs": calibration.photographs}),
-        "ece": {name: round(value, 4) for name, value in calibration.ece.items()},
-        "confusion": [[round(value, 4) for value in row] for row in calibration.confusion],
-    }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(f"# confusion: rows are true classes, P(label given | true); written by `ltm train`.\n{text}")
 
 
 def score_sets(segmenter: Segmenter, frames: Sequence[Frame]) -> dict[str, SetScore]:

@@ -281,7 +281,12 @@ def _no_frames(planned: Plan) -> str:
 def _empty(summary: Summary) -> str:
     if summary.merged:
         return ""
-    why = ", ".join(f"{count} x {reason}" for reason, count in summary.unused.items())
+    why = "; ".join(
+        (
+            *(f"{count} x {reason}" for reason, count in summary.unused.items()),
+            *(f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in summary.failures[:5]),
+        )
+    )
     why = why or "none shows a cell of the fuel map; check the poses and the DEM's extent"
     return f"no frame reached the map, none was written: {why}"
 

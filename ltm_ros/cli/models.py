@@ -13,6 +13,8 @@ from rich.console import Console
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from ltm_core.base.types import UInt8Array
     from ltm_core.depth.monocular import NetworkDepth
     from ltm_core.vision.manifest import NetworkManifest
@@ -29,15 +31,21 @@ class Action(StrEnum):
     list = "list"
     check = "check"
     add = "add"
+    measure = "measure"
 
 
 def models(
     action: Annotated[
-        Action, typer.Argument(help="list: all manifests; check: run one on photos; add: install one.")
+        Action, typer.Argument(help="list: all manifests; check: run one; add: install one; measure: its errors.")
     ] = Action.list,
     name: Annotated[
-        str | None, typer.Argument(help="Model name or manifest (check); ONNX file, folder, manifest or recipe (add).")
+        str | None, typer.Argument(help="Model name or manifest; with add: ONNX file, folder, manifest or recipe.")
     ] = None,
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(help="Recordings of the site from before any change (measure).")
+    ] = None,
+    site: Annotated[Path | None, typer.Option(help="Site file with a prior fuel map (measure).")] = None,
+    photos: Annotated[Path | None, typer.Option(help="Folder of labelled photos (measure).")] = None,
     images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check, add).")] = None,
     classes: Annotated[
         str | None, typer.Option(help='Classes given as words: "dry grass, chaparral, oak, road" (check).')
@@ -52,7 +60,7 @@ def models(
     ] = None,
     like: Annotated[str, typer.Option(help="Recipe whose properties the file has (add).")] = "",
 ) -> None:
-    """List the networks, check one (shapes, time, images), or install one."""
+    """List the networks, check one (shapes, time, images), install one, or measure its label errors."""
     console = Console()
     if action is Action.list:
         _list(console)
@@ -61,6 +69,9 @@ def models(
     from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
 
+    if action is Action.measure:
+        _measure(console, name or DEFAULT_MODEL, site, recordings or [], photos)
+        return
     require_folder(out)
     if action is Action.check:
         _check(console, NetworkManifest.find(name or DEFAULT_MODEL), threads, images, out, classes, zoom)
@@ -104,6 +115,34 @@ def _add(
     console.print(
         f"added {added.name} to {added.folder}; use it as `{role}: {added.name}` in a site file", markup=False
     )
+
+
+def _advance(bar: Progress, task: TaskID, done: int, of: int) -> None:
+    bar.update(task, completed=done, total=of)
+
+
+def _measure(console: Console, name: str, path: Path | None, recordings: list[Path], photos: Path | None) -> None:
+    from functools import partial
+
+    import numpy as np
+    from rich.progress import Progress
+
+    from ltm_core.fuel.life_form import LifeForm
+    from ltm_core.site.site_io import load_site
+    from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
+    from ltm_ros.recordings.measured_network import measure_network
+
+    site = None if path is None else load_site(path)
+    heads = {SHIPPED_LABEL_HEAD} if site is None else {camera.label_head for camera in site.cameras.values()}
+    for head in sorted(heads):
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task(f"measuring {name}", total=None)
+            found = measure_network(name, site, recordings, photos, head, partial(_advance, bar, task))
+        right = np.diagonal(found.errors.shares)
+        text = ", ".join(f"{f.name.lower()} {right[f - 1]:.0%}" for f in LifeForm if np.isfinite(right[f - 1]))
+        console.print(f"{name}, label head {head}: {found.errors.state}; right labels: {text}", highlight=False)
+        alike = ", ".join(f"{key} {value:.2f}" for key, value in found.errors.correlation.model_dump().items())
+        console.print(f"correlation of errors: {alike}\n{found.path}", highlight=False, markup=False)
 
 
 def _list(console: Console) -> None:

@@ -18,6 +18,7 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
+from ltm_core.site.networks import labels_state
 from ltm_core.site.site import SITE_NAMES
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
@@ -121,6 +122,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         geometry = self._site.in_crs(self._geometry)
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
         info["growth"] = self._site.fuel.growth.model_dump()
+        info["labels"] = state = labels_state(self._site)
+        self.health.gauge("labels", state)
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publisher.send_map()
         self._publisher.announce([])
@@ -254,7 +257,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def _write(self) -> Path:
         name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")
         layers = self.persistence.map.layers()
-        return write_fuel_map(name, layers.life_form, self._site.in_crs(self._geometry), self._classes)
+        grid, tags = self._site.in_crs(self._geometry), {"labels": labels_state(self._site)}
+        return write_fuel_map(name, layers.life_form, grid, self._classes, tags)
 
     def _open_store(self) -> TileStore:
         schema = fuel_schema(self._site, self._geometry)

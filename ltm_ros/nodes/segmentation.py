@@ -59,7 +59,9 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         }
 
     def start(self) -> None:
-        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, self._step.described))
+        step = self._step
+        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, step.described, step.reliability))
+        self.health.gauge("labels", step.reliability)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)

@@ -244,7 +244,7 @@ def check_shared_memory() -> Iterator[DoctorFinding]:
 
 
 def check_models() -> Iterator[DoctorFinding]:
-    from ltm_core.vision.label_rules import doubt_of_photographs, load_calibration
+    from ltm_core.fuel.label_errors import known_errors
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
@@ -260,8 +260,8 @@ def check_models() -> Iterator[DoctorFinding]:
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
         told = f"{model.path}{role}, checksum matches its manifest"
-        doubt = "" if model.manifest.output.is_depth else doubt_of_photographs(load_calibration(model.manifest))
-        yield DoctorFinding("models", name, DoctorState.OK, f"{told}; its labels were {doubt} here" if doubt else told)
+        state = "" if model.manifest.output.is_depth else f"; its labels are {known_errors(name).state}"
+        yield DoctorFinding("models", name, DoctorState.OK, f"{told}{state}")
 
 
 def check_machine() -> Iterator[DoctorFinding]:

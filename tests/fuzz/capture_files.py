@@ -43,7 +43,7 @@ def _json(folder: Path) -> list[bytes]:
 
 
 def _read(folder: Path, name: str) -> None:
-    for picture in find_pictures([folder / name], Assumptions()):
+    for picture in find_pictures([folder / name], Assumptions())[0]:
         picture.read()
 
 

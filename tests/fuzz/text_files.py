@@ -20,7 +20,7 @@ from fuzz.target import Target
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.fuel.codes import FuelClimate, FuelModels
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import stated_errors
 from ltm_core.fuel.overlays_io import read_burns
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
@@ -36,7 +36,6 @@ from ltm_core.surface.surface_versions_io import MANIFEST, SurfaceVersions
 from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
 from ltm_core.vision.areas import read_areas
 from ltm_core.vision.label_head import read_label_head
-from ltm_core.vision.label_rules import Calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
@@ -193,16 +192,7 @@ TEXT_FILES = (
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_climate", _shipped("fuel/climates/dry.yaml"), lambda path: load_yaml(path, FuelClimate)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
-    _yaml(
-        "label_errors",
-        _shipped("fuel/label_errors/default.yaml", "fuel/label_errors/landscape_lite0.yaml"),
-        LabelErrors.load,
-    ),
-    _yaml(
-        "calibration",
-        _shipped("models/landscape_lite0_calibration.yaml"),
-        lambda path: load_yaml(path, Calibration),
-    ),
+    _yaml("label_errors", _shipped("models/reliability/landscape_v2_8c764a89d188.yaml"), stated_errors),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
     _yaml(

@@ -6,14 +6,14 @@ import numpy as np
 from hypothesis import strategies as st
 
 from ltm_core.fuel.cell_state import EPOCH_S
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.resources import lab_config
 
 GRID = GridGeometry(-60.0, 120.0, 30.0, 5, 4)
 LABELS = LabelSet.load()
@@ -23,7 +23,7 @@ CODES = np.array(
 PRIOR = FuelPrior(CODES, GRID)
 BEGIN = 1_700_000_000
 CELLS = [(row, col) for row in range(4) for col in range(5)]
-ASSUMED = LabelErrors.assumed()
+ASSUMED = stated_errors(lab_config("assumed_labels.yaml"))
 
 
 @st.composite

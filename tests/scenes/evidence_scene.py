@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
+from ltm_lab.resources import lab_config
 
 GRID = GridGeometry(15.0, 75.0, 30.0, 3, 2)
 LABELS = LabelSet.load()
@@ -22,7 +22,7 @@ NOW = 1_700_000_000
 HOUR = 3600
 YEAR = 365.25 * 86400
 INDEPENDENT = LabelCorrelation(cell=0.2, stand=0.02, view=0.02, network=0.01)
-ASSUMED = LabelErrors.assumed()
+ASSUMED = stated_errors(lab_config("assumed_labels.yaml"))
 TRUSTED = LabelErrors(ASSUMED.shares, INDEPENDENT)
 """A network whose errors are hardly the same from frame to frame, so that two frames say twice as much as one."""
 

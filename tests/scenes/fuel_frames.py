@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ltm_core.base.resources import config_path
-from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.resources import lab_config
 from ltm_msgs_py.pointcloud import votes_to_msg
 
 NAME = "kept"
@@ -85,7 +84,7 @@ def write_grass_site(folder: Path) -> Path:
     plain = write_site(folder)
     grid = load_site(plain).in_crs(grid_of(plain))
     write_geotiff(folder / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
-    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
+    errors = yaml.safe_load(lab_config("assumed_labels.yaml").read_text())
     errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
     (folder / "errors.yaml").write_text(yaml.safe_dump(errors))
     return write_site(folder, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})

@@ -36,6 +36,8 @@ class Provenance:
     software: str
     terrain: str = ""
     surface: str = ""
+    labels: str = ""
+    """What the labels that vote were measured on; empty: not known."""
     own_fbfm13: str = ""
     """What was kept of the prior's FBFM13 map (`PriorConfig.own_fbfm13`); empty: nothing."""
 
@@ -55,7 +57,7 @@ class Provenance:
             "TIFFTAG_SOFTWARE": self.software,
             "TIFFTAG_IMAGEDESCRIPTION": self.line(),
         }
-        more = {"terrain": self.terrain, "surface": self.surface, "own_fbfm13": self.own_fbfm13}
+        more = {"terrain": self.terrain, "surface": self.surface, "labels": self.labels, "own_fbfm13": self.own_fbfm13}
         tags |= {name: text for name, text in more.items() if text}
         moment = self.moment()
         if moment is not None:
@@ -71,6 +73,7 @@ class Provenance:
             f"seen {seen}, changed {self.changed:.1%} of {self.cells} cells",
             f"prior {self.prior} ({self.prior_version})",
             f"{self.system.value}, region {self.climate}",
+            f"labels {self.labels}" if self.labels else "",
             self.software,
         ]
         return "; ".join(filter(None, [*parts, self.terrain, self.surface]))

@@ -31,8 +31,8 @@ def fuel(
     ] = 1.0,
     dem: Annotated[Path | None, typer.Option(help="Terrain of the trials. Default: a synthetic one.")] = None,
     model: Annotated[
-        str, typer.Option(help="Network whose label errors are drawn, or a YAML file of them.")
-    ] = "default",
+        str, typer.Option(help="Network whose label errors are drawn, or a YAML file of them; assumed: any.")
+    ] = "assumed",
     trials: Annotated[str, typer.Option(help="Parts of the names of trials, separated by semicolons.")] = "",
     seeds: Annotated[int, typer.Option(help="Number of seeds of each trial.", min=1)] = 3,
     first_seed: Annotated[int, typer.Option(help="First seed.", min=1)] = 1,
@@ -53,11 +53,12 @@ def fuel(
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.fuel.label_errors import LabelErrors
+    from ltm_core.fuel.label_errors import known_errors, stated_errors
     from ltm_lab.bench.measure import conditions
     from ltm_lab.cli.eval.trial_runner import report, run_trials
     from ltm_lab.evaluation.fuel.trial import TRIALS, TUNING_SEEDS
     from ltm_lab.evaluation.fuel.trial_score import FuelJob, run_fuel_job
+    from ltm_lab.resources import lab_config
 
     chosen = [t for t in TRIALS if any(part.strip() in t.name for part in trials.split(";"))]
     if not chosen:
@@ -65,7 +66,8 @@ def fuel(
     if hours:
         times = _numbers(hours, "--hours", "0,1,24,168")
         chosen = [replace(trial, hours=times) for trial in chosen]
-    errors = LabelErrors.load(Path(model)) if model.endswith((".yaml", ".yml")) else LabelErrors.of_model(model)
+    file = lab_config("assumed_labels.yaml") if model == "assumed" else Path(model)
+    errors = stated_errors(file) if file.suffix in (".yaml", ".yml") else known_errors(model)
     used = range(first_seed, first_seed + seeds)
     factors = _numbers(levels, "--levels", "0.25,0.5,1")
     jobs = [FuelJob(trial, seed, level, errors, dem) for level in factors for trial in chosen for seed in used]

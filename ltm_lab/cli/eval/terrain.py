@@ -137,7 +137,7 @@ def _simulated_frames(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.fuel.label_errors import LabelErrors
+    from ltm_core.fuel.label_errors import known_errors
     from ltm_core.raster.dem import Dem
     from ltm_core.surface.config import TerrainConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL
@@ -157,7 +157,7 @@ def _simulated_frames(
     ground, before, now = raster(known[0], "bare_earth"), raster(known[0], "surface"), raster(date, "surface")
     rules = TerrainConfig(resolution=max(open_dem(folder).geometry.resolution / 5, before.geometry.resolution))
     exact = rules.model_copy(update={"repeated_error_share": 0.0, "alone": rules.confidence})
-    segmenter, gone = Segmenter.open(DEFAULT_MODEL), LabelErrors.of_model(DEFAULT_MODEL).open_odds()
+    segmenter, gone = Segmenter.open(DEFAULT_MODEL), known_errors(DEFAULT_MODEL).open_odds()
     measures = [("true depth", true_depth(Noise()), exact)]
     measures += [(name, network_depth(ground, before, DepthNetwork.open(name), segmenter), rules) for name in networks]
     console, rows, figures = Console(), list[tuple[str, ...]](), list[dict[str, Any]]()

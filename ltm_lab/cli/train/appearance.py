@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_core.vision.manifest import DEFAULT_MODEL
-from ltm_ros.cli.output import writable_file
+from ltm_ros.cli.output import writable_folder
 
 
 def appearance(
@@ -18,18 +18,19 @@ def appearance(
     model: Annotated[str, typer.Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Default: config/fuel/label_errors/MODEL.yaml.", callback=writable_file),
+        typer.Option("--out", "-o", help="Folder of models. Default: config/models.", callback=writable_folder),
     ] = None,
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
 ) -> None:
     """Learn from FRAMES what cells of known life form look like to a network, and how much its errors hang together."""
     from rich.console import Console
 
-    from ltm_core.base.resources import config_path
+    from ltm_core.fuel.label_errors import ReliabilityRecord, find_record, labels_digest, write_record
     from ltm_core.fuel.life_form import LifeForm
     from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.manifest import models_folder
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.evaluation.fuel.cell_appearance_io import learn_cell_appearance, write_cell_appearance
+    from ltm_lab.evaluation.fuel.cell_appearance_io import learn_cell_appearance
     from ltm_lab.evaluation.fuel.simulated_votes import simulated_votes
 
     console = Console()
@@ -44,9 +45,14 @@ def appearance(
         learnt = learn_cell_appearance(sites, labels)
     count = sum(len(site.votes) for site in sites)
     places = ", ".join(site.scenario for site in sites)
-    source = f"ltm-lab train appearance on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
-    file = out or config_path("fuel/label_errors") / f"{name}.yaml"
-    write_cell_appearance(file, learnt, source)
+    source = f"cells by ltm-lab train appearance on {count} frames of {places}"
+    manifest = segmenter.manifest
+    record = find_record(manifest) or ReliabilityRecord(
+        source=source, network=name, labels=labels_digest(manifest), photos=0
+    )
+    about = source if record.source == source else f"{record.source.split('; cells')[0]}; {source}"
+    learnt_now = {"source": about, "correlation": learnt.correlation, "appearance": learnt.appearance.as_file()}
+    file = write_record(record.model_copy(update=learnt_now), out or models_folder())
     for form, right, voted in learnt.right:
         console.print(
             f"cells of {LifeForm(form).name.lower()} on a site that taught nothing: told rightly {right:.0%}, "

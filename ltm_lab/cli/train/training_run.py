@@ -67,7 +67,7 @@ def trained(
     manifest = export(network, settings, labels, out)
     if split.validation:
         temperature, _ = calibrate(manifest, split.validation, labels, settings.seed)
-        console.print(f"temperature {temperature:.3f}; confusion in {settings.name}_calibration.yaml")
+        console.print(f"temperature {temperature:.3f}; confusion in reliability/{settings.name}_*.yaml")
     size = manifest.with_suffix(".onnx").stat().st_size
     console.print(f"wrote {manifest} and {manifest.with_suffix('.onnx').name} ({size / 1e6:.2f} MB)")
     return manifest

@@ -45,7 +45,8 @@ class Trial:
     same in all frames of a view. `clumping`: of the network's errors; None: as its known correlations say.
     `network_error`: relative difference of the network in the field from what is known of it. `prior_wrong`: share of
     wrong cells of the prior, in patches. `near`: one more camera, low among the plants, which takes each third pixel
-    for trees. `hours`: when each view is taken. `telling`: wrong labels are less confident.
+    for trees. `hours`: when each view is taken. `telling`: wrong labels are less confident. `measured`:
+    the network's errors are known; else they are measured on the trial's own votes, as `ltm models measure` does.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Trial:
     prior_wrong: float = 0.05
     near: bool = False
     telling: bool = True
+    measured: bool = True
     has_prior: bool = True
     hours: tuple[float, ...] = (0.0, 1.0)
 
@@ -71,6 +73,7 @@ TRIALS = (
     Trial("pose 1 deg", pose_deg=1.0),
     Trial("stands mislabelled", clumping=SYSTEMATIC),
     Trial("stands mislabelled as surely", clumping=SYSTEMATIC, telling=False),
+    Trial("unmeasured network", clumping=SYSTEMATIC, telling=False, measured=False),
     Trial("slopes mislabelled", clumping=SLOPES),
     Trial("errors as measured", clumping=None),
     Trial("a near camera dominates", near=True),

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.types import BoolArray
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.label_measurement import measure_labels
+from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import MapScore, score_map
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial import Trial, frames
-from ltm_lab.evaluation.fuel.trial_country import make_world
+from ltm_lab.evaluation.fuel.trial_country import World, make_world
 
 RARE = 0.01
 """Share of cells that truly change in a year or two, at which reports of change are judged too."""
@@ -78,17 +80,44 @@ class TrialScore:
     users_rare: float
 
 
+def scaled(errors: LabelErrors, level: float) -> LabelErrors:
+    """Return the errors of a network with `level` times the share of wrong labels, at most all but a tenth of a
+    form's."""
+    wrong = errors.shares * (1 - np.eye(FORMS))
+    factor = np.minimum(level, 0.9 / np.maximum(wrong.sum(axis=1, keepdims=True), 1e-9))
+    shares = wrong * factor
+    return replace(errors, shares=shares + np.diag(1 - shares.sum(axis=1)))
+
+
+def measured(votes: list[CellVotes], world: World, labels: LabelSet, rules: FusionRules) -> LabelErrors:
+    """Return the errors of a network by its votes and the prior map alone."""
+
+    def changes(errors: LabelErrors) -> UInt8Array:
+        evidence = EvidenceMap(world.geometry, world.prior, labels, rules, errors)
+        for frame in votes:
+            evidence.add(frame)
+        layers = evidence.layers()
+        return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
+
+    codes, forms = world.prior.codes, label_forms(labels)
+    return measure_labels(votes, codes, forms, rules.context_cells, changes, None, "votes of the trial", "measured")
+
+
 def run_fuel_job(job: FuelJob) -> list[TrialScore]:
     """Make a country and its frames, and score both maps that are made of them."""
     trial, seed, rules, labels = job.trial, job.seed, FusionRules(), LabelSet.load()
-    errors = job.errors.scaled(job.level)
+    errors = scaled(job.errors, job.level)
     world = make_world(seed, trial.prior_wrong, _ground(job.terrain))
     known = trial.known(errors)
     prior = world.prior if trial.has_prior else None
     ours = EvidenceMap(world.geometry, prior, labels, rules, known)
     vote = MajorityFuelMap(world.geometry, len(labels))
     spent, count = 0.0, 0
-    for votes in frames(world, trial, errors, labels, seed):
+    taken = list(frames(world, trial, errors, labels, seed))
+    if not trial.measured:
+        known = measured(taken, world, labels, rules)
+        ours = EvidenceMap(world.geometry, prior, labels, rules, known)
+    for votes in taken:
         vote.add(votes)
         begin = time.process_time()
         ours.add(votes)

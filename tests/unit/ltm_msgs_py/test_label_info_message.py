@@ -19,7 +19,8 @@ LABELS = LabelSet(
 
 
 def test_the_network_is_named_where_it_is_known() -> None:
-    assert msg_to_model(label_set_to_msg(LABELS, "near")) == "near"
+    assert msg_to_model(label_set_to_msg(LABELS, "near", "unmeasured")) == "near"
+    assert json.loads(label_set_to_msg(LABELS, "near", "unmeasured").data)["reliability"] == "unmeasured"
     assert msg_to_model(label_set_to_msg(LabelSet.load())) == ""
 
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from ltm_core.fuel.cell_visibility import cell_visibility
 from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.votes import cell_visibility
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, pose_covariance

@@ -11,9 +11,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.base.errors import MessageError
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.vote_columns import MAX_BYTES, fitting
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 

@@ -13,7 +13,7 @@ from scenes.examples import examples
 
 from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, known_errors
 from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
@@ -28,7 +28,7 @@ def errors(cell: float, view: float) -> LabelErrors:
     return LabelErrors(ASSUMED.shares, correlation)
 
 
-LOOKING = LabelErrors.of_model("landscape_lite0")
+LOOKING = known_errors("landscape_lite0")
 """A network that knows what cells look like: cells are judged by their neighbours in the frame too."""
 assert LOOKING.appearance is not None
 networks = st.sampled_from([ASSUMED, errors(0.0, 0.0), errors(0.3, 0.1), errors(1.0, 1.0), LOOKING])

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes.evidence_scene import ASSUMED
 from scenes.fuel_frames import LABELS
 
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceFile, CellAppearanceModel, what_is_seen
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.frame_evidence import frame_evidence
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import ReliabilityRecord, stated_errors, write_record
+from ltm_core.fuel.label_measurement import LEAST_CELLS, fit_cell_appearance, seen_cells
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_lab.evaluation.fuel.cell_appearance_fit import LEAST_CELLS, fit_cell_appearance, seen_cells
-from ltm_lab.evaluation.fuel.cell_appearance_io import LearntLook, learn_cell_appearance, write_cell_appearance
+from ltm_lab.evaluation.fuel.cell_appearance_io import LearntLook, learn_cell_appearance
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_lab.evaluation.fuel.simulated_votes import SimulatedVotes
 
@@ -111,15 +111,16 @@ def test_learnt_looks_see_behind_what_stands_before(learnt: LearntLook) -> None:
     assert not np.isfinite(learnt.appearance.weights[[LifeForm.BARE - 1, LifeForm.WATER - 1]]).any()
     assert [form for form, _, _ in learnt.right] == [1, 2, 3]
     found, _ = label_correlation(
-        other.votes, other.truth, FORM_IDS, replace(LabelErrors.assumed(), appearance=learnt.appearance), 3.0
+        other.votes, other.truth, FORM_IDS, replace(ASSUMED, appearance=learnt.appearance), 3.0
     )
     assert found.cell == 1.0
     assert found.view < 0.9  # each frame's pixels are drawn anew
 
 
 def test_a_file_and_back(learnt: LearntLook, tmp_path: Path) -> None:
-    write_cell_appearance(tmp_path / "net.yaml", learnt, "drawn")
-    errors = LabelErrors.load(tmp_path / "net.yaml")
+    appearance = learnt.appearance.as_file()
+    record = ReliabilityRecord(source="drawn", network="n", correlation=learnt.correlation, appearance=appearance)
+    errors = stated_errors(write_record(record, tmp_path))
     assert errors.appearance is not None
     assert errors.source == "drawn"
     assert errors.correlation == learnt.correlation
@@ -133,7 +134,7 @@ def test_evidence_is_of_the_look_and_of_labels_it_does_not_know(learnt: LearntLo
     water[:50] = 0
     water[:50, LifeForm.WATER] = 40
     votes = replace(votes, counts=water)
-    errors = replace(LabelErrors.assumed(), appearance=learnt.appearance, correlation=learnt.correlation)
+    errors = replace(ASSUMED, appearance=learnt.appearance, correlation=learnt.correlation)
     rules = FusionRules(context=0.0)
     found = frame_evidence(votes, FORM_IDS, errors, rules)
     assert (found.amounts[:50].argmax(axis=1) == LifeForm.WATER - 1).all()

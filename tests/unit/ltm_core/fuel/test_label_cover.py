@@ -11,9 +11,8 @@ from scenes.any_votes import GRID, LABELS
 
 from ltm_core.base.types import Float64Array, UInt32Array
 from ltm_core.fuel.cell_state import CROWN_ASPECT, EPOCH_S, VIEWS, WoodyLooks, add_looks, label_cover
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 
 BEGIN = 1_700_000_000
 NOTHING = np.full(GRID.shape, 50.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes.evidence_scene import ASSUMED
 
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
@@ -94,7 +95,7 @@ def test_a_little_change_is_none() -> None:
 
 
 def map_of(codes: np.ndarray | None, **rules: float) -> LivingFuelMap:
-    return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules))
+    return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
 
 
 CELLS = np.array([2, 33]), np.array([5, 40])

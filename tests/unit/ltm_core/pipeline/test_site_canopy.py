@@ -11,10 +11,9 @@ from scenes.small_site import SmallSite, write_small_site
 
 from ltm_core.base.types import Float32Array
 from ltm_core.fuel.canopy import stand_heights
-from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.surface_change import LivingFuelMap
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.pipeline.site_fuel import site_canopy, site_evidence_map
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, given_terrain, open_stored_surface
 from ltm_core.storage.tile_store import TileStore

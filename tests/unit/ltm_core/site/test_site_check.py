@@ -16,6 +16,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.site.camera_check import check_views
+from ltm_core.site.networks import labels_state
 from ltm_core.site.site_check import SiteCheck, check_site
 from ltm_core.visibility.viewshed import PosedCamera
 
@@ -165,15 +166,14 @@ def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
 
 def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
     check = checked(tmp_path, 890.0, label_heads="heads", cameras={"north": {"label_head": "chaparral"}, "south": {}})
-    ((name, message),) = [found for found in said(check, SiteVerdict.WRONG) if found[0] == "label head chaparral"]
+    ((_, message),) = [found for found in said(check, SiteVerdict.WRONG) if found[0] == "label head chaparral"]
     assert str(tmp_path / "heads" / "chaparral.yaml") in message
     network = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
     cameras = {"north": {"label_head": "chaparral"}, "south": {}}
     check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
-    ((_, message),) = [found for found in said(check, SiteVerdict.DOUBTFUL) if found[0] == name]
-    assert message.startswith("of north: ")
-    assert message.endswith("; it was never scored")
+    ((_, message),) = [found for found in said(check, SiteVerdict.DOUBTFUL) if found[0] == "label errors"]
+    assert "colors.yaml, label head chaparral: unmeasured" in message
 
 
 def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
@@ -197,3 +197,25 @@ def test_a_tree_line_says_how_much_of_the_terrain_is_above_it(tmp_path: Path, li
         f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
     )
     assert (above > 0, above < 1) == (line < 900, line > 880)
+
+
+@pytest.mark.parametrize(
+    ("changes", "state"),
+    [
+        ({}, "measured on photos"),
+        ({"model": "colors.yaml"}, "unmeasured"),
+        ({"nodes": {"segmentation": {"model": "mosaic_r4_ade20k31"}}}, "unmeasured"),
+        ({"cameras": {"north": {"label_head": "near"}, "east": {}}}, "measured on photos"),
+        ({"cameras": {"n": {"label_head": "chaparral"}}, "model": "colors.yaml", "label_heads": "heads"}, "unmeasured"),
+    ],
+)
+def test_a_site_states_what_the_labels_that_vote_were_measured_on(
+    tmp_path: Path, changes: dict[str, Any], state: str
+) -> None:
+    network = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
+    check = checked(tmp_path, 890.0, **changes)
+    assert check.site is not None
+    assert labels_state(check.site) == state
+    doubts = [name for name, _ in said(check, SiteVerdict.DOUBTFUL) if name == "label errors"]
+    assert bool(doubts) == (state == "unmeasured")

@@ -10,7 +10,7 @@ from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.observation import DepthFrame, LabelImage
 from ltm_core.surface.reference_surface import Reference
@@ -20,7 +20,7 @@ from ltm_core.vision.labels import Label
 
 HEIGHT = 8.0
 STAND = BARE + HEIGHT * PATCH
-GONE = LabelErrors.of_model("landscape_lite0").open_odds()
+GONE = known_errors("landscape_lite0").open_odds()
 SEEN: dict[str, tuple[Int64Array, Int64Array]] = {}
 """Row and column of the cell that each pixel of a camera would see if the stand stood."""
 

@@ -15,7 +15,7 @@ from scenes.small_scenario import small_scenario
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import fuse
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
@@ -177,7 +177,7 @@ class Watch:
         """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
         bare, surface = (TerrainTracer(dem) for dem in self.given)
         rules = TerrainConfig()
-        gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
+        gone = known_errors(DEFAULT_MODEL).open_odds()
         living = SurfaceMap(Reference.of(*self.given, rules.resolution), rules, sorted(FIRES), gone=gone)
         for number, (look, rgb) in enumerate(photos):
             ground, canopy = (tracer.trace(look.camera, look.pose) for tracer in (bare, surface))

@@ -15,7 +15,7 @@ import yaml
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
 from ltm_core.base.errors import ConfigError, ModelError
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
 from ltm_core.site.networks import site_segmenter
@@ -28,7 +28,7 @@ from ltm_core.vision.label_head import (
     read_label_head,
     write_label_head,
 )
-from ltm_core.vision.label_rules import LabelAgreement, load_calibration
+from ltm_core.vision.label_rules import LabelAgreement
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter
@@ -95,9 +95,7 @@ def test_a_head_changes_the_labels_of_who_names_it_alone(tmp_path: Path) -> None
     swapped = Segmenter.open(manifest, head="swap", heads=tmp_path / "heads")
     assert (plain.segment(photo).labels[20, 5], plain.segment(photo).labels[20, 60]) == (Label.BUILT, Label.GRASS)
     assert (swapped.segment(photo).labels[20, 5], swapped.segment(photo).labels[20, 60]) == (Label.GRASS, Label.BUILT)
-    network, _, doubt = plain.described.partition(", ")
-    assert swapped.described.startswith(f"{network}, label head swap ")
-    assert doubt == "never scored"
+    assert swapped.described.startswith(f"{plain.described}, label head swap ")
     assert swapped.name == "colors swap"
 
 
@@ -173,45 +171,25 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
     calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "two photos"}
     manifest = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "swap.yaml", manifest, calibration=calibration)
-    errors = LabelErrors.of_label_head(str(manifest), "swap", tmp_path)
+    errors = known_errors(str(manifest), "swap", tmp_path)
     shrub = LifeForm.SHRUB - 1
     np.testing.assert_allclose(errors.shares[shrub, [LifeForm.GRASS - 1, shrub, LifeForm.TREE - 1]], [0.1, 0.6, 0.3])
     assert errors.source == "label head swap, on two photos"
-    assert (
-        LabelErrors.of_label_head(str(manifest), SHIPPED_LABEL_HEAD).source
-        == LabelErrors.of_model(str(manifest)).source
-    )
+    assert not known_errors(str(manifest)).measured
 
 
-def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> None:
-    """Shares of wrong labels are 1.8 times as large; not those of a label head that photos judged, or nobody says."""
+def test_a_head_states_what_it_was_tested_on(tmp_path: Path) -> None:
     names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
-    confusion = np.full((7, 7), 0.0) + np.eye(7)
-    confusion[2] = [0.0, 0.1, 0.7, 0.2, 0.0, 0.0, 0.0]
-    calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "meadows (9 frames)"}
+    calibration = {"classes": list(names), "confusion": np.eye(7).tolist(), "measured_on": "meadows (9 frames)"}
     manifest = write_classifier(tmp_path, maps=True)
-    shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
-    for name, photographs, doubt, wrong in (
-        ("rendered", {"photographs": 0}, ", not tested on photos", 0.36),
-        ("seen", {"photographs": 9}, "", 0.2),
-        ("open", {}, "", 0.2),
+    for name, photographs, state in (
+        ("rendered", {"photographs": 0}, "measured on renderings only"),
+        ("seen", {"photographs": 9}, "measured on photos"),
     ):
         write_swapping_head(tmp_path / f"{name}.yaml", manifest, calibration=calibration | photographs)
-        errors = LabelErrors.of_label_head(str(manifest), name, tmp_path)
-        assert errors.shares[shrub, tree] == pytest.approx(wrong)
-        assert errors.shares[shrub].sum() == pytest.approx(1.0)
-        assert ("not tested on photos" in errors.source) == bool(doubt)
-        described = Segmenter.open(manifest, head=name, heads=tmp_path).described
-        assert described.partition(f"label head {name} ")[2][12:] == doubt
+        assert known_errors(str(manifest), name, tmp_path).state == state
     write_swapping_head(tmp_path / "bare.yaml", manifest)
-    assert Segmenter.open(manifest, head="bare", heads=tmp_path).described.endswith(", never scored")
-
-
-def test_the_shipped_network_was_scored_on_photographs() -> None:
-    calibration = load_calibration(NetworkManifest.find("landscape_v2"))
-    assert calibration is not None
-    assert calibration.photographs == 15
-    assert "never" not in Segmenter.open().described
+    assert not known_errors(str(manifest), "bare", tmp_path).measured
 
 
 def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> None:
@@ -220,7 +198,7 @@ def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> 
     assert by_default.described == of_it.described
     np.testing.assert_array_equal(by_default.segment(photo).labels, of_it.segment(photo).labels)
     assert Segmenter.open("landscape_v2").model_path != by_default.model_path
-    errors = [LabelErrors.of_label_head(name, "near") for name in ("landscape_v2", "landscape_lite0")]
+    errors = [known_errors(name, "near") for name in ("landscape_v2", "landscape_lite0")]
     np.testing.assert_array_equal(errors[0].shares, errors[1].shares)
 
 

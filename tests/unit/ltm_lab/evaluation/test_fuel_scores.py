@@ -7,33 +7,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, grid_of, write_site
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, ImageError, RecordingError
-from ltm_core.base.resources import config_path
+from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.fuel.class_map import write_fuel_map
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.label_errors import UNMEASURED, LabelCorrelation, LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.scoring.fuel import score_map
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.label_rules import Calibration, load_calibration
 from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
-from ltm_lab.evaluation.fuel.trial_score import users_accuracy
+from ltm_lab.evaluation.fuel.trial_score import scaled, users_accuracy
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
+from ltm_lab.resources import lab_config
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.recordings.recorded_run import Recorded
 
 SIDE = 48
 FORMS = label_forms(LABELS)
-ERRORS = LabelErrors.assumed()
+ERRORS = stated_errors(lab_config("assumed_labels.yaml"))
 
 
 def test_what_a_map_found_and_what_it_invented() -> None:
@@ -128,21 +125,8 @@ def test_errors_beyond_what_was_known_are_the_networks() -> None:
 
 def test_one_camera_tells_nothing_of_two() -> None:
     frames = [drawn(np.full((SIDE, SIDE), 0.5), "north", second) for second in (1, 2)]
-    with pytest.raises(ImageError, match="correlation of network"):
-        label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.3), 3.0)
-
-
-def test_shares_are_those_of_the_models_calibration() -> None:
-    calibration = load_calibration(NetworkManifest.find("landscape_lite0"))
-    assert isinstance(calibration, Calibration)
-    shares = LabelErrors.of_model("landscape_lite0").shares
-    matrix, names = np.array(calibration.confusion), list(calibration.classes)
-    cover = [names.index(name) for name in ("grass", "shrub", "tree", "bare", "water", "built")]
-    for form, row in enumerate(cover):
-        expected = matrix[row, cover]
-        np.testing.assert_allclose(shares[form, :6], expected / expected.sum(), atol=1e-9)
-    for path in config_path("fuel/label_errors").glob("*.yaml"):
-        assert path.stem == "default" or "shares" not in yaml.safe_load(path.read_text(encoding="utf-8"))
+    found, _ = label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.3), 3.0)
+    assert found.network == found.view < 1
 
 
 def test_odds_that_a_label_shows_open_ground() -> None:
@@ -169,15 +153,15 @@ def test_label_errors_that_are_none(tmp_path: Path) -> None:
     ):
         path.write_text(content, encoding="utf-8")
         with pytest.raises(ConfigError, match=message):
-            LabelErrors.load(path)
+            stated_errors(path)
     path.write_text("source: x\ncorrelation: {cell: 0.4, stand: 0.1, view: 0.2, network: 0.1}", encoding="utf-8")
-    loaded = LabelErrors.load(path)
-    np.testing.assert_array_equal(loaded.shares, ERRORS.shares)
+    loaded = stated_errors(path)
+    np.testing.assert_array_equal(loaded.shares, UNMEASURED.shares)
     assert loaded.correlation == LabelCorrelation(cell=0.4, stand=0.1, view=0.2, network=0.1)
 
 
 def test_networks_with_more_and_fewer_errors() -> None:
-    half, many = ERRORS.scaled(0.5), ERRORS.scaled(99)
+    half, many = scaled(ERRORS, 0.5), scaled(ERRORS, 99)
     assert half.shares[1, 1] == pytest.approx(0.90)
     assert many.shares[1, 1] == pytest.approx(0.10)
     np.testing.assert_allclose(half.shares[:6].sum(axis=1), 1)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import (
     BEGIN_NS,
@@ -200,6 +201,17 @@ def test_network_that_labels_is_kept_with_the_frames(kept: Callable[..., Node]) 
     key = (int(seen.rows[0]) // 32, int(seen.cols[0]) // 32)
     found = node.handler.persistence.store.touches(key)
     assert [(t.source, t.model, t.frames) for t in found] == [("north", "", 1), ("north", "spine 0123456789ab", 1)]
+
+
+@pytest.mark.parametrize(("model", "state"), [("", "measured on photos"), ("mosaic_r4_ade20k31", "unmeasured")])
+def test_diagnostics_and_the_file_state_what_labels_were_measured_on(tmp_path: Path, model: str, state: str) -> None:
+    node = Node(write_site(tmp_path, **({"model": model} if model else {})), folder=str(tmp_path / "kept"))
+    node.handler.start()
+    assert node.gauge("labels") == state
+    node.feed(0)
+    node.handler.save()
+    with rasterio.open(tmp_path / "kept" / "fuel_map.tif") as file:
+        assert file.tags()["labels"] == state
 
 
 def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:

@@ -236,7 +236,7 @@ FAULTS = (
     Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 50, "does not respond"),
     Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 50, "does not respond"),
     Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 50, "closed the connection"),
-    Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "truncated"),
+    Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
     Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
     Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "login page"),
     Fault("empty picture", lambda b: b.render(lambda _: b""), "stalled", 50, "of 0 bytes"),

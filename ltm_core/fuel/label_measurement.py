@@ -1,0 +1,284 @@
+"""Measure a label network on the recording of a site: appearance of its cells, confusion, correlation of its errors.
+
+The prior map is the truth of most cells, and a noisy one: cells that have changed would teach that their new look is
+that of their old life form. `measure_labels` therefore estimates the true form of each cell and the look of each form
+in turn, as the expectation maximisation of Dawid and Skene (Applied Statistics 28, 1979) does with raters. The raters
+are the prior map, another network whose errors are known, and the network itself. Only reported changes count against
+the prior: regions that are sure together, so that single mislabelled cells stay errors of the network.
+
+Errors of two looks at cells of one life form agree beyond chance by their intraclass correlation. It is estimated by
+moments: the mean product of what two looks show beyond what their form lets expect, divided by that of a look with
+itself (Donner, International Statistical Review 54, 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import minimize
+from scipy.special import log_softmax
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float64Array, Int16Array, Int64Array, UInt8Array
+from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, at_incidence, what_is_seen
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.life_form import FORMS, form_counts, forms_of
+from ltm_core.fuel.votes import CellVotes
+
+LEAST_PIXELS_MEASURED = 10
+"""Least pixels that a cell must have in a frame to be measured."""
+_LEAST_PAIRS = 100
+_KINDS = ("cell", "stand", "view", "network")
+_IN_SAMPLE: Final = 1.25
+"""Ratio of the correlation within stands on sites that taught nothing to that on the site that taught (rendered sites;
+the shipped records use it too)."""
+_LASTING: Final = 0.9
+"""Least correlation of two frames of a view. A recording of minutes or hours has one light and one season, and cannot
+show how errors change with them; that of the shipped networks is 0.94 and 0.95."""
+_ROUNDS: Final = 4
+"""Maximum number of rounds in which the network's own changes correct the prior; they settle in two or three."""
+_MOST_CHANGED: Final = 0.2
+"""Share of the cells that may have changed; beyond it the prior map is no truth to measure by."""
+INCIDENCE = (0.05, 0.5)
+"""Cosines: from 3 degrees over the ground to 30."""
+LEAST_PIXELS_LEARNT = 3
+"""Least pixels that a cell must have in a frame to be learnt from."""
+LEAST_CELLS = 150
+"""Of a form, over all frames, before it counts as known."""
+_RIDGE = 3.0
+"""Penalty of squared weights, which keeps those that little is known of near zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCells:
+    """Cells of known form as frames saw them: (N,) rows, columns and index of the true form, (N, SEEN) what is seen,
+    (N,) cosine of incidence.
+    """
+
+    rows: Int64Array
+    cols: Int64Array
+    true: Int64Array
+    seen: Float64Array
+    cosine: Float64Array
+
+
+def seen_cells(
+    frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, least: int = LEAST_PIXELS_LEARNT
+) -> SeenCells:
+    """The cells of one site's frames that have `least` pixels. `truth`: (H, W) life forms on the votes' grid. `forms`:
+    of the labels (`life_form.label_forms`). Raises ImageError for votes without a visibility.
+    """
+    parts: list[tuple[Int64Array, Int64Array, Int64Array, Float64Array, Float64Array]] = []
+    for votes in frames:
+        if votes.visibility is None:
+            raise ImageError(f"votes of {votes.source} do not tell how each cell is seen")
+        counts = form_counts(votes.counts, forms)
+        pixels = counts.sum(axis=1)
+        votes, counts, pixels = votes.only(pixels > 0), counts[pixels > 0], pixels[pixels > 0]
+        assert votes.visibility is not None  # nosec B101 # tells the type checker what holds
+        rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
+        seen = what_is_seen(rows, cols, counts / pixels[:, None], votes.visibility.bearing, votes.confidence)
+        true = truth[rows, cols].astype(np.int64) - 1
+        good = (pixels >= least) & (true >= 0) & (true < FORMS)
+        cosine = votes.visibility.cos_incidence.astype(np.float64)
+        parts.append((rows[good], cols[good], true[good], seen[good], cosine[good]))
+    if not parts:
+        raise ImageError("no frame to learn the looks of cells from")
+    return SeenCells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
+    """Logistic regression over the cells of all sites; each form weighs the same.
+
+    Raises ImageError where fewer than two forms have cells enough.
+    """
+    cells = np.sum([np.bincount(site.true, minlength=FORMS) for site in sites], axis=0)
+    known = np.flatnonzero(cells >= LEAST_CELLS)
+    if len(known) < 2:
+        raise ImageError(f"fewer than two life forms have {LEAST_CELLS} cells to learn from: {cells.tolist()}")
+    knots = np.array(INCIDENCE)
+    inputs = np.concatenate([at_incidence(site.seen, site.cosine, knots) for site in sites])
+    true = np.concatenate([site.true for site in sites])
+    used = np.isin(true, known)
+    inputs, true = inputs[used], true[used]
+    is_form = (true[:, None] == known).astype(np.float64)
+    weight = len(true) / len(known) / cells[true]
+    shape = inputs.shape[1], len(known)
+
+    def loss(flat: Float64Array) -> tuple[float, Float64Array]:
+        weights = flat.reshape(shape)
+        log_p = log_softmax(inputs @ weights, axis=1)
+        value = -float(weight @ (is_form * log_p).sum(axis=1)) + _RIDGE / 2 * float((weights**2).sum())
+        slope = inputs.T @ (weight[:, None] * (np.exp(log_p) - is_form)) + _RIDGE * weights
+        return value, slope.ravel()
+
+    found = minimize(loss, np.zeros(shape).ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 300})
+    weights = np.full((FORMS, len(knots), SEEN), np.nan)
+    weights[known] = found.x.reshape(shape).T.reshape(len(known), len(knots), SEEN)
+    return CellAppearanceModel(knots, weights)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameErrors:
+    """Cells of a frame: (N,) rows, columns and index of the true form; (N, FORMS) what they show `beyond` what their
+    form lets expect; (N,) the mean product of that of two pixels of the cell.
+    """
+
+    source: str
+    rows: Int64Array
+    cols: Int64Array
+    true: Int64Array
+    beyond: Float64Array
+    within: Float64Array
+
+
+def looks(
+    frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, look: CellAppearanceModel
+) -> list[FrameErrors]:
+    """Of each frame the log likelihoods of its cells' looks, of the forms that are known, in the mean 0."""
+    result = []
+    known = look.known
+    for votes in frames:
+        cells = seen_cells([votes], truth, forms, LEAST_PIXELS_MEASURED)
+        used = known[cells.true]
+        shown = np.zeros((int(used.sum()), FORMS))
+        likelihood = look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known]
+        shown[:, known] = log_softmax(likelihood, axis=1)
+        shown[:, known] -= shown[:, known].mean(axis=1, keepdims=True)
+        place = cells.rows[used], cells.cols[used], cells.true[used]
+        result.append(FrameErrors(votes.source, *place, shown, (shown**2).sum(axis=1)))
+    return result
+
+
+def look_correlation(sites: Sequence[tuple[list[FrameErrors], tuple[int, ...]]], reach: float) -> LabelCorrelation:
+    """Of the looks of cells (`looks`) on one or more sites, with the shapes of their grids. Raises ImageError."""
+    true = np.concatenate([frame.true for frames, _ in sites for frame in frames])
+    shown = np.concatenate([frame.beyond for frames, _ in sites for frame in frames])
+    cells = np.maximum(np.bincount(true, minlength=FORMS), 1)
+    expected = np.stack([np.bincount(true, column, FORMS) for column in shown.T], axis=1) / cells[:, None]
+    spread = np.bincount(true, ((shown - expected[true]) ** 2).sum(axis=1), FORMS) / cells
+    total = np.zeros((len(_KINDS), 2))
+    for frames, shape in sites:
+        beyond = [replace(f, beyond=f.beyond - expected[f.true]) for f in frames]
+        beyond = [replace(f, within=(f.beyond**2).sum(axis=1)) for f in beyond]
+        total += pair_sums(beyond, shape, spread, reach)
+    return correlation_of_pairs(total)
+
+
+def pair_sums(
+    frames: Iterable[FrameErrors], shape: tuple[int, ...], spread: Float64Array, reach: float
+) -> Float64Array:
+    """(4, 2) of each kind of pair: the sum of products, and of what a look has with itself, `spread` (FORMS,)."""
+    kinds = np.zeros((len(_KINDS), 2))
+    cell, stand, view, network = kinds
+    chance, frames_seen, total = np.zeros(shape), np.zeros(shape), np.zeros((*shape, FORMS))
+    sums: dict[str, Float64Array] = {}
+    squares: dict[str, Float64Array] = {}
+    seen: dict[str, Float64Array] = {}
+    for frame in frames:
+        at, name = (frame.rows, frame.cols), frame.source
+        chance[at] = spread[frame.true]
+        cell += frame.within.sum(), spread[frame.true].sum()
+        stand += _between_cells(frame, shape, spread, reach)
+        sums.setdefault(name, np.zeros_like(total))[at] += frame.beyond
+        squares.setdefault(name, np.zeros(shape))[at] += (frame.beyond**2).sum(axis=1)
+        seen.setdefault(name, np.zeros(shape))[at] += 1
+        frames_seen[at] += 1
+    within, pairs = np.zeros(shape), np.zeros(shape)
+    for name, of in sums.items():
+        total += of
+        own, count = (of**2).sum(axis=-1), seen[name]
+        view += (own - squares[name]).sum(), (count * (count - 1) * chance).sum()
+        within += own
+        pairs += count**2
+    network += ((total**2).sum(axis=-1) - within).sum(), ((frames_seen**2 - pairs) * chance).sum()
+    return kinds
+
+
+def _between_cells(frame: FrameErrors, shape: tuple[int, ...], spread: Float64Array, reach: float) -> Float64Array:
+    """(2,) of pairs of cells of one form in one frame: sum of products, and of what one look has with itself."""
+    side = 2 * int(2 * reach + 1) + 1
+    impulse = np.zeros((side, side))
+    impulse[side // 2, side // 2] = 1
+    itself = float(ndimage.gaussian_filter(impulse, reach, mode="constant", truncate=2.0).max())
+    product = base = 0.0
+    for form in np.unique(frame.true):
+        of = frame.true == form
+        here, mine = np.zeros(shape), np.zeros((*shape, FORMS))
+        here[frame.rows[of], frame.cols[of]] = 1
+        mine[frame.rows[of], frame.cols[of]] = frame.beyond[of]
+        about = ndimage.gaussian_filter(mine, (reach, reach, 0), mode="constant", truncate=2.0)
+        pairs = ndimage.gaussian_filter(here, reach, mode="constant", truncate=2.0) - itself
+        product += float((mine * (about - itself * mine)).sum())
+        base += float((pairs * here).sum() * spread[form])
+    return np.array([product, base])
+
+
+def correlation_of_pairs(kinds: Float64Array) -> LabelCorrelation:
+    """Return the correlations from the sums (4, 2) of `pair_sums`. A kind with too few pairs is as high as possible:
+    two frames of a view, and two cells of a stand, then err alike, and two views as two frames of one."""
+    cell, stand, view, network = (
+        float(np.clip(product / base, 0.0, 1.0)) if base >= _LEAST_PAIRS else 1.0 for product, base in kinds
+    )
+    view = min(view, cell)
+    return LabelCorrelation(
+        cell=round(cell, 3), stand=round(min(stand, cell), 3), view=round(view, 3), network=round(min(network, view), 3)
+    )
+
+
+def measure_labels(
+    votes: Sequence[CellVotes],
+    codes: Int16Array,
+    forms: Int64Array,
+    reach: float,
+    changes: Callable[[LabelErrors], UInt8Array],
+    known: UInt8Array | None,
+    source: str,
+    state: str,
+) -> LabelErrors:
+    """Return the label errors of a network by its votes for the cells of a prior map with `codes` (H, W).
+
+    Args:
+        forms: of the labels (`life_form.label_forms`).
+        reach: standard deviation in cells of the Gaussian that weighs pairs of cells (`FusionRules.context_cells`).
+        changes: returns (H, W) the life forms of the cells that the map of these votes changes, 0 elsewhere.
+        known: the same by another network whose errors are known; None: there is none. It is ignored if it changes
+            more than can have changed: it does not know this land.
+
+    Raises ImageError for too few cells, and if too many have changed for the prior map to be a truth.
+    """
+    held = forms_of(codes)
+    prior = np.where(held.sum(axis=-1) == 1, held.argmax(axis=-1) + 1, 255).astype(np.uint8)
+    seen = np.zeros(codes.shape, np.bool_)
+    for frame in votes:
+        seen[frame.rows, frame.cols] = True
+    if known is not None and (known[seen] > 0).sum() > _MOST_CHANGED * seen.sum():
+        known = None
+    changed = np.zeros_like(prior) if known is None else known
+    for _ in range(1 if known is not None else _ROUNDS):
+        if (share := (changed[seen] > 0).sum() / max(seen.sum(), 1)) > _MOST_CHANGED:
+            raise ImageError(
+                f"{share:.0%} of the seen cells differ from the prior map; measure on frames from before the change, "
+                "or give a newer prior map"
+            )
+        truth = np.where(changed > 0, changed, prior)
+        cells = seen_cells(votes, truth, forms)
+        appearance = fit_cell_appearance([cells])
+        correlation = look_correlation([(looks(votes, truth, forms, appearance), truth.shape)], reach)
+        stand = round(min(correlation.stand * _IN_SAMPLE, correlation.cell), 3)
+        view = min(max(correlation.view, _LASTING), correlation.cell)
+        correlation = correlation.model_copy(update={"stand": stand, "view": view})
+        count = np.bincount(cells.true, minlength=FORMS)
+        shares = np.full((FORMS, FORMS), np.nan)
+        for form in np.flatnonzero(count >= LEAST_CELLS):
+            row = cells.seen[cells.true == form, 1 : 1 + FORMS].sum(axis=0)
+            shares[form] = row / row.sum()
+        errors = LabelErrors(shares, correlation, source, appearance, state)
+        before, changed = changed, changes(errors) if known is None else known
+        if np.array_equal(before, changed):
+            break
+    return errors
