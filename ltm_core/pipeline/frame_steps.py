@@ -195,7 +195,7 @@ class LabellingStep:
         view = self._scene.look(photo, looking, stamp_ns)
         among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:
-            found = self._segmenter.segment(photo, self._zoom)
+            found = self._segmenter.segment(view.scene(photo), self._zoom)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

@@ -16,6 +16,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.storage.text_io import check_picture, photos_in
 from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
 
@@ -111,7 +112,7 @@ def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
 
 
 def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
-    labels = segmenter.segment(photo, zoom).labels
+    labels = segmenter.segment(scene_of(photo), zoom).labels
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
     legend = label_legend(photo.shape[1], segmenter.labels, seen)
