@@ -73,8 +73,8 @@ def scene_of(picture: UInt8Array) -> UInt8Array:
 
 
 def _bar(image: NDArray[Any], above: bool) -> int:
-    """Return the thickness in rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `above`: the
-    edge is the image's upper one."""
+    """Return the rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `above`: the edge is the
+    upper one of the whole image."""
     rows, columns = image.shape[:2]
     if min(rows, columns) < 4 * _THINNEST:
         return 0
@@ -194,7 +194,5 @@ def _without_holes(image: UInt8Array, holes: BoolArray) -> UInt8Array:
     for values, known in levels[-2::-1]:
         coarse = cv2.pyrUp(filled, dstsize=known.shape[::-1])
         filled = values + (1 - known)[..., None] * coarse
-    whole = cv2.resize(
-        np.clip(np.rint(filled), 0, 255).astype(np.uint8), (width, height), interpolation=cv2.INTER_LINEAR
-    )
-    return np.where(holes[..., None], whole, image)
+    rounded = np.clip(np.rint(filled), 0, 255).astype(np.uint8)
+    return np.where(holes[..., None], cv2.resize(rounded, (width, height)), image)

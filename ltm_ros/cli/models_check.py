@@ -112,7 +112,7 @@ def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
 
 
 def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
-    labels = segmenter.segment(scene_of(photo), zoom).labels
+    labels = segmenter.segment(photo, zoom).labels
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
     legend = label_legend(photo.shape[1], segmenter.labels, seen)
@@ -128,4 +128,4 @@ def _read(path: Path) -> UInt8Array:
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise ImageError(f"{path}: cannot be read as an image")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    return scene_of(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8))
