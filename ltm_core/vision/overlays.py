@@ -22,9 +22,8 @@ _NESTED = 4
 """Maximum number of bars inside one another."""
 _THINNEST = 4
 """Minimum thickness of a bar in pixels."""
-_WIDEST, _WIDEST_ABOVE = 0.38, 0.15
-"""Maximum thickness as a share of the side; above the image less if the bar is not black, because a level horizon below
-an overexposed sky is straight, too."""
+_WIDEST, _WIDEST_BLACK, _WIDEST_BESIDE = 0.15, 0.25, 0.38
+"""Maximum thickness as a share of the side. A level horizon of the sea or below a white sky is straight, too."""
 _BLACK = 24
 _BACKGROUND = 0.6
 """Minimum share of a bar, and of its last row, that has its colour."""
@@ -33,7 +32,8 @@ _LETTERS = 0.25
 _STRAIGHT = 0.7
 """Minimum share of the bar's length on which it ends within three rows."""
 _TIGHT, _LOOSE = 5.0, 14.0
-"""Differences in grey levels within which pixels have a bar's colour: as drawn, and after strong compression."""
+"""Differences in grey levels within which pixels have a bar's colour: if the scene is as dark or as pale, and after
+strong compression."""
 _DRIFT = 3.0
 """Maximum change of a bar's colour over most of its rows in grey levels, or a tenth of the step at its end; that of a
 sky is larger."""
@@ -41,8 +41,8 @@ _PENUMBRA = 2
 """Pixels by which a bar is enlarged, because compression mixes its edge with the scene."""
 _ROUND = 0.8
 """Minimum agreement (intersection over union) of a corner with a rounded one."""
-_WORKING_WIDTH = 512
-"""Width at which holes are filled; no network needs more detail there."""
+_WORKING_WIDTH = 320
+"""Width at which holes are filled, because the filling is smooth."""
 
 
 def find_overlay(picture: UInt8Array) -> BoolArray | None:
@@ -53,9 +53,9 @@ def find_overlay(picture: UInt8Array) -> BoolArray | None:
     inner, clear = picture, hidden
     for _ in range(_NESTED):
         before = inner.shape
-        for above in (False, False, False, True):
+        for beside in (True, False, True, False):
             inner, clear = np.rot90(inner), np.rot90(clear)
-            thick = _bar(inner, above)
+            thick = _bar(inner, beside)
             clear[:thick] = 1
             inner, clear = inner[thick:], clear[thick:]
         if inner.shape == before:
@@ -72,9 +72,9 @@ def scene_of(picture: UInt8Array) -> UInt8Array:
     return picture if overlay is None else fill_hidden(picture, overlay)
 
 
-def _bar(image: NDArray[Any], above: bool) -> int:
-    """Return the rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `above`: the edge is the
-    upper one of the whole image."""
+def _bar(image: NDArray[Any], beside: bool) -> int:
+    """Return the rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `beside`: the image is
+    turned, and the edge is its left or right one."""
     rows, columns = image.shape[:2]
     if min(rows, columns) < 4 * _THINNEST:
         return 0
@@ -84,7 +84,7 @@ def _bar(image: NDArray[Any], above: bool) -> int:
     outermost = _off(outer[None], colour)
     if (outermost <= _LOOSE).mean() < _BACKGROUND:
         return 0
-    widest = round((_WIDEST_ABOVE if above and colour.max() > _BLACK else _WIDEST) * rows)
+    widest = round((_WIDEST_BESIDE if beside else _WIDEST_BLACK if colour.max() <= _BLACK else _WIDEST) * rows)
     # From the edge inwards, no further than the colour reaches.
     blocks: list[UInt8Array] = []
     for begin in range(1, widest, _BLOCK):
@@ -92,7 +92,7 @@ def _bar(image: NDArray[Any], above: bool) -> int:
         if len(blocks[-1]) <= 4 or ((blocks[-1][:-4] <= _LOOSE).mean(axis=1) < _LETTERS).any():
             break
     off = np.concatenate(blocks)
-    for tolerance in (max(_TIGHT, 3 * float(np.percentile(outermost, 75)) + 3), _LOOSE):
+    for tolerance in (_LOOSE, max(_TIGHT, 3 * float(np.percentile(outermost, 75)) + 3)):
         thick = _thickness(off, tolerance)
         if thick:
             apart = (image[1:thick, ::step].astype(np.int16) - colour) * (off[: thick - 1] <= tolerance)[..., None]
@@ -165,25 +165,28 @@ def _beyond_arc(radius: float, side: int) -> BoolArray:
 def fill_hidden(picture: UInt8Array, hidden: BoolArray) -> UInt8Array:
     """Return an image (H, W, 3) RGB without what hides the scene, `hidden` (H, W) bool: rows and columns at its edges
     show the scene mirrored, and holes the smooth continuation of what surrounds them."""
-    rows, columns = (np.flatnonzero(~hidden.all(axis=axis)) for axis in (1, 0))
-    if not len(rows):
+    if hidden.all():
         return picture
-    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    (top, bottom), (left, right) = (np.flatnonzero(~hidden.all(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
+    bottom, right = bottom + 1, right + 1
     inner, holes = picture[top:bottom, left:right], hidden[top:bottom, left:right]
     if holes.any():
         inner = _without_holes(inner, holes)
     height, width = hidden.shape
-    borders = int(top), int(height - bottom), int(left), int(width - right)
+    borders = top, height - bottom, left, width - right
     return np.asarray(cv2.copyMakeBorder(inner, *borders, cv2.BORDER_REFLECT), np.uint8)
 
 
 def _without_holes(image: UInt8Array, holes: BoolArray) -> UInt8Array:
     """Fill the `holes` (h, w) of an image (h, w, 3) from means over ever larger surroundings."""
     height, width = holes.shape
-    scale = min(1.0, _WORKING_WIDTH / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    known = (cv2.resize(holes.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 0).astype(np.float32)
-    values = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32) * known[..., None]
+    # A whole factor, at which OpenCV reduces three times as fast.
+    factor = max(1, round(width / _WORKING_WIDTH))
+    pad = 0, -height % factor, 0, -width % factor, cv2.BORDER_REPLICATE
+    covered = cv2.copyMakeBorder(np.where(holes, np.uint8(255), np.uint8(0)), *pad)
+    size = covered.shape[1] // factor, covered.shape[0] // factor
+    known = (cv2.resize(covered, size, interpolation=cv2.INTER_AREA) == 0).astype(np.float32)
+    values = cv2.resize(cv2.copyMakeBorder(image, *pad), size, interpolation=cv2.INTER_AREA) * known[..., None]
     levels: list[tuple[Float32Array, Float32Array]] = [(values, known)]
     while known.min() < 1 and max(known.shape) > 1:
         values, known = cv2.pyrDown(values), cv2.pyrDown(known)
@@ -195,4 +198,5 @@ def _without_holes(image: UInt8Array, holes: BoolArray) -> UInt8Array:
         coarse = cv2.pyrUp(filled, dstsize=known.shape[::-1])
         filled = values + (1 - known)[..., None] * coarse
     rounded = np.clip(np.rint(filled), 0, 255).astype(np.uint8)
-    return np.where(holes[..., None], cv2.resize(rounded, (width, height)), image)
+    smooth = cv2.resize(rounded, covered.shape[::-1])[:height, :width]
+    return np.asarray(cv2.copyTo(smooth, covered[:height, :width], np.array(image)), np.uint8)
