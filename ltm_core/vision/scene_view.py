@@ -21,7 +21,7 @@ from ltm_core.vision.usable import Unusable, Usability, judge
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Visible landscape in an image. `hidden`: (H, W) bool, True where a mask, a bar or a frame hides it; None: nowhere.
+    """Visible landscape in an image. `hidden`: (H, W) bool, True where a mask, bar or frame hides it; None: nowhere.
     `usability`: whether the image shows enough; None: not judged. `masked`: the view mask used, if the camera has
     several. `smoke`: share of the image in which smoke hides the land."""
 

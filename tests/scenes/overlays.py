@@ -21,15 +21,15 @@ def _write(photo: UInt8Array, text: str, left: int, base: int, tall: float, colo
 
 def _bar(edge: str, share: float, color: Color, ink: Color | None = None) -> Callable[[UInt8Array], Drawn]:
     def draw(photo: UInt8Array) -> Drawn:
-        turned = np.ascontiguousarray(np.rot90(photo, "top right bottom left".split().index(edge)))
+        turns = ["top", "right", "bottom", "left"].index(edge)
+        turned = np.rot90(photo, turns).copy()
         thick = round(share * len(turned))
         turned[:thick] = color
         if ink is not None:
             _write(turned, "North Peak 2021-07-04 13:05:11 UTC", 8, round(0.75 * thick), 0.6 * thick, ink)
         hidden = np.zeros(turned.shape[:2], np.bool_)
         hidden[:thick] = True
-        back = -"top right bottom left".split().index(edge)
-        return np.ascontiguousarray(np.rot90(turned, back)), np.rot90(hidden, back)
+        return np.ascontiguousarray(np.rot90(turned, -turns)), np.rot90(hidden, -turns)
 
     return draw
 

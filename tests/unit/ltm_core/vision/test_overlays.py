@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -12,12 +13,18 @@ from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, tower_picture
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.vision.mask_proposals import propose_mask
+from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import fill_hidden, find_overlay, scene_of
 from ltm_core.vision.scene_view import SceneFilter
 
 
-def clear(seed: int = 3) -> UInt8Array:
+@cache
+def _clear(seed: int) -> UInt8Array:
     return tower_picture(seed, hood=False, caption="")
+
+
+def clear(seed: int = 3) -> UInt8Array:
+    return _clear(seed).copy()
 
 
 def compressed(photo: UInt8Array) -> UInt8Array:
@@ -94,7 +101,8 @@ def test_a_hole_continues_its_surroundings(width: int) -> None:
 @pytest.mark.parametrize("kind", [*FRAMES, *MASKED])
 def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
     drawn, truth = (FRAMES | MASKED)[kind](clear())
-    view = SceneFilter(_given(truth) if kind in MASKED else None).look(drawn)
+    mask = CameraMask(truth, "mask")
+    view = SceneFilter((lambda width, height: mask) if kind in MASKED else None).look(drawn)
     assert view.hidden is not None
     assert view.reason is None
     seen, grown = view.scene(drawn), cv2.dilate(view.hidden.astype(np.uint8), np.ones((3, 3))) > 0
@@ -103,12 +111,6 @@ def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
     apart = np.abs(cv2.blur(seen, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
     before = np.abs(cv2.blur(drawn, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
     assert apart[truth].mean() < 0.5 * before[truth].mean()
-
-
-def _given(truth: np.ndarray) -> Callable[[int, int], object]:
-    from ltm_core.vision.masks import CameraMask
-
-    return lambda width, height: CameraMask(truth, "mask")
 
 
 @pytest.mark.parametrize("kind", FRAMES)
