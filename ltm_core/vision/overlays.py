@@ -63,7 +63,8 @@ def find_overlay(picture: UInt8Array) -> BoolArray | None:
     _round_corners(inner, clear)
     if not hidden.any():
         return None
-    return cv2.dilate(hidden, np.ones((2 * _PENUMBRA + 1,) * 2, np.uint8)) > 0
+    grown = cv2.dilate(hidden, np.ones((2 * _PENUMBRA + 1,) * 2, np.uint8))
+    return np.asarray(grown > 0)
 
 
 def scene_of(picture: UInt8Array) -> UInt8Array:
