@@ -1,7 +1,5 @@
 """Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
 
-The steps from a posed image to votes, each made once for a camera: trace, label, vote.
-
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
 arguments, and a frame has the same votes, to the last bit, whoever works on it.

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from scenes.overlays import FRAMES, MASKED
+from scenes.small_site import write_small_site
 from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, tower_picture
 
 from ltm_core.base.types import UInt8Array
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.labels import UNLABELLED
 from ltm_core.vision.mask_proposals import propose_mask
 from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import fill_hidden, find_overlay, scene_of
@@ -129,3 +134,15 @@ def test_two_bars_inside_one_another() -> None:
     assert found is not None
     assert found[20:-20, 30:-30][truth].mean() > 0.99
     assert found[:20].all()
+
+
+def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = load_site(write_small_site(tmp_path, recording=False).path)
+    step, given = LabellingStep(site, "tower", LabellingConfig()), []
+    segment = step._segmenter.segment
+    monkeypatch.setattr(step._segmenter, "segment", lambda photo, zoom: given.append(photo) or segment(photo, zoom))
+    drawn, truth = FRAMES["black above"](clear())
+    found, view = step.label(drawn)
+    np.testing.assert_array_equal(given[0], view.scene(drawn))
+    assert (found.labels[truth] == UNLABELLED).all()
+    assert (found.labels[~truth] != UNLABELLED).mean() > 0.9
