@@ -18,6 +18,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import read_rgb, read_values
 from ltm_core.vision.areas import ERASED, MASKED, POLYGONS_FILE, NamedArea, labels_of, read_areas
 from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.overlays import scene_of
 
 LABELS_SUFFIX = "_labels.png"
 INDEX_FILE: Final = "frames.json"
@@ -26,7 +27,7 @@ UNKNOWN: Final = 254
 """Training label of a pixel of which nothing is known (255: it is not sky)."""
 LAND: Final = 253
 """Training label of a slope of unknown cover: neither sky nor water nor built."""
-_NO_CLASS: Final = (ERASED, MASKED, "lens", "caption")
+_NO_CLASS: Final = (ERASED, MASKED, "lens", "caption", "bar")
 """Areas without ground truth: unknown, or hidden by `ltm mask`."""
 
 
@@ -113,7 +114,7 @@ def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: in
     labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
     if ((labels >= classes) & (labels != UNLABELLED)).any():
         raise ImageError(f"{source}: a class of {photo.name} is not among the first {classes}")
-    return Frame(image, labels, photo)
+    return Frame(scene_of(image), labels, photo)
 
 
 def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
@@ -126,7 +127,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     wrong = ids[(ids >= classes) & (ids < LAND)]
     if wrong.size:
         raise ImageError(f"{truth}: contains label {wrong[0]}; expected ids below {classes} or {UNLABELLED}")
-    return Frame(image, np.asarray(labels, np.uint8), photo)
+    return Frame(scene_of(image), np.asarray(labels, np.uint8), photo)
 
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:

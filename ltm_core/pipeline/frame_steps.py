@@ -1,7 +1,5 @@
 """Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
 
-The steps from a posed image to votes, each made once for a camera: trace, label, vote.
-
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
 arguments, and a frame has the same votes, to the last bit, whoever works on it.
@@ -202,7 +200,7 @@ class LabellingStep:
         view = self._scene.look(photo, looking, stamp_ns)
         among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:
-            found = self._segmenter.segment(photo, self._zoom)
+            found = self._segmenter.segment(view.scene(photo), self._zoom)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

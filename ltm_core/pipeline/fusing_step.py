@@ -91,10 +91,10 @@ class FusingStep:
 
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
-        seen, network, trouble = self._look(frame, view)
+        seen, photo, network, trouble = self._look(frame, view)
         ground, surface = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), surface, self.network.fusion, seen.hidden, seen.unusable
-        return FusedFrame(fuse(ground, network, frame.image, labels, *known), seen, trouble)
+        return FusedFrame(fuse(ground, network, photo, labels, *known), seen, trouble)
 
     def measure(
         self,
@@ -106,24 +106,27 @@ class FusingStep:
     ) -> tuple[NetworkMeasurement, str]:
         """Return the network's measurement of a frame that `fuse` would fuse, in less time, and the error of the
         network, if it failed; arguments and errors as there."""
-        seen, network, trouble = self._look(frame, view)
+        seen, photo, network, trouble = self._look(frame, view)
         ground, _ = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
-        return measure(ground, network, frame.image, labels, *known, seen.doubtful), trouble
+        return measure(ground, network, photo, labels, *known, seen.doubtful), trouble
 
     def _terrain(self, depth: Float32Array, frame: PosedImage) -> tuple[RangeImage | DepthImage, DepthImage | None]:
         """Bare earth, and what stands on it, where depth is traced to that."""
         traced = DepthImage(depth, frame.camera, frame.pose)
         return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
 
-    def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
-        """Return what of the photo shows the landscape, and what the network makes of it, or why it failed."""
+    def _look(
+        self, frame: PosedImage, view: SceneView | None
+    ) -> tuple[SceneView, UInt8Array, NetworkDepth | None, str]:
+        """Return the scene view, the photo of the scene alone, and the network's depth, or why the network failed."""
         looking = Looking.of(frame.camera, frame.pose)
         seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
+        photo = seen.scene(frame.image)
         try:
-            return seen, self.network.predict(frame.image, frame.camera) if seen.reason is None else None, ""
+            return seen, photo, self.network.predict(photo, frame.camera) if seen.reason is None else None, ""
         except ModelError as error:
-            return seen, None, str(error)
+            return seen, photo, None, str(error)
 
     def _settings(self, covariance: Float64Array | None) -> FusionSettings:
         """Return the settings with the sigma of the camera's direction from its pose's covariance, if given."""

@@ -19,7 +19,7 @@ from ltm_core.vision.masks import Looking
 
 _MUCH_MASKED = 0.6
 """Masked share of an image above which a mask may be inverted."""
-_TURNING = ("lens", "caption")
+_TURNING = ("lens", "caption", "bar")
 """Classes of polygons that hide the same pixels in every direction of a PTZ camera."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
@@ -91,7 +91,7 @@ def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
     if config.mount is not None and not turning:
         doubts.append(
             "the PTZ head turns, and the mask hides the same pixels in every view: only what turns with it belongs "
-            "into it, such as corners of the lens and captions; put the others into view_masks"
+            "into it, such as corners of the lens, bars and captions; put the others into view_masks"
         )
     verdict = SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK
     yield SiteFinding("cameras", called, verdict, ": ".join([found, *doubts]))

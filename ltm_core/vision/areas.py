@@ -47,7 +47,7 @@ class NamedArea(StrictModel):
     image: str = Field(max_length=255)
     """File name of the photo."""
     kind: str = Field(alias="class", max_length=80)
-    """Class of the label set, `MASKED`, `ERASED`, or the kind of a mask: lens, caption."""
+    """Class of the label set, `MASKED`, `ERASED`, or the kind of a mask: bar, lens, caption."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels of the photo."""
     number: int | None = None

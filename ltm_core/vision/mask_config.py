@@ -32,7 +32,7 @@ class MaskPolygon(StrictModel):
     )
 
     kind: str = Field("", alias="class", max_length=80)
-    """Kind of area: mast, lens, caption, roof."""
+    """Kind of area: mast, lens, bar, caption, roof."""
     reason: str = Field("", max_length=400)
     """Reason for the mask, in words."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)

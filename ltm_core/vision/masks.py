@@ -1,7 +1,5 @@
 """Mask the pixels of a camera that never show the landscape, for each of its views.
 
-The masks of a turning camera's views: which one belongs to an image, by where the camera looked.
-
 What stands still before the lens of a turning camera, its own mast or a roof, lies elsewhere in each view. A mask drawn
 in one view holds where the camera looks there again, with the lens as wide; anywhere else it would hide what is seen.
 """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,14 +15,15 @@ from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.mask_config import MaskConfig
 from ltm_core.vision.masks import CameraMask, Looking, MakeMask, ViewMasks, packed, read_mask
+from ltm_core.vision.overlays import fill_hidden, find_overlay
 from ltm_core.vision.usable import Unusable, Usability, judge
 
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Visible landscape in an image. `hidden`: (H, W) bool, True where something is in front of the landscape; None:
-    nowhere. `usability`: whether the image shows enough; None: not judged. `masked`: the view mask used, if the camera
-    has several. `smoke`: share of the image in which smoke hides the land."""
+    """Visible landscape in an image. `hidden`: (H, W) bool, True where a mask, bar or frame hides it; None: nowhere.
+    `usability`: whether the image shows enough; None: not judged. `masked`: the view mask used, if the camera has
+    several. `smoke`: share of the image in which smoke hides the land."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
@@ -45,6 +46,10 @@ class SceneView:
         if self.usability is None or not self.usability.doubtful.any():
             return None
         return self.usability.doubtful
+
+    def scene(self, picture: UInt8Array) -> UInt8Array:
+        """Return the image (H, W, 3) RGB for networks: what hides the landscape is filled from its surroundings."""
+        return picture if self.hidden is None else fill_hidden(picture, self.hidden)
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
         """Remove labels (H, W) and their confidence (H, W), in place, where the landscape is not visible, in unusable
@@ -111,30 +116,37 @@ class SceneFilter:
             seen = self._seen = view.name, own if common is None else own | common
         return seen[1]
 
-    def judge(self, picture: UInt8Array, hidden: BoolArray | None, stamp_ns: int | None) -> Usability | None:
-        """Judge an image (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: its time, None:
-        unknown. Returns None if images are not judged. Raises ImageError for another shape."""
+    def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
+        """Return the scene view of an image (H, W, 3) RGB; `stamp_ns`: its time, None: unknown. Raises ConfigError if
+        the mask has another size, ImageError for another shape."""
+        _check(picture)
+        hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
+        return replace(self.look_masked(picture, hidden, stamp_ns), masked=self._masked(looking))
+
+    def look_masked(self, picture: UInt8Array, masked: BoolArray | None, stamp_ns: int | None) -> SceneView:
+        """Return the scene view of an image (h, w, 3) RGB at any size, of which `masked` (h, w) is masked; `stamp_ns`
+        and errors as `look`."""
+        _check(picture)
+        overlay = find_overlay(picture)
+        hidden = masked if overlay is None else overlay if masked is None else masked | overlay
         if not self._judged:
-            return None
+            return SceneView(hidden)
         sun_deg = None
         if self._place is not None and stamp_ns is not None:
             longitude, latitude = self._place
             sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
-        return judge(picture, hidden, sun_deg)
-
-    def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
-        """Return the scene view of an image (H, W, 3) RGB; `stamp_ns`: its time, None: unknown. Raises ConfigError if
-        the mask has another size, ImageError for another shape."""
-        if picture.ndim != 3 or picture.shape[2] != 3:
-            raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
-        hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
-        return SceneView(hidden, self.judge(picture, hidden, stamp_ns), self._masked(looking))
+        return SceneView(hidden, judge(picture, hidden, sun_deg))
 
     def _masked(self, looking: Looking | None) -> str:
         if self._views is None or looking is None:
             return ""
         view = self._views.at(looking)
         return f"view {view.name}" if view is not None else f"no view of the site file has this direction: {looking}"
+
+
+def _check(picture: UInt8Array) -> None:
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
+        raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:

@@ -112,8 +112,7 @@ class SmallLook:
         if hidden is not None:
             size = small.shape[1], small.shape[0]
             hidden = cv2.resize(hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        usability = self._scene.judge(small, hidden, frame.stamp_ns)
-        return "" if usability is None else usability.said
+        return self._scene.look_masked(small, hidden, frame.stamp_ns).unusable
 
 
 def _small(picture: CompressedPicture | RawPicture) -> UInt8Array:

@@ -79,7 +79,7 @@ def mask(
     ] = "",
     overwrite: Overwrite = False,
 ) -> None:
-    """Propose a camera's mask: lens corners and captions. Check the written image, then repeat with --keep.
+    """Propose a camera's mask: bars, frames, lens corners, captions. Check the written image, then repeat with --keep.
 
     Without --keep, the PNG and the polygons hold every proposal. With --keep, they hold only the chosen ones, and the
     line for the site file is printed. The proposals depend only on the images, so their numbers stay the same. Draw

@@ -208,8 +208,9 @@ def _check(
     With `classes`, comma-separated words replace the model's classes. Without `images`, a drawn scene is used.
     """
     from ltm_core.storage.image_io import photos_in, read_rgb
+    from ltm_core.vision.overlays import scene_of
 
-    photos = [(path, read_rgb(path)) for path in photos_in(images)] if images is not None else []
+    photos = [(path, scene_of(read_rgb(path))) for path in photos_in(images)] if images is not None else []
     photos = photos or [(Path("trial_scene"), trial_scene())]
     spec, kind = manifest.input, manifest.output.kind
     console.print(f"{manifest.name}: {manifest.model_file()}; sha256 {manifest.sha256[:12]}...", markup=False)

@@ -175,14 +175,14 @@ def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, Z
         camera = ptz.lens.camera(zoom)
         photo = read_photo(file, camera)
         pose = ptz.model.pose(pan, tilt)[0]
-        hidden = scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
-        labels = segmenter.segment(photo).labels
-        doubt = doubt_of_sky(labels, hidden)
+        view = scene.look(photo, Looking.of(camera, pose))
+        labels = segmenter.segment(view.scene(photo)).labels
+        doubt = doubt_of_sky(labels, view.hidden)
         if doubt is not None:
             raise ImageError(f"{file}: {doubt}")
         prior = PosePrior(pose, azimuth, pitch, roll, place, height)
         priors.append(prior)
-        evidence = picture_evidence(photo, labels, camera, config, hidden)
+        evidence = picture_evidence(photo, labels, camera, config, view.hidden)
         searches.append(find_pose(evidence, terrain, widened(prior, tilt_zero), config))
     fit = fit_mount(priors, searches, config, tilt_zero)
     if fit.word != "accepted":

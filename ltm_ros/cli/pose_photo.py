@@ -196,17 +196,17 @@ def _find(
     if "position" in options.free and prior.position_sigma == 0:
         prior = replace(prior, position_sigma=FREE_POSITION_SIGMA, height_sigma=FREE_POSITION_SIGMA)
     photo = read_photo(file, setup.camera)
+    view = scene.look(photo)
     if options.labels is not None:
         labels = read_labels(options.labels, setup.camera)
     else:
         assert segmenter is not None  # nosec B101 # tells the type checker what holds
-        labels = segmenter.segment(photo).labels
-    hidden = scene.hidden(setup.camera.width, setup.camera.height)
-    doubt = doubt_of_sky(labels, hidden)
+        labels = segmenter.segment(view.scene(photo)).labels
+    doubt = doubt_of_sky(labels, view.hidden)
     if doubt is not None:
         raise ImageError(f"{file}: {doubt}")
     begin = time.process_time()
-    evidence = picture_evidence(photo, labels, setup.camera, config, hidden)
+    evidence = picture_evidence(photo, labels, setup.camera, config, view.hidden)
     search = find_pose(evidence, setup.terrain, prior, config, FOCAL_SIGMA if "focal" in options.free else 0.0)
     result = result_of(search, prior, setup.camera)
     spent = time.process_time() - begin

@@ -36,6 +36,7 @@ from ltm_core.vision.areas import (
 )
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import MOST_POINTS, Point
+from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.recordings.recorded_run import pictures_in
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
@@ -116,7 +117,7 @@ class LabelSession:
         if self._segmenter is None:
             raise ConfigError("no network: start `ltm label` without --model none")
         with self._lock:
-            found = self._segmenter.segment(read_rgb(path))
+            found = self._segmenter.segment(scene_of(read_rgb(path)))
         return _shapes(areas_of(path.name, found.labels, self.labels.names))
 
     def save(self, number: int, content: object) -> list[dict[str, Any]]:

@@ -176,12 +176,12 @@ class PoseRefinement:
 
     def _search(self, item: PlacedPhoto, prior: PosePrior, view: _CameraView) -> tuple[PoseResult, Refinement]:
         photo = decode_rgb(item.photo.data)
-        looking = Looking.of(item.camera, item.pose)
-        labels, hidden = view.segment(photo), view.scene.hidden(item.camera.width, item.camera.height, looking)
-        doubt = doubt_of_sky(labels, hidden)
+        seen = view.scene.look(photo, Looking.of(item.camera, item.pose))
+        labels = view.segment(seen.scene(photo))
+        doubt = doubt_of_sky(labels, seen.hidden)
         if doubt is not None:
             raise ImageError(doubt)
-        evidence = picture_evidence(photo, labels, item.camera, self._config, hidden)
+        evidence = picture_evidence(photo, labels, item.camera, self._config, seen.hidden)
         search = find_pose(evidence, self._terrain, prior, self._config)
         result = result_of(search, prior, item.camera)
         verdict = search.verdict

@@ -48,6 +48,13 @@ def test_dusk_is_a_low_sun_and_a_dim_picture() -> None:
     assert judge(clear(), sun_deg=2.0).reason is None
 
 
+@pytest.mark.parametrize("colours", [(1.0, 1.0, 1.0), (1.0, 0.75, 0.4)], ids=["infrared", "floodlit"])
+def test_a_lit_foreground_below_a_black_sky_is_night_but_not_by_day(colours: tuple[float, ...]) -> None:
+    photo = np.where(np.arange(HEIGHT)[:, None, None] < HORIZON, 0.08, 2.5) * clear().mean(axis=2, keepdims=True)
+    lit = np.clip(photo * colours, 0, 255).astype(np.uint8)
+    assert [judge(lit, sun_deg=sun).reason for sun in (None, -20.0, 30.0)] == [Unusable.NIGHT, Unusable.NIGHT, None]
+
+
 def test_how_high_the_sun_stood_is_told_by_stamp_and_place() -> None:
     at_greenwich = SceneFilter(place=(0.0, np.radians(51.5)))
     noon, evening = (int(np.datetime64(f"2026-06-21T{hour}", "ns").astype(np.int64)) for hour in ("12:00", "20:00"))

@@ -1,0 +1,149 @@
+"""Bars and frames are found by themselves, land, sky, night and fog are none, and what is hidden is filled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes.overlays import FRAMES, MASKED
+from scenes.small_site import write_small_site
+from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, tower_picture
+
+from ltm_core.base.types import UInt8Array
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.labels import UNLABELLED
+from ltm_core.vision.mask_proposals import propose_mask
+from ltm_core.vision.masks import CameraMask
+from ltm_core.vision.overlays import fill_hidden, find_overlay, scene_of
+from ltm_core.vision.scene_view import SceneFilter
+
+
+@cache
+def _clear(seed: int) -> UInt8Array:
+    return tower_picture(seed, hood=False, caption="")
+
+
+def clear(seed: int = 3) -> UInt8Array:
+    return _clear(seed).copy()
+
+
+def compressed(photo: UInt8Array) -> UInt8Array:
+    _, data = cv2.imencode(".jpg", photo[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])
+    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1], np.uint8)
+
+
+@pytest.mark.parametrize("stored", [np.asarray, compressed], ids=["exact", "JPEG"])
+@pytest.mark.parametrize("kind", FRAMES)
+def test_bars_and_frames(kind: str, stored: Callable[[UInt8Array], UInt8Array]) -> None:
+    drawn, truth = FRAMES[kind](clear())
+    found = find_overlay(stored(drawn))
+    assert found is not None
+    assert (found & truth).sum() > 0.97 * truth.sum()
+    grown = cv2.dilate(truth.astype(np.uint8), np.ones((13, 13))) > 0
+    assert not (found & ~grown).any()
+
+
+def spoilt(way: str) -> UInt8Array:
+    photo, rng = clear().astype(np.float32), np.random.default_rng(5)
+    noise = rng.normal(0.0, 1.5, photo.shape)
+    if way == "night":
+        photo = 0.02 * photo + noise
+    elif way == "dark foreground":
+        edge = HEIGHT - 60 + 4 * np.sin(np.arange(WIDTH) / 40.0) + rng.normal(0.0, 1.5, WIDTH)
+        photo[np.arange(HEIGHT)[:, None] > edge] *= 0.05
+    elif way == "snow":
+        photo[HORIZON:] = 0.05 * photo[HORIZON:] + 235 + noise[HORIZON:]
+    elif way == "fog":
+        photo = 0.03 * photo + 220 + noise
+    elif way == "overexposed sky":
+        photo[:HORIZON] = 255.0
+    elif way == "black slope":
+        rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+        photo[rows > HEIGHT - 30 + 0.03 * columns] = 0.0
+    elif way == "one colour":
+        photo[:] = 90.0
+    return np.clip(photo, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    "way", ["day", "night", "dark foreground", "snow", "fog", "overexposed sky", "black slope", "one colour"]
+)
+def test_landscapes_have_none(way: str) -> None:
+    photo = spoilt(way)
+    assert find_overlay(photo) is None
+    assert scene_of(photo) is photo
+
+
+def test_rows_and_columns_show_the_scene_mirrored() -> None:
+    photo = np.arange(6 * 5 * 3, dtype=np.uint8).reshape(6, 5, 3)
+    hidden = np.zeros((6, 5), np.bool_)
+    hidden[:2], hidden[:, 4] = True, True
+    filled = fill_hidden(photo, hidden)
+    np.testing.assert_array_equal(filled[2:, :4], photo[2:, :4])
+    np.testing.assert_array_equal(filled[:2, :4], photo[[3, 2], :4])
+    np.testing.assert_array_equal(filled[:, 4], filled[:, 3])
+
+
+@pytest.mark.parametrize("width", [320, 1283])
+def test_a_hole_continues_its_surroundings(width: int) -> None:
+    rows, columns = np.mgrid[0:240, 0:width]
+    photo = np.stack([rows, 255 * columns // width, np.full_like(rows, 77)], axis=-1).astype(np.uint8)
+    hidden = (abs(rows - 120) < 20) & (abs(columns - width // 2) < 20)
+    hidden[200:, width - 30 :] = True
+    filled = fill_hidden(np.where(hidden[..., None], np.uint8(255), photo), hidden)
+    np.testing.assert_array_equal(filled[~hidden], photo[~hidden])
+    assert np.abs(filled.astype(int) - photo)[:199].max() <= 12
+    assert np.abs(filled.astype(int) - photo)[..., 2].max() <= 1
+    everywhere = np.ones_like(hidden)
+    assert fill_hidden(photo, everywhere) is photo
+
+
+@pytest.mark.parametrize("kind", [*FRAMES, *MASKED])
+def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
+    drawn, truth = (FRAMES | MASKED)[kind](clear())
+    mask = CameraMask(truth, "mask")
+    view = SceneFilter((lambda width, height: mask) if kind in MASKED else None).look(drawn)
+    assert view.hidden is not None
+    assert view.reason is None
+    seen, grown = view.scene(drawn), cv2.dilate(view.hidden.astype(np.uint8), np.ones((3, 3))) > 0
+    np.testing.assert_array_equal(seen[~grown], clear()[~grown])
+    # The overlay's own colours are gone: what is filled lies near the photo below it.
+    apart = np.abs(cv2.blur(seen, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
+    before = np.abs(cv2.blur(drawn, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
+    assert apart[truth].mean() < 0.5 * before[truth].mean()
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_bars_are_proposed_for_a_mask_from_one_image_or_several(kind: str) -> None:
+    frames = [FRAMES[kind](clear(seed))[0] for seed in (3, 4)]
+    truth = FRAMES[kind](clear())[1]
+    for given in (frames[:1], frames):
+        (bar,) = (proposal.hidden for proposal in propose_mask(given) if proposal.kind == "bar")
+        assert (bar & truth).sum() > 0.97 * truth.sum()
+
+
+def test_two_bars_inside_one_another() -> None:
+    inner, truth = FRAMES["white below"](clear())
+    drawn = cv2.copyMakeBorder(inner, 20, 20, 30, 30, cv2.BORDER_CONSTANT, value=(0, 0, 0))
+    found = find_overlay(np.asarray(drawn, np.uint8))
+    assert found is not None
+    assert found[20:-20, 30:-30][truth].mean() > 0.99
+    assert found[:20].all()
+
+
+def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = load_site(write_small_site(tmp_path, recording=False).path)
+    step, given = LabellingStep(site, "tower", LabellingConfig()), []
+    segment = step._segmenter.segment
+    monkeypatch.setattr(step._segmenter, "segment", lambda photo, zoom: given.append(photo) or segment(photo, zoom))
+    drawn, truth = FRAMES["black above"](clear())
+    found, view = step.label(drawn)
+    np.testing.assert_array_equal(given[0], view.scene(drawn))
+    assert (found.labels[truth] == UNLABELLED).all()
+    seen = ~view.hidden
+    np.testing.assert_array_equal(found.labels[seen], segment(view.scene(drawn), 1.0).labels[seen])
