@@ -18,8 +18,7 @@ from typing import TextIO
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.cleanup_process import CleanupProcess, process_command
-from ltm_ros.launching.graph import Graph, ProcessSpec
+from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_json, parameters_yaml
 from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
@@ -27,6 +26,8 @@ from ltm_ros.launching.watchdog import GraphTraffic
 from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
+_QUIET = ("--disable-external-lib-logs",)
+"""We keep a node's output; ROS's own log files in ~/.ros would grow without limit."""
 ASKED_AGAIN_S = 1.0
 """Delay in seconds before readiness is queried again after a failed query."""
 
@@ -44,6 +45,22 @@ def print_line(line: str) -> None:
         # Unbuffered: a buffer that cannot be flushed makes the process exit with an error.
         sys.stdout.flush()
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
+
+
+def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
+    """Return the command of a supervised process, and write the description of its nodes into `folder`."""
+    file = folder / spec.label.replace("/", ".")
+    if spec.shared:
+        nodes = file.with_name(f"{file.name}.json")
+        nodes.write_text(nodes_json(spec.nodes), encoding="utf-8")
+        return supervised_command(CAMERAS_MODULE, str(nodes), "--ros-args", *_QUIET)
+    node = spec.nodes[0]
+    parameters = file.with_name(f"{file.name}.yaml")
+    parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
+    remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
+    command = supervised_command(node.module, "--ros-args")
+    command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
+    return [*command, "--params-file", str(parameters), *_QUIET]
 
 
 class Runner:
@@ -80,7 +97,6 @@ class Runner:
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
-        self._cleanup = CleanupProcess(lambda: self._environment(busy=False), self._say)
         self._changed = threading.Event()
         self._stopping = threading.Event()
 
@@ -111,8 +127,6 @@ class Runner:
             shared_memory.remove_stale()
             self._warn_of_small_shm()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
-            self._cleanup.folder(self._folder, exists=True)
-            self._cleanup.start()
             for spec in self.graph.processes:
                 self.processes[spec.label] = self._process(spec)
             for process in self.processes.values():
@@ -129,7 +143,6 @@ class Runner:
         command = supervised_command("ltm_ros.launching.readiness", "--timeout", str(timeout_s))
         command += ["--discovered"] if discovered_suffices else []
         watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
-        self._cleanup.group(watch.pid, alive=True)
         missing = dict(names)
 
         def awaited() -> list[str]:
@@ -162,7 +175,6 @@ class Runner:
             reader.join(2.0)
             watch.stdout.close()
             os.close(heartbeat)
-            self._cleanup.group(watch.pid, alive=False)
         lost = self._lost_for_good or awaited()
         if lost:
             processes = dict.fromkeys(process_of.get(label, label) for label in lost)
@@ -195,9 +207,7 @@ class Runner:
             if self._folder is not None:
                 self._remove_shared_memory()
                 shutil.rmtree(self._folder, ignore_errors=True)
-                self._cleanup.folder(self._folder, exists=False)
                 self._folder = None
-            self._cleanup.stop()
 
     def run(self, manager: ServiceManager | None = None) -> int:
         """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`). Call it from the main thread.
@@ -273,15 +283,9 @@ class Runner:
             policy=self._policy,
             watchdog=self.graph.watchdog,
             traffic=self._traffic,
-            on_group=self._on_group,
+            on_end=shared_memory.remove_stale,
             on_given_up=self._changed.set,
         )
-
-    def _on_group(self, group: int, alive: bool) -> None:
-        self._cleanup.group(group, alive)
-        if not alive:
-            # Each crash leaves a segment of 70 MB: a node that crashes repeatedly would fill the memory.
-            shared_memory.remove_stale()
 
     def _environment(self, busy: bool) -> dict[str, str]:
         base = os.environ | self._extra_environment

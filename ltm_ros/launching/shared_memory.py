@@ -3,8 +3,6 @@
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared), on which its owner
 holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only
 objects without a living owner are removed, so other graphs on the machine are safe.
-
-Uses only the standard library: `orphan_cleanup` runs this after the graph's own process has ended.
 """
 
 from __future__ import annotations

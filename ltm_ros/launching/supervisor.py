@@ -16,7 +16,6 @@ from typing import IO
 
 from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.node_log import NodeLog
-from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
 from ltm_ros.runtime.handler import EX_CONFIG
@@ -78,6 +77,20 @@ def describe_exit(status: int) -> str:
     return "ended normally (exit code 0)" if status == 0 else f"exit code {status}"
 
 
+def _end_group(group: int) -> None:
+    """End what a process has started and left: SIGTERM, SIGKILL a second later; return when all have ended, or after
+    another second."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        deadline = time.monotonic() + 1.0
+        try:
+            os.killpg(group, number)
+            while time.monotonic() < deadline:
+                time.sleep(0.02)
+                os.killpg(group, 0)
+        except (ProcessLookupError, PermissionError):
+            return
+
+
 @dataclass
 class NodeProcess:
     """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
@@ -96,8 +109,8 @@ class NodeProcess:
     """Limits after which it counts as hung; None: only its death is detected."""
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
     """Traffic of all processes of the graph, to detect a process that receives nothing."""
-    on_group: Callable[[int, bool], None] = lambda group, alive: None
-    """Called for every process group that is created (True) or has ended (False)."""
+    on_end: Callable[[], object] = lambda: None
+    """Called when a process of it has ended: each crash leaves 70 MB of shared memory."""
     on_given_up: Callable[[], None] = lambda: None
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
@@ -201,7 +214,6 @@ class NodeProcess:
             self._tell(f"cannot be started: {error}")
             return 127
         group = process.pid
-        self.on_group(group, True)
         with self._lock:
             self.pid = process.pid
             self.starts += 1
@@ -216,9 +228,8 @@ class NodeProcess:
             self.pid = None
             self.state = ProcessState.WAITING
             status = process.wait()
-        if group_alive(group):
-            end_groups([group], grace_s=1.0)
-        self.on_group(group, False)
+        _end_group(group)
+        self.on_end()
         reader.join(timeout=2.0)
         return status
 
