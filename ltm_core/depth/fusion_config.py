@@ -1,30 +1,19 @@
 """Define the constants of depth fusion; read those of a network from the file beside its manifest.
 
-Each constant has one of three origins: *derived* from geometry or arithmetic, with no choice left; *fitted* to
-rendered frames by `ltm-lab train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; or
-*chosen* on the development scenarios by the RMSE of `ltm-lab eval depth`.
-
-Log odds are natural logarithms of p / (1 - p).
+A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes all beside a depth network as
+`<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are natural logarithms of p / (1 - p).
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
-
-
-def derived(default: Any, meaning: str, **bounds: float) -> Any:
-    """Declare a constant that follows from others; `bounds` as in pydantic, for example ge=0."""
-    return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
@@ -94,7 +83,7 @@ class SamplingConfig(StrictModel):
 class RegressionConfig(StrictModel):
     """Straight line through most samples (`robust_regression`)."""
 
-    trials: int = derived(
+    trials: int = chosen(
         128, "Number of pairs tried; with 45 % outliers, one is clean with 0.3, so all fail once in 10^19.", ge=1
     )
     scored: int = chosen(
@@ -102,7 +91,7 @@ class RegressionConfig(StrictModel):
     )
     band: float = chosen(2.5, "Robust standard deviations within which a point is an inlier.", gt=0)
     fewest: int = chosen(8, "Minimum number of points for a line.", ge=2)
-    least_run: float = derived(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
+    least_run: float = chosen(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
     refined: int = chosen(3, "Number of rounds of least squares over the inliers.")
 
 
@@ -150,7 +139,7 @@ class ErrorModelConfig(StrictModel):
     blur: tuple[float, float, float] = chosen(
         (1.0, 1.0, 1.5), "Width of the smoothing of the tables in regions and half octaves."
     )
-    peak: float = derived(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
+    peak: float = chosen(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
     fewest: int = chosen(10, "Minimum number of samples for a spread.")
     belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
     densest: float = chosen(
@@ -298,32 +287,6 @@ class FusionConfig(StrictModel):
     occlusion: OcclusionConfig = OcclusionConfig()
     decision: DecisionConfig = DecisionConfig()
 
-    def constants(self) -> Iterator[tuple[str, Any, str, str]]:
-        """Iterate over dotted name, value, origin and meaning of every constant."""
-        yield from _constants(self, "")
-
-    def updated(self, changes: dict[str, Any]) -> FusionConfig:
-        """Return a copy with other values by dotted name; all types and bounds are checked. Raises ValueError."""
-        content = self.model_dump()
-        for name, value in changes.items():
-            *path, last = name.split(".")
-            place = content
-            for part in path:
-                place = place[part]
-            place[last] = value
-        return FusionConfig.model_validate(content)
-
-
-def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, str]]:
-    for name, info in type(model).model_fields.items():
-        value = getattr(model, name)
-        if isinstance(value, BaseModel):
-            yield from _constants(value, f"{prefix}{name}.")
-        else:
-            extra = info.json_schema_extra
-            assert isinstance(extra, dict)  # nosec B101 # tells the type checker what holds
-            yield f"{prefix}{name}", value, str(extra["origin"]), info.description or ""
-
 
 def fusion_path(manifest: NetworkManifest) -> Path:
     """Return the path of the constants fitted with a network."""
@@ -334,20 +297,3 @@ def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
     """Return the constants beside a manifest, or the defaults. Raises ConfigError for an invalid file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()
-
-
-def write_fusion_config(path: Path, config: FusionConfig, source: str) -> None:
-    """Write every constant, each with its origin and meaning. `source`: how the fitted ones were found, in words."""
-    lines = [f"# Constants of depth fusion (ltm_core/depth/fusion_config.py). Fitted ones by: {source}"]
-    before: list[str] = []
-    for group, constants in groupby(config.constants(), key=lambda c: c[0].rpartition(".")[0]):
-        parts = group.split(".")
-        shared = sum(1 for a, b in zip(before, parts, strict=False) if a == b)
-        lines += [f"{'  ' * depth}{parts[depth]}:" for depth in range(shared, len(parts))]
-        before = parts
-        for name, value, origin, meaning in constants:
-            text = f"{'  ' * len(parts)}{name.rpartition('.')[2]}: {json.dumps(value)}"
-            lines.append(f"{text:<28} # {origin}; {meaning}")
-    if path.is_symlink():  # to another network's: that one keeps its own
-        path.unlink()
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
