@@ -1,7 +1,8 @@
 """Define the constants of depth fusion; read those of a network from the file beside its manifest.
 
 A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes all beside a depth network as
-`<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are natural logarithms of p / (1 - p).
+`<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are
+natural logarithms of p / (1 - p).
 """
 
 from __future__ import annotations

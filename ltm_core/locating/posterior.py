@@ -103,7 +103,7 @@ class Posterior:
         along = vectors[:, 1]
         azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
         unit = Ellipse(self.mean, math.sqrt(float(values[1])), math.sqrt(float(values[0])), azimuth)
-        reach = _reach(unit, self.places)
+        reach = reach_in_ellipse(unit, self.places)
         order = np.argsort(reach)
         at = int(np.searchsorted(np.cumsum(self.probability[order]), share))
         # Where all is in a cell or two, their size decides, which the covariance holds.
@@ -114,21 +114,6 @@ class Posterior:
         """Return (N,) the cells of the smallest region with at least `share` of the probability."""
         before = np.concatenate([[0.0], np.cumsum(self.probability)[:-1]])
         return np.asarray(before < share)
-
-    def densest_area(self, share: float) -> float:
-        """Return the area of that region in square metres."""
-        return float(self.densest(share).sum()) * self.geometry.resolution**2
-
-    def credibility(self, x: float, y: float) -> float:
-        """Return the share of the probability in cells more probable than that of a place: the place is in the densest
-        region of any larger share. 1 if it is in none."""
-        row, col = (int(v) for v in self.geometry.cell_of(x, y))
-        here = np.flatnonzero((self.rows == row) & (self.cols == col))
-        return float(self.probability[: here[0]].sum()) if len(here) else 1.0
-
-    def holds(self, ellipse: Ellipse, x: float, y: float) -> bool:
-        """Return whether a place is in an ellipse."""
-        return bool(_reach(ellipse, np.array([[x, y]]))[0] <= 1)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
@@ -167,7 +152,7 @@ class Posterior:
         return full
 
 
-def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
+def reach_in_ellipse(ellipse: Ellipse, places: Float64Array) -> Float64Array:
     """Return the distance from the centre over that of the outline in the same direction, (N,)."""
     azimuth = math.radians(ellipse.azimuth_deg)
     along = np.array([math.sin(azimuth), math.cos(azimuth)])

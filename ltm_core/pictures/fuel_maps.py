@@ -22,7 +22,17 @@ from ltm_core.fuel.codes import FuelSystem, code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, Anchor, ClassPalette, draw_texts, label_legend, with_legend
+from ltm_core.pictures.legend import (
+    INK,
+    PAPER,
+    UNLABELLED,
+    Anchor,
+    ClassPalette,
+    Palette,
+    draw_texts,
+    label_legend,
+    with_legend,
+)
 from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel, with_axes
@@ -36,11 +46,9 @@ _NO_MORE: Final = 0.85
 
 
 @dataclass(frozen=True)
-class Scale:
+class Scale(Palette):
     """Ranges of a quantity, each with a name and a colour: class k is of values from bounds[k - 1] to bounds[k]."""
 
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
     bounds: tuple[float, ...]
 
     @classmethod
@@ -142,7 +150,7 @@ class FuelCanvas:
         """Return a map of fuel models (H, W)."""
         picture = self.map(code_colors(codes), codes >= 0, outlined)
         named = code_names(codes)
-        legend = _Names(tuple(name for name, _ in named), tuple(color for _, color in named))
+        legend = Palette(tuple(name for name, _ in named), tuple(color for _, color in named))
         return self.finished(picture, label_legend(picture.shape[1], legend))
 
     def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
@@ -220,12 +228,6 @@ class _Bare(FuelCanvas):
 
     def _furnished(self, picture: RgbImage) -> RgbImage:
         return picture
-
-
-@dataclass(frozen=True)
-class _Names:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
 
 
 def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:

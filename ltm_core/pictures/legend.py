@@ -29,6 +29,14 @@ class ClassPalette(Protocol):
     def colors(self) -> Any: ...
 
 
+@dataclass(frozen=True)
+class Palette:
+    """Names and RGB colours of classes."""
+
+    names: tuple[str, ...]
+    colors: tuple[tuple[int, int, int], ...]
+
+
 Anchor = Literal["lt", "mt", "rt", "lm", "mm", "rm", "lb", "mb", "rb"]
 
 

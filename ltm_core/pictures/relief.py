@@ -113,15 +113,6 @@ def _slopes(elevation: Float32Array, resolution: float) -> tuple[Float32Array, F
     return np.asarray(east, np.float32), np.asarray(north, np.float32)
 
 
-def hypsometric(elevation: Float32Array, low: float | None = None, high: float | None = None) -> RgbImage:
-    """Return the height tints (H, W, 3), green lowland to white summits, between the 1st and 99th percentile unless
-    given."""
-    if low is None or high is None:
-        bottom, top = height_span(elevation)
-        low, high = (bottom if low is None else low), (top if high is None else high)
-    return np.asarray(_tints(elevation, low, high).round(), np.uint8)
-
-
 def height_span(elevation: Float32Array) -> tuple[float, float]:
     """Return the 1st and 99th percentile of the known heights, of a large raster those of evenly taken ones; 0 to 1
     where none is known."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,12 +17,13 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import (
     MapCamera,
     RangeScale,
+    fuel_map_picture,
     overlay_depth,
     range_legend,
     terrain_map_picture,
     with_legend,
 )
-from ltm_core.pictures.legend import draw_texts
+from ltm_core.pictures.legend import Palette, draw_texts
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
@@ -167,13 +167,7 @@ BANDS = (
 )
 
 
-@dataclass(frozen=True)
-class _Counts:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
-
-
-_PALETTE = _Counts(
+_PALETTE = Palette(
     ("not seen", "1 camera", "2 cameras", "3 cameras", "4 or more"),
     ((92, 98, 112), (253, 190, 92), (243, 130, 62), (214, 68, 66), (140, 32, 92)),
 )
@@ -197,8 +191,6 @@ def coverage_picture(
 
     `dem`: in the frame of the coverage.
     """
-    from ltm_core.pictures import MapCamera, fuel_map_picture
-
     classes = np.clip(coverage.count, 0, len(_PALETTE.names) - 1).astype(np.uint8)
     classes[coverage.count < 0] = 255
     reach = 0.08 * max(

@@ -18,7 +18,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
 from ltm_core.pictures.fuel_maps import CameraMark, change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.pictures.legend import label_legend, with_legend
+from ltm_core.pictures.legend import Palette, label_legend, with_legend
 from ltm_core.pictures.maps import furnished, relief, scale_bar, view_of
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import score_fuel
@@ -290,12 +290,6 @@ def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
     return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)
 
 
-@dataclass(frozen=True)
-class _Kinds:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
-
-
 def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
     """Draw arrows over relief, (H, W, 3).
 
@@ -310,7 +304,7 @@ def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
         tips = poses[:, :2] + reach * np.column_stack([np.sin(azimuth), np.cos(azimuth)])
         for begin, end in zip(_pixels(view, poses[:, :2]), _pixels(view, tips), strict=True):
             cv2.arrowedLine(picture, begin, end, color, 2, cv2.LINE_AA, _SHIFT, 0.12)
-    kinds = _Kinds(tuple(directions), _COLORS[: len(directions)])
+    kinds = Palette(tuple(directions), _COLORS[: len(directions)])
     furniture = furnished(picture, view, [], None)
     return with_legend(furniture, scale_bar(view), label_legend(_WIDTH, kinds, range(len(kinds.names))))
 

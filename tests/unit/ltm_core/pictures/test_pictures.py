@@ -18,7 +18,6 @@ from ltm_core.pictures import (
     fit,
     fuel_map_picture,
     hillshade,
-    hypsometric,
     label_colors,
     label_legend,
     labelled_shade,
@@ -184,13 +183,6 @@ def test_north_west_slopes_are_lit_and_unknown_heights_stay_unknown() -> None:
     assert np.isnan(shade[3:6, 4:7]).all()
     assert np.isfinite(shade[:, 8:]).all()
     assert terrain_colors(Dem(elevation, dem.geometry)).shape == (9, 14, 3)
-
-
-def test_hypsometric_tints_run_from_low_to_high() -> None:
-    tints = hypsometric(np.array([[0.0, 500.0, 1000.0, np.nan]], np.float32), 0.0, 1000.0)
-    assert tints[0, 2].min() > 230, "summits are white"
-    assert tints[0, 0, 1] > tints[0, 0, 0], "lowland is green"
-    assert (tints[0, 3] != tints[0, 2]).any()
 
 
 def test_map_shows_each_class_where_its_cell_lies() -> None:
