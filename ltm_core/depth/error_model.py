@@ -1,15 +1,7 @@
-"""Model the errors of a depth network by region and class, and estimate the model from trusted terrain.
+"""Model the errors of a depth network, and estimate the model from trusted terrain.
 
-What a network answers where the true depth is known: its slow errors and its noise, by region and by depth.
-
-The question that fusion asks of every pixel is not how far off the network usually is, but what it would say *here* if
-the terrain were right. A network that takes all far hills for nearer ones does not contradict a far hill; one that sees
-them so everywhere but at one spot does.
-
-A network's error model out of what it said where the terrain can be trusted.
-
-First bias and spread by range, over the whole photo; then corrections by region, where they hold on regions that they
-were not taken from.
+The model states what the network answers, and its noise, if the true depth is known: first bias and spread by range
+over the whole photo, then corrections by region if held-out regions confirm them.
 """
 
 from __future__ import annotations

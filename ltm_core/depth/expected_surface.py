@@ -1,11 +1,7 @@
 """Compute the depth that the terrain and the network predict for each pixel, with its standard deviation.
 
-What the terrain lets expect of a pixel: the depth of the visible surface and how sure it is.
-
-Traced depth is that of bare ground. Where a label shows vegetation, the camera sees its top: the ray that
-meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels further down the
-image. So the raised surface's depth is found in the traced image itself, exactly where the slope goes on, and never
-across a silhouette (that is `occlusion_boundaries`' work).
+The ray that meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels
+further down the image: so the top of vegetation is found in the traced image itself, never across a silhouette.
 """
 
 from __future__ import annotations

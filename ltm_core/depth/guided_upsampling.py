@@ -1,7 +1,5 @@
 """Upsample a network's fitted depth to the photo's size, with the photo's edges.
 
-A small image brought to a photo's size with the photo's edges.
-
 Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
 the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size.
 """

@@ -1,11 +1,7 @@
 """Compute how likely something stands before the ground, and find where traced depth jumps.
 
-How likely something stands before the ground: by the labels about a place, and by how high it would have to be.
-
-Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
-judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
-sees there, and in a wood a pixel of grass may well be a crown. An object has its foot on the ground: directly below
-it in the image, the terrain is as near as the object, and its height is the distance from there up to the pixel.
+Labels are often wrong about single crowns, so all labels about a place count. An object's foot is directly below it in
+the image, where the terrain is as near as the object, and its height is the distance from there up to the pixel.
 """
 
 from __future__ import annotations

@@ -1,17 +1,8 @@
 """Decide between terrain and network pixel by pixel, in whole rows.
 
-Rows of pixels, whole: the terrain beside what a network sees, and their mean where both agree.
-
-What nearly all pixels need is computed in short loops without branches, which compilers turn into vector code.
-
-Terrain or network, pixel by pixel.
-
-If the terrain were right, what would the network say here, and how surely (`error_model`)? Where it says that, both are
-averaged by inverse variance, in inverse depth: far away the terrain decides, since a network's sigma grows with the
-square of the depth. Where it sees something nearer, either something stands before the terrain or the network is wrong;
-the chance of each, by what the labels about the place say (`occlusion_prior`), decides whether the network alone is
-taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to
-it.
+Where the network says what it would say if the terrain were right (`error_model`), both are averaged by inverse
+variance, in inverse depth. Where it sees something nearer, the odds of an object (`occlusion_prior`) against an error
+of the network decide; if they are nearly even, depth is the mean of both, and sigma includes their distance.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Check that the terrain matches the photo: traced silhouettes against the photo's edges, and the traced skyline
 against that of the labels.
 
-A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over
-the photo's vertical gradient. The pose is suspected where only turns beyond what is no surprise meet about as much
-contrast as the best one: the best place alone is blind along a ridge. Cover on crests moves edges up by a few metres,
-trees by more, and crests that are so near that this is much are left out.
+The traced silhouettes are shifted over the photo's vertical gradient. The pose is suspected if only turns beyond the
+tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out.
 """
 
 from __future__ import annotations

@@ -1,15 +1,8 @@
 """Fit a network's depth to metres: a robust line over the image, then slow corrections.
 
-The straight line that most points agree on: a network's scale and shift from points that are partly wrong.
-
 RANSAC (Fischler and Bolles, 1981) with the median as its score (LMedS, Rousseeuw, 1984), so that the noise need not be
-known beforehand, and least squares over the inliers. All trials are scored in one array operation: scikit-learn's and
-scikit-image's loops take 0.1 to 1 s for what has 60 ms together with the rest.
-
-A network's depth brought to metres: one line over the image, then slow corrections where they hold on unseen ground.
-
-Everything ends as inverse depth, 1/m, since that is what a photo determines: its noise is then about even over the
-image, and far is 0 and not infinite.
+known, and least squares over the inliers; all trials are scored in one array operation. The result is inverse depth,
+1/m, whose noise is about even over the image.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Check that the traced skyline matches the edge of the labels' sky.
+"""Check that the traced skyline matches the edge of the labels' sky, by shifting one over the other.
 
-The traced skyline is shifted over the observed one, column by column. Ground that is seen as sky speaks against a
-place, and so does sky that is seen as land, beyond what cover on the crest explains: both in sigmas of the label's
-edge, the direction and the height of the DEM. Where unknown land may stand behind known ground, only the former counts.
+Where unknown land may rise behind known ground, only ground that is seen as sky contradicts a place.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """TopoDepth: fuse traced depth and a network's depth of one photo, pixel by pixel, by their uncertainty.
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
-from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
-answer is brought to the visible surface, by the height of what the labels say grows there or by a canopy raster, and at
-silhouettes by the photo. Then every pixel is decided: see `pixel_fusion`.
+from pixels whose terrain can be trusted. The terrain's answer is brought to the visible surface, by the height of what
+the labels say grows there or by a canopy raster, and at silhouettes by the photo. Then `pixel_fusion` decides.
 """
 
 from __future__ import annotations

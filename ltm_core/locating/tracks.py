@@ -1,11 +1,7 @@
 """Assign sightings of several cameras and times to fires, with the pose that each was marked under.
 
-Tracks: which sightings, of several cameras and times, are of one fire.
-
-A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
-that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire about
-which its cameras disagree. What all fires say of each camera is kept: one that is turned is named by them together. All
-else begins a new track.
+A sighting joins the track that it agrees with best (`Locator.limit`). If it agrees with none but lies in the direction
+of one, it begins a track of its own, and the two count as one fire about which its cameras disagree.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Evidence of marks for a turn of a camera about the vertical: their probability density by the angle.
 
-One fire cannot always tell which camera is turned. The directions of three cameras make a triangle on the map, and at
-each of its corners two agree and the third one is off by some angle: only slopes, and that small turns are likelier,
-tell the corners apart. But a turn is the same for all fires, and the angles that a right camera would have to be off
-by are not. So densities are kept by angle, and those of several fires are multiplied (`wrong_camera`).
+One fire cannot always tell which camera is turned, but the turn is the same for all fires: densities are kept by angle,
+and those of several fires are multiplied (`wrong_camera`).
 """
 
 from __future__ import annotations

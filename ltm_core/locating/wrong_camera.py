@@ -1,10 +1,7 @@
 """Find the turned camera of a site from the marks of several fires.
 
-The images of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
-the result counts here: the cameras whose pose is no longer known are `lost`.
-
-It is not known when a camera was turned. Its marks from before the turn do not contradict it: fires that a camera has
-marked correctly in the morning do not protect it if it was turned at noon. So each moment between two fires is tried.
+It is not known when a camera was turned, and its marks from before do not contradict it: each moment between two fires
+is tried. Cameras whose mount no longer fits their images (`mount_watch`) are `lost`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
-Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
-
-A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order.
+Values that are read together lie together, to save cache lines. A *place* numbers a cell as the tiles do: tile x TILE^2
++ the cell in its tile, both in row-major order.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """Recursive estimate of each cell's surface height, updated frame by frame in compiled code.
 
-Each cell has an *estimate* of its height above the reference, which consistent observations refine, and at most one
-*candidate*: what contradicts the estimate, until it is contradicted itself or enough independent views confirm it;
-then it becomes the estimate. So a single view, or a moving object, changes nothing.
-
-Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
-time: one look per hour counts, however many frames there are. Of the variance of a mean, the part that is new in each
-look falls with the number of looks; the part that a camera repeats, and the part due to pose errors, fall only with the
-number of cameras. Looks of years ago tell little of today.
+Each cell has an *estimate* of its height above the reference, and at most one *candidate*: what contradicts the
+estimate, until it is contradicted itself or independent views confirm it; then it becomes the estimate. A camera's
+weight in a cell grows with time (one look per hour), because its observations shortly after each other repeat its
+errors; the part of the variance that it always repeats falls only with the number of cameras (docs/how/surface.md).
 """
 
 from __future__ import annotations

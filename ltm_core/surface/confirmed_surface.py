@@ -1,15 +1,6 @@
 """Hold the cells whose height independent views have confirmed, and the list of their versions.
 
-Hold the cells whose height independent views have confirmed, and confirm those of a surface map.
-
-The cells whose height independent views have confirmed, and a terrain on which they stand.
-
-Only changed cells are held: all else of a terrain stays as it was given, bit for bit.
-
-What a surface map has confirmed: the cells on whose change independent views agree, and their heights now.
-
-The map goes on comparing images with the reference that it was given. So what it has confirmed is neither found a
-second time, nor undone because depth is traced to it from then on.
+All other cells of a terrain stay as they were given, to the bit.
 """
 
 from __future__ import annotations

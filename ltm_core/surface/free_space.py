@@ -1,7 +1,6 @@
 """Free-space test: a camera that sees through an object in a cell limits the cell's height.
 
-Rays that pass under the reference are walked where they do so (`observation_kernel`). What is held to stand *above* the
-reference, candidates and accepted growth, is few cells: each is looked for in the image instead.
+What stands above the reference is few cells: each is projected into the image.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Rule by which changes of the surface map change fuel cells, so that both maps agree.
-
-A fuel cell takes a change over when enough of what views have seen of it has changed in one way. What stood there and
-is gone leaves ground, or what the camera labels there now; what has grown is what the camera labels there, else by its
-height; ground that has moved carries nothing.
-"""
+"""Rule by which changes of the surface map change fuel cells, so that both maps agree."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled.
-
-If the reference has an object in a cell, a pixel's label is evidence that the cell is still as high, or as low as bare
-earth. Certain objects in front of the cell hide it.
-"""
+"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Combine each cell's height shift with its neighbours of the same kind, and group changed cells into regions.
 
-A stand grows or is felled as a whole, and its crowns are seen from the side: each cell of it tells little of its own
-height, all of them together a lot of whether the stand is as it was. Open ground beside it takes no part in that.
-Standing vegetation and open ground are therefore averaged separately.
+Standing vegetation and open ground are averaged separately, because a stand grows or is felled as a whole.
 """
 
 from __future__ import annotations

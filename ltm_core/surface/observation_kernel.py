@@ -1,18 +1,13 @@
 """Compare each pixel of a depth image with the reference surface and form an observation of a cell; compiled.
 
-A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
+* A range that **agrees** with the reference is an observation of the cell that the reference predicts.
+* A **nearer** range is an observation of the cell that the point lies in: something stands there.
+* A **farther** one, if all around it are farther too, is also one of the cell that it lies in, and caps all cells that
+  the ray passed below the surface.
 
-* **It agrees**: the observation is of the cell that the reference says it sees. The difference along the ray, times the
-  incidence factor, is the difference of the surface's height there.
-* **It is nearer**: something stands where the reference has air. The observation is of the cell that the point lies in.
-* **It is farther**, and so are all around it: the ray went through what the reference has as solid. All cells that it
-  passed below the surface are capped at the ray's height, and the observation is of the cell that the point lies in.
-
-The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
-metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
-On the steep side of a crown a small error along the ray is a large one of height, so the variance takes the slope of
-the cell itself where that is the steeper one. Whether the stand is as it was, such a pixel tells far better than how
-high its cell is: its *relative variance* is that of the slope of the block.
+The incidence factor |n.d| / n_z (n: normal of a block of cells, d: direction of the ray) turns metres along the ray
+into metres of height. The variance takes the slope of the cell itself if that is steeper; the *relative variance*, of
+a change of the whole stand, that of the block (docs/how/surface.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Intersect a curved ray with the bilinear surface of single DEM cells, one after the other.
 
-Intersection of a curved ray with the bilinear surface of one DEM cell.
-
 Grid units, as everywhere in the kernels (see `pyramid_traversal`).
 """
 

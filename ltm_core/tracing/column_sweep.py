@@ -1,16 +1,10 @@
 """Trace a whole image column by column, from the bottom up over the horizon profile.
 
-State of a block of neighbouring image columns during the column sweep, one row at a time.
+Up a column of pixels rays climb, so the entry of the profile that a ray needs is a few places after that of the pixel
+below. From the strip that the entry names, a ray goes through single cells; one that needs more than a few, or comes
+to a hole, is handed to the pyramid (`pyramid_traversal.hit_between`). A ray without an entry meets nothing.
 
-A block is one flat float64 array, in which each field has `COLUMNS` places from the index on that stands here.
-
-Fast tracing of a whole image: sweeps each column upwards over the horizon profile and finds hits cell by cell.
-
-Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
-of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
-of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
-(`pyramid_traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and
-the terrain is not looked at.
+A block of neighbouring columns is one flat float64 array, in which each field has `COLUMNS` places.
 """
 
 from __future__ import annotations

@@ -1,19 +1,14 @@
 """Bound the ground height where a DEM has no data: in its holes, over its edge and beyond it.
 
-Holes of a DEM: groups of nodata nodes, and how high the ground inside them may be.
+A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes. The *ceiling* of a NaN node is
+the highest that its ground may be: no higher than any known node beside the hole plus `steepest` times the way to it
+within the hole; and besides
 
-A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes, on which the surface is
-bilinear. A cell with any NaN node is a hole: its ground is unknown, but bounded (`possible_ground`). The *ceiling* of a
-NaN node is the highest that its ground may be: no higher than any known node beside the hole plus `steepest` times the
-way to it from node to node within the hole, by rows, columns and diagonals; and besides
+* in an **enclosed** hole, which known ground surrounds, no higher than the highest known node that touches it;
+* in an **outer** hole, which reaches the edge of the raster and is outside the DEM as the space beyond it is, no higher
+  than `highest`.
 
-* in an **enclosed** hole (a lake, a gap in a survey), which known ground surrounds, no higher than the highest known
-  node that touches it;
-* in an **outer** hole, which reaches the edge of the raster (the margin of a reprojected DEM, the ragged edge of a
-  survey) and is outside the DEM as the space beyond the raster is, no higher than `highest`.
-
-Holes are held as runs of NaN nodes along rows, and a ceiling for each of these nodes: a second raster with the ceilings
-filled in would double the memory of a DEM that has one speck of nodata.
+Holes are held as runs of NaN nodes along rows with their ceilings; a filled raster would double a DEM's memory.
 """
 
 from __future__ import annotations

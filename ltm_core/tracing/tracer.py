@@ -1,18 +1,13 @@
 """Trace the ray of each pixel to the terrain; cache horizon profiles and ranges between frames.
 
-The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
-
-Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: instead of sampling the nearest
-DEM cell at fixed steps, each ray is intersected with the bilinear surface, and earth curvature and refraction bend
-it.
+Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: each ray is intersected with the
+bilinear surface, and earth curvature and refraction bend it (docs/how/tracing.md).
 
 **The ray.** Horizontal range r (metres along the map), height z(r) = z0 + s r + bend r^2, where s is the ray's slope
 at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
 
 **The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
-hole, of unknown ground. Unknown ground, in holes and beyond the raster, is no steeper than `steepest` from known ground
-and outside the DEM no higher than `highest` (`possible_ground`); in a hole that known ground surrounds, it is no higher
-than that (see `holes`). In a hole's cell it is as high as the highest of the four corners may be.
+hole of unknown ground, which is bounded (`possible_ground`, `holes`).
 
 **The answer** for a ray is
 
@@ -23,11 +18,8 @@ than that (see `holes`). In a hole's cell it is as high as the highest of the fo
   and is there above `highest`, or climbs by `steepest` or more, so that no ground ahead can reach it. Else NaN. A ray
   that has never been over known ground is judged at the camera.
 
-A camera may stand outside the DEM: space between it and the first known ground counts as free.
-
-**The ways.** `trace` goes by the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is
-kept: a tower pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum
-pyramid (`pyramid_traversal`). Both give the same answer for every ray.
+`trace` uses the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is kept; rays where
+a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 """
 
 from __future__ import annotations

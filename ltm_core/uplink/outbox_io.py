@@ -1,16 +1,7 @@
-"""Store the votes that a tower has not yet delivered, and thin the oldest when the store is full.
+"""Store the votes that a tower has not yet delivered in SQLite, and thin the oldest when the store is full.
 
-Chooses which frames leave an outbox that is full: the oldest are thinned, so that no view is lost while one can be
-kept.
-
-Frames of one view of one camera, taken shortly after each other, say nearly the same. So every other one of the older
-half goes, then of what is left again: the longer ago, the fewer frames, and the first of each view stays.
-
-SQLite file of the votes whose delivery to the region's map is not confirmed yet.
-
-A frame that `put` has returned from is in the file, also after a power cut, and stays until it is given to
-`acknowledge`, or until there is no room: then the oldest evidence is thinned (`thinning`), and frames older than
-`max_age_s` are dropped.
+A frame that `put` has returned from is in the file, also after a power cut, and stays until it is acknowledged, is too
+old, or is thinned: every other frame of each view in the older half goes, so that the first of each view stays.
 """
 
 from __future__ import annotations

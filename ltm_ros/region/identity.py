@@ -1,6 +1,4 @@
-"""Hold the identity of one side of the link: its certificate for TLS and signatures, and the authorities that it
-trusts.
-"""
+"""Hold the identity of one side of the link: its certificate, and the authorities that it trusts."""
 
 from __future__ import annotations
 

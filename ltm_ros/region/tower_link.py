@@ -1,8 +1,6 @@
 """Run a tower's side of the link: votes of its cameras go into the outbox, and from there to the region's map.
 
-A frame leaves the outbox only after the aggregator's signed acknowledgement. So neither the broker nor this process
-needs to remember frames in flight: after any failure, unacknowledged frames are sent again, and the aggregator counts
-them once.
+A frame leaves the outbox only after the aggregator's signed acknowledgement, and is sent again after any failure.
 """
 
 from __future__ import annotations

@@ -1,10 +1,4 @@
-"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts.
-
-Keeps the state of a camera's mount, estimated from its images, in a file across restarts.
-
-It holds for the place, mount and calibration that the site states, and for the DEM that the images were compared
-with: where any of these has changed since, it is not used, and the mount's error is found anew.
-"""
+"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts."""
 
 from __future__ import annotations
 

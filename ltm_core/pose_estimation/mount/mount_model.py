@@ -1,10 +1,7 @@
 """Model a pan-tilt head on a mount, and the correction that all its poses share.
 
-A PTZ head on a mount that leans: from what its encoders say to the pose of its camera.
-
 R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the PTZ head as a whole, pan turns about
-the PTZ head's own upright axis, tilt about the camera's right. With a PTZ head that leans by a degree, an azimuth alone
-puts directions off by more than a degree on one side (`docs/cameras.md`).
+the PTZ head's own upright axis, tilt about the camera's right.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Maintain the pose of a mounted camera: correct the stated pose by its images, and detect slips.
 
-A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
-zero. It is found in several clear images together (`mount_fit`), so that one wrong skyline moves nothing, and fog
-only delays it. From then on each clear image is laid on the terrain from the corrected pose; where most of the last
-ones show another viewing direction, the mount is reported as slipped, its poses are not used, and the error is
-estimated again.
+The mount's error is found in several clear images together (`mount_fit`). From then on each clear image is laid on the
+terrain from the corrected pose; if most of the last ones show another viewing direction, the mount is reported as
+slipped, its poses are not used, and the error is estimated again.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""Fit a camera's angles, focal length and place to surveyed points, and check the result against the terrain.
+"""Fit a camera's angles, focal length, k1 and place to surveyed points, and check the result against the terrain.
 
-Resection: a camera's angles, focal length, k1 and position from ground control points.
-
-The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
-four steps: a coarse search over pairs of points, and triples where the position is free, that is robust against gross
-errors and needs no angles (`resection_search`); a fit with robust loss; least squares over the points that this fit
-does not call outliers; and a test of which parameters the points can determine. Source: Luhmann et al., Close-Range
+The adjustment minimises the distances in the image: a coarse search (`control_points`), a fit with robust loss, least
+squares without outliers, and a test of which parameters the points determine. Source: Luhmann et al., Close-Range
 Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
 """
 

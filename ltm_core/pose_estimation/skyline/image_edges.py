@@ -1,10 +1,7 @@
 """Find the edges of a photo that poses are compared with: contours, and the sky's lower edge.
 
-Far land, pale before the sky, above the edge of nearer land that the strongest gradient takes for the sky's.
-
-Going down from clear sky, its upper edge is the first step of colour that stands out from what the sky does by itself,
-and from there on all is alike until the nearer land begins. An edge that is merely blurred, or slanted, grows darker
-all the way down.
+The upper edge of pale, far land is the first step of colour below clear sky from which on all is alike until nearer
+land begins.
 """
 
 from __future__ import annotations

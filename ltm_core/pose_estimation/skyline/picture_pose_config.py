@@ -1,9 +1,4 @@
-"""Define the constants of finding a pose in a photo, and how far vegetation raises a crest.
-
-How far what grows on a crest stands over the DEM, by its label and how far away it is.
-
-Labels of far crests are the more often wrong, so that heights by them draw together and spread.
-"""
+"""Define the constants of finding a pose in a photo, and how far vegetation raises a crest."""
 
 from __future__ import annotations
 

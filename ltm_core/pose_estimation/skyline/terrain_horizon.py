@@ -1,7 +1,5 @@
 """Compute the skyline and the ridges that the terrain shows from one place.
 
-What the terrain shows of itself from one place: the horizon all round, and the ridges below it.
-
 Directions are (azimuth, tangent): the tangent of a point at height h and horizontal range r is that of the ray which
 meets it, (h - z0) / r - bend r (`geodesy.ray_bend`). Along each azimuth the running maximum of the tangent is the
 horizon; where ground comes into view again behind a hidden gap, its former maximum is a point of an occluding contour.
