@@ -154,13 +154,9 @@ def _both(one: float, other: float) -> float:
 def _told(
     cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
-    """Return the height of a cell in which something stood, its variance and the pose's part of it, by what labels say
-    of that.
-
-    The variance is that at which a normal distribution would tell the two heights apart by the labels' log odds, and
-    that of a cell whose pixels say both. A camera that has seen for an hour that it stands tells by far better odds
-    whether it still does: what it mistakes, it mistook before.
-    """
+    """Return the height of a cell in which something stood, by its labels, its variance (at which a normal distribution
+    would separate the two heights by the labels' log odds), and the pose's part of it. A camera that has seen for an
+    hour that it stands has far better odds."""
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     share = one.gone / (one.gone + one.stays)
     odds, pose = (one.gone + one.stays) / one.labelled, one.labelled_pose / one.labelled

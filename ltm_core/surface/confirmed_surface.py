@@ -64,10 +64,8 @@ class ConfirmedSurface:
         return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
 
     def ground_over(self, given: Dem) -> Dem:
-        """Return `given`, bare earth, with changed ground cells replaced; `given` itself if there are none.
-
-        Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
-        """
+        """Return `given`, bare earth, with changed ground cells replaced in all levels except near their seams; `given`
+        itself if there are none."""
         return self._over(given, self.ground)
 
     def surface_over(self, given: Dem) -> Dem:
@@ -210,10 +208,8 @@ class SurfaceManifest(StrictModel):
 
 
 def of_later_release(content: bytes, error: ValidationError) -> str:
-    """Return the evidence that a later release wrote an unreadable manifest; empty: none, so it is damaged.
-
-    It states a later format, or has keys that this program does not know and nothing else is wrong with it.
-    """
+    """Return the evidence that a later release wrote an unreadable manifest, a later format or only unknown keys;
+    empty: none, so it is damaged."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

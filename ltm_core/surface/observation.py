@@ -102,12 +102,9 @@ class DepthFrame:
 
 
 class Observer:
-    """Convert depth images to observations of a reference surface.
-
-    `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
-    views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
-    None: labels say nothing of it.
-    """
+    """Convert depth images to observations of a reference surface. `columns`: maximum number of columns of a frame.
+    `views_mb`: memory for the expected views of fixed cameras. `gone`: (256,) log odds by label id that what stood in a
+    cell is gone; None: labels are not used."""
 
     def __init__(
         self,

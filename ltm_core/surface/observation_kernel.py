@@ -86,9 +86,8 @@ def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
-    """Return where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small
-    changes are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the
-    crown's height, and what stood behind a felled stand is seen where it stands."""
+    """Return the most likely range of an object that the reference does not have, from `first` to `last`: small changes
+    of the surface are likelier than large ones."""
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
@@ -128,10 +127,8 @@ def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> 
 def _carve(
     ground: ReferenceGrid, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
 ) -> None:
-    """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
-    by cell, but for blocks of cells that it passes above all of. `r`, `sigma`: what the ray has measured, so how surely
-    it passed each of them.
-    """
+    """Cap the cells over which a ray is less than `below` metres above the reference, between two ranges. `r`, `sigma`:
+    the measured range, which determines how surely it passed each of them."""
     stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
     t, left = begin + 0.5 * stride, _LONGEST_CARVE
     while t < end and left > 0:
@@ -189,12 +186,9 @@ def observe(
     limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
-    """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use
-    (H, W), the least depth among each and those around it.
-
-    Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
-    where that ended. So an image carves a cell a few times, and not once for each ray over it.
-    """
+    """Add a frame's observations up by cell, as far as `sums` has room. `beside`: of the pixels in use (H, W), the
+    least depth among each and those around it. Rows are processed from the bottom up, and a ray carves only beyond the
+    one below it."""
     rows, cols = expected_pixels.shape
     step = pixels.step
     labelled = pixels.labels.size > 0

@@ -58,10 +58,8 @@ class BrokenManifestError(StoreError):
 
 @dataclass(frozen=True)
 class SurfaceVersions:
-    """Versions of a site in a folder, which is created with the first one.
-
-    `geometry`: of the terrain's grid, in the map frame; a version of another grid is rejected.
-    """
+    """Versions of a site in a folder, which is created with the first one. `geometry`: of the terrain's grid, in the
+    map frame; a version of another grid is rejected."""
 
     folder: Path
     site: str

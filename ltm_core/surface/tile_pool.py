@@ -22,10 +22,8 @@ def schema_of(geometry: GridGeometry) -> StoreSchema:
 
 
 class TilePool:
-    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room.
-
-    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is allocated on use.
-    """
+    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room. `canopy_known`: whether a
+    fresh cell's base is the reference itself."""
 
     def __init__(self, store: TileStore, capacity: int, canopy_known: bool) -> None:
         self.store = store

@@ -135,10 +135,8 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
-    """Give a watch what is kept of its mount; False where nothing is, or where it was learnt under other terms.
-
-    Raises StoreError for a file that cannot be read, or that is none of these.
-    """
+    """Restore the state of a mount; return False if none is kept, or if it is of other terms. Raises StoreError for an
+    invalid file."""
     if not path.exists():
         return False
     try:

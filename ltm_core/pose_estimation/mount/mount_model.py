@@ -70,13 +70,9 @@ Sign = Literal[1, -1]
 
 @dataclass(frozen=True, eq=False)
 class MountModel:
-    """Mount of a PTZ head. `base`: the camera's pose where pan is 0 and the tilt axis reads level.
-
-    `tilt_zero` (rad): what is added to each tilt. `covariance`: (7, 7) of place (m), rotation about the map's axes
-    (rad), tilt zero (rad), as in `MountFit`. `pan_sign`: 1 where pan grows clockwise as seen from above; `tilt_sign`: 1
-    where tilt grows upwards. `encoder_sigma` (rad): of each of pan and tilt, how well the PTZ head comes back to a
-    reading.
-    """
+    """Mount of a PTZ head. `base`: the camera's pose at pan 0 and level tilt. `tilt_zero` (rad): added to each tilt.
+    `covariance`: (7, 7) as in `MountFit`. `pan_sign`: 1 if pan grows clockwise as seen from above; `tilt_sign`: 1 if
+    tilt grows upwards. `encoder_sigma` (rad): repeatability of pan and of tilt."""
 
     base: Pose
     tilt_zero: float
@@ -94,10 +90,7 @@ class MountModel:
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Pose, Float64Array]:
         """Return the camera's pose for encoder readings, and its (6, 6) covariance as in `pose_covariance`.
-
-        The covariance holds the calibration's, the encoders' and that of motion: `moved_deg` is by how much pan and
-        tilt changed while the image was taken, which lies somewhere between.
-        """
+        `moved_deg`: change of pan and tilt during the exposure."""
         rotation = self.rotation(pan_deg, tilt_deg)
         to_pose = np.zeros((6, 9))
         to_pose[:, :6] = np.eye(6)

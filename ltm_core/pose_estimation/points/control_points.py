@@ -22,11 +22,8 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Surveyed points.
-
-    `names`: (N,). `places`: (N, 3) map metres. `pixels`: (N, 2) u, v with (0, 0) the centre of the top-left pixel.
-    Raises PoseError that names points without finite values and points that are given twice.
-    """
+    """Surveyed points. `names`: (N,). `places`: (N, 3) map metres. `pixels`: (N, 2) u, v with (0, 0) the centre of the
+    top-left pixel. Raises PoseError that names points without finite values and points that are given twice."""
 
     names: tuple[str, ...]
     places: Float64Array

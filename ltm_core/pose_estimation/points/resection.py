@@ -38,10 +38,8 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 @dataclass(frozen=True)
 class Rejected:
-    """Parameter that the points determine too poorly, with its estimate.
-
-    `values`, `sigmas`: of fx (pixels), of k1, or of x, y, z (map metres). `median_px`: median residual of the points.
-    """
+    """Parameter that the points determine too poorly, with its estimate. `values`, `sigmas`: of fx (pixels), of k1, or
+    of x, y, z (map metres). `median_px`: median residual of the points."""
 
     values: dict[str, float]
     sigmas: dict[str, float]

@@ -81,11 +81,8 @@ def find_pose(
     focal_sigma: float = 0.0,
     horizon: TerrainHorizon | None = None,
 ) -> PictureSearch:
-    """Search the pose of an image and judge it.
-
-    `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
-    already. Raises PoseError as `terrain_horizon`.
-    """
+    """Search the pose of an image and judge it. `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of
+    the prior position, if known already. Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:

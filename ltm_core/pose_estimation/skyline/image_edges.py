@@ -29,11 +29,8 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
-    and masks.
-
-    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
-    """
+    """Compute the edges of a photo (H, W, 3) at the given width in pixels: the gradient across a line less 0.7 of that
+    along it, over its local root mean square. `hidden` (H, W): areas without edges, clouds and masks."""
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo

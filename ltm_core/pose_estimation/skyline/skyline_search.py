@@ -59,10 +59,8 @@ def search_azimuths(
     position_sigma: float,
     config: SkylineConfig,
 ) -> SkylineCosts:
-    """Return the costs of azimuths (Y,), radians, of an undistorted camera.
-
-    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres.
-    """
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera. `tilt_sigma`: radians, of the given pitch
+    and roll. `position_sigma`: metres."""
     rays = np.column_stack(
         [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
     )

@@ -149,11 +149,8 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
-
-    `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
-    of the DEM lies around the position.
-    """
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`. `bend`: of rays, 1/m. Raises
+    PoseError if the DEM has no known ground around the position."""
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count
