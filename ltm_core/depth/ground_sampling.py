@@ -21,10 +21,9 @@ VEGETATION = ("grass", "shrub", "tree")
 class ClassPriors:
     """Tables over the 256 ids of a label image; for their values see `fusion_config`.
 
-    `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
-    to which an edge of the terrain may be raised there. `canopy_log_odds`: float32, that a canopy raster and not bare
-    ground is what shows. `occluder_log_odds`: float32, that something stands before the ground. `outline`: float32 log
-    odds that a pixel belongs to a crest. `sky`: the id of sky.
+    `cover`: metres of cover above bare ground. `ground`: whether the terrain shows. `crest`: metres to which an edge
+    may be raised. `canopy_log_odds`: of a canopy raster against bare ground. `occluder_log_odds`: of something in front
+    of the ground. `outline`: log odds that a pixel belongs to a crest. `sky`: the id of sky.
     """
 
     cover: Float32Array
@@ -112,11 +111,8 @@ def ground_samples(
     focal: float,
     config: FusionConfig,
 ) -> GroundSamples:
-    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes and grazing views.
-
-    `ground`: (256,) which classes are. `focal`: pixels. Where sigma is a large part of the depth is left
-    out as well: ground near a low mast is unsure, but a network must not be left without what is near.
-    """
+    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes, grazing views and uncertain
+    depths. `ground`: (256,) whether a class is ground. `focal`: pixels."""
     rules = config.sampling
     rows, cols, depth = _candidates(
         surface,

@@ -22,10 +22,7 @@ def guided_coefficients(
     image: Float32Array, grey: UInt8Array, config: UpsamplingConfig
 ) -> tuple[Float32Array, Float32Array]:
     """Return the gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W),
-    0..255.
-
-    NaN in `image` spreads by twice the windows' radius.
-    """
+    0..255. NaN in `image` spreads by twice the windows' radius."""
     height, width = image.shape
     guide: Float32Array = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     window = (2 * config.radius + 1, 2 * config.radius + 1)

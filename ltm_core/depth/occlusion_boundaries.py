@@ -83,11 +83,8 @@ def refine_occlusion_boundaries(
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
 ) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return the edges found.
-
-    `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
-    `edges`: of `ground`, where they are known.
-    """
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return them. `labels`: (H, W)
+    ids of `classes`, or None. `network`: its view at the photo's size. `edges`: of `ground`, if known."""
     rules = config.boundaries
     edges = DepthDiscontinuities.of(ground, config.surface.jump) if edges is None else edges
     rows, cols = edges.rows, edges.cols

@@ -57,11 +57,9 @@ def check_pose(
     label_cell: float = 1.0,
     edges: DepthDiscontinuities | None = None,
 ) -> PoseCheck:
-    """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
-
-    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean. `label_cell`:
-    pixels of the photo that one of the labels' network spans. `edges`: of `ground`, where they are known.
-    """
+    """Check one photo (H, W, 3) and its labels (H, W), if any, against its traced depth (H, W). `angle_sigma`,
+    `dem_sigma`: tolerances in radians and metres. `label_cell`: pixels of the photo per pixel of the labels' network.
+    `edges`: of `ground`, if known."""
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
     edges = DepthDiscontinuities.of(ground, SurfaceConfig().jump) if edges is None else edges

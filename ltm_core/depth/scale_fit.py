@@ -44,11 +44,8 @@ def robust_line(
     seed: int = 0,
     rules: RegressionConfig = _RULES,
 ) -> Line | None:
-    """Return the line through the points (N,) that at most half of them contradict.
-
-    `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
-    points without noise stay inliers. None where fewer than `rules.fewest` points are given or x does not vary.
-    """
+    """Return the line through the points (N,) that at most half of them contradict; None for fewer than `rules.fewest`
+    points or constant x. `weight`: (N,) factors of the residuals. `floor`: minimum sigma of a weighted residual."""
     weights = np.ones_like(x) if weight is None else weight
     if len(x) < rules.fewest or not np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
         return None
@@ -228,12 +225,8 @@ def _through_zero(
 
 
 def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
-    """Return the line with a shift where that earns its place: one that hardly shows on the ground that was sampled
-    would yet decide how near or far all else is.
-
-    It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
-    other way round noise flattens the line: over ground of about one depth to a constant.
-    """
+    """Return the line with a shift if that reduces the residuals enough, because a shift determines all far depths. The
+    network's values are regressed on the terrain's, because the network is the noisy side."""
     values, inverse, weight = given
     reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
     spread = np.subtract(*np.quantile(values, (0.9, 0.1)))

@@ -44,11 +44,8 @@ def check_skyline(
     cell: float = 1.0,
 ) -> SkylineCheck | None:
     """Compare the traced depth's (H, W) skyline with that of the labels (H, W); return None if too little is known.
-
-    `crest`: (256,) metres to which each class may rise over a crest. `nearest`: metres; crests that are nearer say
-    nothing. `reach`: radians of the largest turn that is tried. `cell`: pixels of the photo that one of the labels'
-    network spans; it draws the skyline no finer, and what rises and falls within one is drawn at some height of it.
-    """
+    `crest`: (256,) metres that each class may rise over a crest. `nearest`: minimum range of crests in metres. `reach`:
+    maximum turn in radians. `cell`: pixels of the photo per pixel of the labels' network."""
     width = ground.shape[1]
     step = max(1, round(width / config.columns))
     cols = np.arange(step // 2, width, step)

@@ -14,10 +14,7 @@ from ltm_core.vision.labels import UNLABELLED
 
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
-    """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced.
-
-    So a mast before the sky is no land on the skyline, and a corner of the lens does not end the sky of its column.
-    """
+    """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced."""
     behind = np.where(np.isfinite(ground), np.uint8(UNLABELLED), np.uint8(sky))
     return np.asarray(np.where(hidden, behind, labels), np.uint8)
 

@@ -229,13 +229,9 @@ def sight_likelihood(
 ) -> SightLikelihood:
     """Return the likelihood of each sample given the mark.
 
-    Args:
-        height: of the camera, metres.
-        variances: of the terrain's heights, by raster of the stack, square metres.
-        apart: metres from which errors of these heights are independent, by raster.
-        smoke: what is marked is the lowest visible part of smoke, not something on the ground.
-        lean: of a plume, `LocatingConfig.plume_lean`.
-        turned: the table is of a camera that is turned (`turned_table`).
+    `height`: of the camera, metres. `variances`: of the terrain's heights, by raster of the stack, square metres;
+    `apart`: metres beyond which their errors are independent. `smoke`: the lowest visible part of smoke is marked, else
+    something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`.
     """
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)

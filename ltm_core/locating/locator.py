@@ -71,13 +71,8 @@ class Location:
 
 
 class Locator:
-    """Locator of marks on one terrain.
-
-    Args:
-        dem: what cameras see of the terrain (`Site.open_surface`), in the frame of the poses; a stack too.
-        bend: curvature coefficient of rays, `geodesy.ray_bend`.
-        config: what is assumed.
-    """
+    """Locator of marks on one terrain. `dem`: the visible surface (`Site.open_surface`), in the frame of the poses.
+    `bend`: curvature coefficient of rays, `geodesy.ray_bend`."""
 
     def __init__(self, dem: Dem, bend: float, config: LocatingConfig = LocatingConfig()) -> None:
         self.dem = dem
@@ -85,15 +80,11 @@ class Locator:
         self.config = config
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
-        """Locate the marked object.
+        """Locate the marked object by one or several sightings of it. `smoke`: its lowest visible part is marked, and
+        its foot may be hidden; else it stands on the ground that is marked.
 
-        Args:
-            sightings: one or several, of one or several cameras, of the same thing.
-            smoke: its lowest visible part is marked, and its foot may be hidden; else it stands on the ground that is
-                marked.
-
-        Raises RegionError: no sighting, too many, one that shows sky or terrain that is not known; PoseError for a
-        camera under the ground or a covariance that is none.
+        Raises RegionError: no sighting, too many, one of sky or unknown terrain; PoseError for a camera under the
+        ground or an invalid covariance.
         """
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
             raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")

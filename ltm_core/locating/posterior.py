@@ -52,11 +52,8 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Probability of cells; all others have none.
-
-    `geometry`: the raster that the cells are of, in the map frame. `rows`, `cols`: (N,) int32. `probability`: (N,)
-    float64, sums to 1, most probable cell first.
-    """
+    """Probability of cells; all others have none. `geometry`: their raster in the map frame. `rows`, `cols`: (N,)
+    int32. `probability`: (N,) float64, sums to 1, most probable cell first."""
 
     geometry: GridGeometry
     rows: Int32Array
@@ -163,10 +160,8 @@ def reach_in_ellipse(ellipse: Ellipse, places: Float64Array) -> Float64Array:
 
 
 def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """Read a mask of the camera's image size; non-black pixels are masked, (H, W).
-
-    Raises ImageError for a file that is no image, RegionError for one of another size.
-    """
+    """Read a mask of the camera's image size; non-black pixels are masked, (H, W). Raises ImageError for a file that is
+    no image, RegionError for one of another size."""
     from ltm_core.storage.image_io import read_rgb
 
     mask = read_rgb(path).any(axis=2)

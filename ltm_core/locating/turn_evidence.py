@@ -56,14 +56,8 @@ def turn_profile(
     turned: Sequence[Sight],
     resolution: float,
 ) -> TurnProfile:
-    """Compute the profile from the possible cells of a raster.
-
-    Args:
-        evidence: (N,) logarithm of the density of all marks by cell, with `turned` sightings of one camera that may be
-            turned by any angle (`Sight`s of `look_turned`).
-        apart: (N,) of the other cameras' marks.
-        x, y: (N,) of the cells.
-    """
+    """Compute the profile from the possible cells of a raster, at x, y (N,). `evidence`: (N,) logarithm of the density
+    of all marks, with `turned` sightings of one camera turned by any angle; `apart`: of the other cameras' marks."""
     off, prior, variance = np.zeros(len(x)), np.zeros(len(x)), 0.0
     for sight in turned:
         directions, to_x, to_y = sight.directions, x - sight.position[0], y - sight.position[1]
@@ -97,12 +91,9 @@ def turn_evidence(
 ) -> TurnEvidence:
     """Compute the evidence of one fire, by camera that may be turned.
 
-    Args:
-        profiles: None where no place is possible with that camera turned.
-        log_evidence: of all marks with no camera turned.
-        elsewhere: density of a camera's mark that is of another thing, times the chance of that: whatever a single fire
-            says, it may be two fires.
-        marked: the sightings of each camera.
+    `profiles`: None if no place is possible with that camera turned. `log_evidence`: of all marks with no camera
+    turned. `elsewhere`: density of a mark of another object, times its probability. `marked`: the sightings of each
+    camera.
     """
     sigmas = {name: _pose_sigma(sights) for name, sights in marked.items()}
     azimuths = {name: _azimuth(sights[-1].directions) for name, sights in marked.items()}

@@ -39,11 +39,8 @@ class Holes(NamedTuple):
 
 
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
-    """Return the holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
-
-    `rise`: the most that unknown ground rises from one node to the next, metres; `highest`: the highest that it may be
-    in outer holes.
-    """
+    """Return the holes of (H, W) float32 elevations, NaN if nodata; at least one is known. `rise`: maximum rise of
+    unknown ground between nodes, metres; `highest`: its maximum height in outer holes."""
     row, first, end = _runs(elevation, _count_runs(elevation))
     rim = _rims(elevation, row, first, end, _joined(row, first, end))
     start = np.concatenate([[0], np.cumsum(end - first)])[:-1].astype(np.int64)
@@ -174,12 +171,8 @@ def _lowered(
     straight: np.float32,
     diagonal: np.float32,
 ) -> bool:
-    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether
-    any fell.
-
-    Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance
-    transformations in digital images*, CVGIP 34, 1986), also around corners.
-    """
+    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether any
+    fell. Repeated until none falls: Borgefors, *Distance transformations in digital images*, CVGIP 34, 1986."""
     width = elevation.shape[1]
     fell = False
     # Filled heights of the row before and of the row itself, a place wider at both ends.

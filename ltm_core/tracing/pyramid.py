@@ -29,11 +29,8 @@ WITHIN, MIXED, OUTSIDE = 0, 1, 2
 
 
 class MaximumPyramid(NamedTuple):
-    """Bounds of all levels in one flat array.
-
-    Level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`, `widths[L]` blocks a row; lower indices
-    of both are unused.
-    """
+    """Bounds of all levels in one flat array: level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`,
+    `widths[L]` blocks a row; lower indices of both are unused."""
 
     bounds: Float32Array
     offsets: Int64Array

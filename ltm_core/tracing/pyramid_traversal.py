@@ -324,12 +324,9 @@ def trace_directions(
 ) -> None:
     """Take rays from one origin through one stage.
 
-    Args:
-        rotation: (3, 3) float64, ray frame -> (east, north, up).
-        rays: (N, 3) float64 unit vectors; a NaN one gives NaN.
-        first: the camera stands over this stage's raster, if over any, so that plumb rays end here.
-        out: (N,) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
-            stage, on return after it.
+    `rotation`: (3, 3) ray frame -> (east, north, up). `rays`: (N, 3) unit vectors; NaN gives NaN. `first`: vertical
+    rays end here. `out`: (N,) float32, slant ranges in metres, or the states of rays that have met nothing, before this
+    stage on entry, after it on return.
     """
     n_chunks = (rays.shape[0] + _CHUNK - 1) // _CHUNK
     for task in prange(_TASKS):
