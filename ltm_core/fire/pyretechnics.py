@@ -69,10 +69,8 @@ def interpreter() -> Path:
 
 
 class Pyretechnics:
-    """Context manager of one process of the model, which computes one fire after the other.
-
-    Raises FireModelError where it cannot be started or ends early.
-    """
+    """Context manager of one process of the model, which computes one fire after the other. Raises FireModelError if it
+    cannot be started or ends early."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="ltm-fire-")

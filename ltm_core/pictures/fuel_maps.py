@@ -96,12 +96,9 @@ class FuelCanvas:
     """Draws layers of one fuel grid over the relief of one part of the terrain. Palettes are of life forms
     (`life_form_labels`).
 
-    Args:
-        geometry: the fuel grid; `dem` in the same frame.
-        places: the cameras.
-        bounds: (x_min, y_min, x_max, y_max) of the part; default: the whole grid, as far as the terrain goes.
-        offset: what the axes add to coordinates, such as the map frame's origin.
-        width: pixels of a map without its axes.
+    `geometry`: the fuel grid; `dem` in the same frame. `places`: the cameras. `bounds`: (x_min, y_min, x_max, y_max) of
+    the part; default: the whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its
+    axes.
     """
 
     def __init__(
@@ -269,10 +266,8 @@ def change_sheet(
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
-    """For each camera, how many frames saw each cell, and how much ground a pixel covered at best.
-
-    Raises ImageError where no camera has seen anything.
-    """
+    """Draw, for each camera, how many frames saw each cell, and the smallest ground footprint of a pixel. Raises
+    ImageError if no camera has seen anything."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         maps[f"{name}: number of frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
@@ -284,10 +279,8 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
 
 
 def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbImage:
-    """For each camera, the cells (H, W) that it has seen, and how many cameras have seen each.
-
-    Raises ImageError where there is no camera.
-    """
+    """Draw, for each camera, the cells (H, W) that it has seen, and how many cameras have seen each. Raises ImageError
+    without cameras."""
     maps = {
         f"seen by {name}: {int(cells.sum()):,} cells": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
         for name, cells in sorted(by_camera.items())

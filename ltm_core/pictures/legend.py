@@ -105,10 +105,8 @@ UNKNOWN_COLOR = (70, 70, 74)
 
 @dataclass(frozen=True)
 class RangeScale:
-    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour.
-
-    The default suits a tower camera. It does not follow the image, so that colours mean the same in all pictures.
-    """
+    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour. The default suits
+    a tower camera, and does not follow the image."""
 
     near: float = 30.0
     far: float = 30_000.0
@@ -270,10 +268,8 @@ _UNKNOWN = (190, 192, 196)
 
 
 def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
-    """|estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large.
-
-    Sky in both is sky; where the one has a depth and the other has none, grey.
-    """
+    """Return |estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large; sky if both are sky,
+    grey if only one has a depth."""
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))

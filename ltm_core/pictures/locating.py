@@ -40,11 +40,9 @@ def location_picture(
     titles: tuple[str, str],
     truth: tuple[float, float] | None = None,
 ) -> RgbImage:
-    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely.
-
-    `dem`, `posterior`, `cameras`: in the map frame. `ellipses`: with their names, smallest first. `offset`: of the map
-    frame in its CRS, for the axes. `truth`: x, y of a known place, marked.
-    """
+    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely; all in the map
+    frame. `ellipses`: with their names, smallest first. `offset`: of the map frame, for the axes. `truth`: x, y of a
+    known place."""
     close = _close_bounds(posterior, ellipses, truth)
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
     whole = _padded(np.array(places), 0.08, _LEAST_VIEW)

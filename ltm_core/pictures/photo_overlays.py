@@ -36,11 +36,9 @@ def label_colors(
 def overlay_depth(
     image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
 ) -> RgbImage:
-    """Return the range colours over the photo, which stays plain where the range is sky or unknown.
-
-    `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
-    nearest). `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes that disagree.
-    """
+    """Return the range colours over the photo (H, W, 3), plain where the range is sky or unknown. `ranges`: (H, W)
+    metres, or every n-th pixel. `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes
+    that disagree."""
     scale = scale or RangeScale()
     values = _to_image_size(np.asarray(ranges, np.float32), image)
     known = np.isfinite(values)
@@ -52,10 +50,8 @@ def overlay_depth(
 
 
 def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
-    """Return the class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
-
-    `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
-    """
+    """Return the class colours over the photo with thin borders, plain where unlabelled. `labels`: (H, W) uint8, or
+    every n-th pixel. Raises ImageError on sizes that disagree."""
     ids = _to_image_size(np.asarray(labels, np.uint8), image)
     colors = label_colors(ids, label_set)
     mixed = _mix(image, colors, opacity)

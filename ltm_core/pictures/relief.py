@@ -30,24 +30,19 @@ _SPAN_CELLS = 1 << 22
 def hillshade(
     dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0, factor: int = 1, window: Window | None = None
 ) -> Float32Array:
-    """Return the brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides; NaN where there is
-    no height.
-
-    Slopes by Horn's 3 x 3 differences (Horn 1981), the border row and column by the same with repeated edges. `factor`,
-    `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
-    """
+    """Return the brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides, by Horn's 3 x 3
+    differences (1981); NaN without height. `factor`, `window`: as of `drawn`; default: the whole DEM."""
     return drawn(dem, lambda part, resolution: _shade(part, resolution, altitude_deg, exaggeration), factor, window)
 
 
 def drawn(
     dem: Dem, draw: Callable[[Float32Array, float], Float32Array], factor: int = 1, window: Window | None = None
 ) -> Float32Array:
-    """Return what `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip: nothing but
-    the result is ever held whole.
+    """Return what `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip to save
+    memory.
 
-    `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32; what it draws of a cell may
-    depend on the cell's neighbours alone. `window`: (row, col, height, width) of the part that is drawn, all multiples
-    of `factor`; default: as many whole blocks as there are.
+    `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32, and may use a cell's
+    neighbours. `window`: (row, col, height, width) of the part, multiples of `factor`; default: all whole blocks.
     """
     rows, cols = dem.elevation.shape
     top, left, height, width = window or (0, 0, rows // factor * factor, cols // factor * factor)
@@ -126,10 +121,8 @@ def height_span(elevation: Float32Array) -> tuple[float, float]:
 
 
 def terrain_colors(dem: Dem, strength: float = 0.75, factor: int = 1, window: Window | None = None) -> RgbImage:
-    """Return the height tints under shaded relief, (h, w, 3); `strength` 0 leaves the shade away, 1 applies it fully.
-
-    `factor`, `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
-    """
+    """Return the height tints under shaded relief, (h, w, 3); `strength`: of the shade, 0 to 1. `factor`, `window`: as
+    of `drawn`; default: the whole DEM."""
     low, high = height_span(dem.elevation)
 
     def draw(elevation: Float32Array, resolution: float) -> Float32Array:

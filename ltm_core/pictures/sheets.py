@@ -19,10 +19,7 @@ _LEAST_TICKS = 3
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
     """Return `picture` (of the raster `view`) with eastings below and northings on the left, metres, every round
-    distance.
-
-    `offset`: what is added to the view's coordinates, such as the map frame's origin.
-    """
+    distance. `offset`: added to the view's coordinates."""
     height, width = picture.shape[:2]
     size = max(11, round(width / 68))
     step = round_step(min(width, height) * view.resolution)

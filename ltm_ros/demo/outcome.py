@@ -204,11 +204,8 @@ _SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 @dataclass(frozen=True, eq=False)
 class WalkMap:
-    """Result of the walk with poses of one kind.
-
-    `errors`: of these poses. `cells`: cells with labels. `known`: of those, with truth; `right`: with the correct most
-    frequent label.
-    """
+    """Result of the walk with poses of one kind. `errors`: of these poses. `cells`: with labels. `known`: of those,
+    with truth; `right`: with the correct most frequent label."""
 
     poses: str
     errors: RecordedPoseErrors
@@ -234,9 +231,8 @@ class Walk:
 
 
 def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Walk:
-    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline,
-    with the phone's poses, the pictures', and the true ones. Raises LtmError.
-    """
+    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline, with
+    the phone's poses, the photos', and the true ones. Raises LtmError."""
     site_path = walk / "site.yaml"
     site = load_site(site_path)
     log = [walk / "sensor_logger.zip"]
@@ -291,11 +287,8 @@ def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
 
 
 def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
-    """Draw arrows over relief, (H, W, 3).
-
-    `directions`: by the name of their kind, (N, 3): x, y in the map frame (m) and azimuth (degrees), at most four
-    kinds; later ones are drawn over earlier ones.
-    """
+    """Draw arrows over relief, (H, W, 3). `directions`: by the name of their kind (at most four), (N, 3): x, y in the
+    map frame (m) and azimuth (degrees)."""
     view = _view(np.concatenate(list(directions.values())))
     picture = relief(dem, view)
     reach = _SHARE * view.width * view.resolution

@@ -75,9 +75,8 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it, the last over all ranges.
-    `label_set`, `scale`: of the images, for their legends; the confusions are of these classes. `recording`: the .rrd
-    file's name, `files`: (name, description).
+    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it. `label_set`, `scale`: for
+    the legends of the images. `recording`: the .rrd file's name. `files`: (name, description).
     """
 
     title: str
@@ -147,9 +146,7 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
 
 
 def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
-    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct); an additional
-    column holds unlabelled pixels.
-    """
+    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct)."""
     classes, predicted = counts.shape
     names = [*names, *map(str, range(len(names), classes))]
     heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]

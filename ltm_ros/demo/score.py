@@ -185,10 +185,8 @@ class RunTally:
 
 @dataclass(frozen=True)
 class FuelScores:
-    """Scores over the cells with votes in a recorded run; None if the bag or the site lacks the data.
-
-    `vote`: the majority vote of the same votes. `prior`: the map at the start. `changes`: changes of that map.
-    """
+    """Scores over the cells with votes in a recorded run; None without data. `vote`: the majority vote of the same
+    votes. `prior`: the map at the start. `changes`: changes of that map."""
 
     fuel: FuelScore | None = None
     vote: FuelScore | None = None

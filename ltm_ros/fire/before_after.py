@@ -63,10 +63,8 @@ class FireResult:
 
 
 def open_pair(source: Path, site: Path | None, before: Path | None, since: str | None) -> MapPair:
-    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files.
-
-    Raises LtmError: a store without site, a landscape without `before`, two of different grids.
-    """
+    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files. Raises LtmError: a store
+    without site, a landscape without `before`, two of different grids."""
     if source.suffix == ".ltm":
         if site is None:
             raise ConfigError(

@@ -192,15 +192,11 @@ def describe(
 ) -> Graph:
     """Return the graph of `site`, which was read from `path`.
 
-    `cameras`: use only these (empty: all). `view`, `record`: also run the viewer or the recorder, with these
-    parameters. `health`: also run the health node, if the site file has a section for it. `parameters`: by node type,
-    override those of the site file. Raises ConfigError for an unknown camera or node type, a parameter that the graph
-    sets itself, and a value without a ROS parameter type.
-
-    `sources`: whether images are requested from cameras; None: only without `sim_time`, because a recording has its
-    own.
-
-    With `sim_time` no frames are shed unless a parameter enables it: a replay waits and processes every frame.
+    `cameras`: use only these (empty: all). `view`, `record`, `health` (if the site has that section): also run this
+    node, with these parameters. `parameters`: by node type, override those of the site file. `sources`: whether images
+    are requested from cameras; None: unless `sim_time`. With `sim_time` no frames are shed unless a parameter enables
+    it. Raises ConfigError for an unknown camera or node type, a parameter that the graph sets itself, and a value
+    without a ROS type.
     """
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
@@ -329,9 +325,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _ros_value(value: object, place: str) -> ParameterValue:
-    """Return a ROS parameter value: boolean, integer, float, string or non-empty list of one type. Raises
-    ConfigError.
-    """
+    """Return a ROS parameter: boolean, integer, float, string or non-empty list of one type. Raises ConfigError."""
     if isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list | tuple) and value:

@@ -37,10 +37,8 @@ class GraphError(LtmError):
 
 
 def print_line(line: str) -> None:
-    """Print a line to the terminal in one write, so that lines of several nodes do not mix.
-
-    If the console cannot be written (full disk, closed terminal), the line is lost and the graph goes on.
-    """
+    """Print a line to the terminal in one write, so that lines of several nodes do not mix. If the console cannot be
+    written (full disk, closed terminal), the line is lost."""
     with contextlib.suppress(OSError):
         # Unbuffered: a buffer that cannot be flushed makes the process exit with an error.
         sys.stdout.flush()
@@ -64,13 +62,11 @@ def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
 
 
 class Runner:
-    """Starts, watches and stops the processes of `graph`.
+    """Starts, watches and stops the processes of `graph`; as a context manager it stops them at the end. Thread-safe.
 
     `domain_id`: ROS domain (None: from the environment). `log_folder`: receives each process's output as
-    `<camera>.<node>.log`. `console` gets every line of output, prefixed with the process's label. `stop_s`: time to
-    finish after SIGTERM, before SIGKILL. `environment`: additional variables.
-
-    As a context manager it stops the graph at the end. `start` and `stop` may be called from any thread.
+    `<camera>.<node>.log`. `console` gets every line of output, prefixed with the process's label. `stop_s`: time from
+    SIGTERM to SIGKILL. `environment`: additional variables.
     """
 
     def __init__(
@@ -133,11 +129,8 @@ class Runner:
                 process.start()
 
     def wait_until_ready(self, timeout_s: float = 60.0, *, discovered_suffices: bool = False) -> None:
-        """Wait until each node has sent a diagnostic (or was discovered by DDS, with `discovered_suffices`).
-
-        Ignores optional nodes that were given up. Raises GraphError with the missing nodes and their last output after
-        `timeout_s`, or at once if a required node was given up.
-        """
+        """Wait until each node has sent a diagnostic (or was discovered by DDS, with `discovered_suffices`), except
+        optional ones that were given up. Raises GraphError with the missing nodes and their last output."""
         names = {node.full_name: node.label for node in self.graph}
         process_of = {node.label: process.label for process in self.graph.processes for node in process.nodes}
         command = supervised_command("ltm_ros.launching.readiness", "--timeout", str(timeout_s))
@@ -186,10 +179,8 @@ class Runner:
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
-        """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent.
-
-        SIGINT is not used: Python turns it into an exception, which can get lost during imports.
-        """
+        """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent. SIGINT is not used, because
+        Python's exception can get lost during imports."""
         self._stopping.set()
         with self._lock:
             processes = list(self.processes.values())
@@ -210,11 +201,8 @@ class Runner:
                 self._folder = None
 
     def run(self, manager: ServiceManager | None = None) -> int:
-        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`). Call it from the main thread.
-
-        `manager` is notified when every node is ready, once a second while all processes are supervised, and at the
-        end. Returns 0, or 1 if a required node was given up. Ends by itself if no required node is left.
-        """
+        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`), from the main thread; also end if no required node
+        is left. `manager` is notified. Returns 0, or 1 if a required node was given up."""
         manager = manager or ServiceManager()
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -116,9 +116,8 @@ def _is_lock(path: Path) -> bool:
 
 
 def _held_locks() -> frozenset[tuple[int, int, int]] | None:
-    """Return the files locked by processes of this PID namespace, by device numbers and inode; None if the kernel does
-    not list them (proc(5), /proc/locks).
-    """
+    """Return the files locked by processes of this PID namespace, by device numbers and inode; None if unknown
+    (proc(5))."""
     try:
         content = Path("/proc/locks").read_text()
     except OSError:
@@ -159,9 +158,7 @@ def _take_locks(paths: list[Path]) -> list[int] | None:
 
 
 def _mapped_names(folder: Path) -> set[str]:
-    """Return the base names of the objects that visible processes have mapped (a sender maps a port without locking
-    it).
-    """
+    """Return the base names of the objects that visible processes have mapped; senders map ports without a lock."""
     names: set[str] = set()
     prefix = f"{folder}/fastrtps_"
     for maps in Path("/proc").glob("[0-9]*/maps"):

@@ -138,11 +138,8 @@ class _CameraNodes:
 
 
 class SiteProcess:
-    """All nodes of `specs`; the nodes of one namespace belong to one camera.
-
-    A camera whose nodes cannot be created is skipped, reported, and tried again later (`LateStart`). Raises the first
-    LtmError if no camera works.
-    """
+    """All nodes of `specs`; the nodes of one namespace belong to one camera. A camera whose nodes cannot be created is
+    reported, and tried again later (`LateStart`). Raises the first LtmError if no camera works."""
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
         self._members: list[JobNode] = []

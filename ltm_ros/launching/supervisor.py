@@ -93,11 +93,8 @@ def _end_group(group: int) -> None:
 
 @dataclass
 class NodeProcess:
-    """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
-
-    With a `watchdog`, a hung process is killed with all its children and restarted. `command` must then be a
-    `supervised_command`: a process without heartbeats counts as hung.
-    """
+    """Runs `command` until `stop`; one thread follows the process, another its output. With a `watchdog`, a hung
+    process is killed with all its children and restarted; `command` must then be a `supervised_command`."""
 
     label: str
     command: Sequence[str]
@@ -234,10 +231,8 @@ class NodeProcess:
         return status
 
     def _follow(self, pid: int, heartbeat: int) -> str:
-        """Wait until the process has ended; return why it was killed, if it hung.
-
-        It is not reaped here: while it is a zombie, its process id cannot be reused.
-        """
+        """Wait until the process has ended; return why it was killed, if it hung. It is not reaped here, so that its
+        process id cannot be reused."""
         hearing, watch = None, None
         if self.watchdog:
             self.traffic.begin(self.label)

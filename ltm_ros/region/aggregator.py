@@ -49,11 +49,7 @@ FrameId = tuple[str, str, int]
 
 
 class Aggregator:
-    """Knows no transport: `take` is given what came on a tower's topic, `settle` gives what is to be answered.
-
-    Args:
-        now_ns: the time.
-    """
+    """Knows no transport: `take` receives a tower's message, `settle` returns the answers. `now_ns`: the time."""
 
     def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
         """Open the region's map. Raises LtmError for an invalid site, store or certificate."""

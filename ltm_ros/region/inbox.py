@@ -62,10 +62,8 @@ LONGEST_NAME: Final = 100
 class Inbox:
     """`put` is called from the connection's thread, `get` from the counting one.
 
-    Towers take turns, and if the queue is full, the tower with most data loses a message: a tower that floods, even
-    with a valid certificate, cannot delay or displace other towers' frames.
-
-    Args: towers: each has a turn; all other names share one. most: maximum bytes in the queue.
+    Towers take turns, and if the queue is full, the tower with most data loses a message, so that none can delay
+    others. `towers`: each has a turn; all other names share one. `most`: maximum bytes in the queue.
     """
 
     def __init__(self, towers: Sequence[str], health: Health, most: int = WAITING_BYTES) -> None:

@@ -51,9 +51,7 @@ def tile_topic(region: str, row: int, col: int) -> str:
 
 
 def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
-    """Pass on a received message. A topic that is not UTF-8 comes from a malicious broker: it is counted, because an
-    exception would end the connection's thread.
-    """
+    """Pass on a received message. A topic that is not UTF-8 is counted; it would end the connection's thread."""
     try:
         topic = message.topic
     except UnicodeDecodeError as error:
@@ -65,11 +63,9 @@ def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
 class MqttLink:
     """Connects in the background after `start`, and again after each loss.
 
-    Votes and acknowledgements use QoS 0, because senders repeat them until the other side answers. Tiles use QoS 1 and
-    may queue; presence messages use QoS 0 to overtake them.
-
-    Args: client_id: unique among the broker's clients. topics: subscriptions. take: receives their messages. will:
-    topic and payload that the broker publishes, retained, when this connection is lost.
+    Votes and acknowledgements use QoS 0, because senders repeat them; tiles use QoS 1. `client_id`: unique among the
+    broker's clients. `topics`: subscriptions, whose messages `take` receives. `will`: topic and payload that the broker
+    publishes, retained, when this connection is lost.
     """
 
     def __init__(

@@ -41,12 +41,8 @@ LATE_S: Final = 2.0
 
 
 class RegionService:
-    """Raises LtmError for an invalid site, store or certificate.
-
-    `run` repeats `step` until it is stopped.
-
-    Args: now_ns: the time. `make_link`: makes the connection; replaced in tests.
-    """
+    """Counts, stores and sends until stopped. Raises LtmError for an invalid site, store or certificate. `make_link`:
+    makes the connection; replaced in tests."""
 
     def __init__(
         self,

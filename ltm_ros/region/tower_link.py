@@ -56,11 +56,8 @@ Clock = Callable[[], int | None]
 
 
 class TowerLink:
-    """`offer` takes frames from any thread; a separate thread stores and sends them.
-
-    Args: grid: the fuel grid of the votes. outbox: its file. clock: for the age of frames. make_link: makes the
-    connection; replaced in tests.
-    """
+    """`offer` takes frames from any thread; a separate thread stores and sends them. `grid`: the fuel grid of the
+    votes. `clock`: for the age of frames. `make_link`: replaced in tests."""
 
     def __init__(
         self,
