@@ -24,25 +24,12 @@ from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import (
     AS_GIVEN,
     KEPT,
-    VERSION,
     ConfirmedSurface,
     CountedVersion,
     SurfaceManifest,
     SurfaceVersion,
     of_later_release,
 )
-
-__all__ = [
-    "AS_GIVEN",
-    "FOLDER",
-    "KEPT",
-    "MANIFEST",
-    "VERSION",
-    "CountedVersion",
-    "SurfaceManifest",
-    "SurfaceVersion",
-    "SurfaceVersions",
-]
 
 FOLDER = "surfaces"
 """Name of the folder beside the store of the terrain."""

@@ -22,37 +22,15 @@ PACKAGE = "ltm"
 NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
-SOURCE_NODES = ("source",)
-"""Additional node types of a camera with a section `source` in the site file, outside a replay."""
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
-"""Node types that every camera has, in `/<site>/<camera>`."""
+"""Node types that every camera has, in `/<site>/<camera>`; others depend on the sections of the site file."""
 FUSION_NODES = ("topodepth",)
 """Additional node types of every camera if the site has a depth network."""
-POSE_NODES = ("pose",)
-"""Additional node types of every camera if the site file has a section `refine_poses`."""
-SITE_NODES = ("fuel_map",)
-"""Node types that every site has, in `/<site>`."""
 SURFACE_NODES = ("terrain", "depth", "topodepth")
 """Node types that make or follow the confirmed surface, if the site uses it."""
-TERRAIN_NODES = ("terrain",)
-"""Additional node types of a site with a section `terrain`."""
-LOCATING_NODES = ("locate",)
-"""Additional node types of a site with a section `locating`."""
-REGION_NODES = ("uplink",)
-"""Additional node types of a site with a section `region`, outside a replay; the graph works without them."""
-OPTIONAL_NODES = ("viewer", "recorder", "health")
-"""Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = (
-    *SOURCE_NODES,
-    *CAMERA_NODES,
-    *FUSION_NODES,
-    *POSE_NODES,
-    *SITE_NODES,
-    *TERRAIN_NODES,
-    *LOCATING_NODES,
-    *REGION_NODES,
-    *OPTIONAL_NODES,
-)
+OPTIONAL_NODES = ("uplink", "viewer", "recorder", "health")
+"""Node types without which the graph works."""
+NODE_TYPES = ("source", *CAMERA_NODES, *FUSION_NODES, "pose", "fuel_map", "terrain", "locate", *OPTIONAL_NODES)
 
 CAMERAS_PROCESS = "cameras"
 """Label of the process that runs the nodes of all cameras, if the site has one."""
@@ -217,7 +195,7 @@ def describe(
             namespace=namespace,
             module=f"{NODES_MODULE}.{kind}",
             parameters=common | dict(own) | given.get(kind, {}),
-            required=kind not in OPTIONAL_NODES + REGION_NODES,
+            required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
             process=process_of(kind),
         )
@@ -225,27 +203,24 @@ def describe(
     def process_of(kind: str) -> str:
         if not together:
             return ""
-        if kind in SOURCE_NODES:
+        if kind == "source":
             return SOURCES_PROCESS
-        return CAMERAS_PROCESS if kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else ""
+        return CAMERAS_PROCESS if kind in (*CAMERA_NODES, *FUSION_NODES, "pose") else ""
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:
         site.camera(camera)
-    of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
-    of_site += LOCATING_NODES if site.locating is not None else ()
-    of_site += REGION_NODES if site.region is not None and not sim_time else ()
+    sections = {"terrain": site.terrain, "locate": site.locating, "uplink": None if sim_time else site.region}
+    of_site = ["fuel_map", *(kind for kind, section in sections.items() if section is not None)]
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
-    kinds += POSE_NODES if site.refine_poses is not None else ()
+    kinds += ("pose",) if site.refine_poses is not None else ()
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
     if not sim_time if sources is None else sources:
         asked = [camera for camera in chosen if site.camera(camera).source is not None]
-        nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in asked for kind in SOURCE_NODES]
-    if view is not None:
-        nodes.append(spec("viewer", f"/{site.name}", {}))
-    if record is not None:
-        nodes.append(spec("recorder", f"/{site.name}", {}))
+        nodes += [spec("source", f"/{site.name}/{camera}", {"camera": camera}) for camera in asked]
+    shown = (("viewer", view), ("recorder", record))
+    nodes += [spec(kind, f"/{site.name}", {}) for kind, values in shown if values is not None]
     if health is not None and site.health is not None:
         expected = [node.full_name for node in nodes]
         nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
