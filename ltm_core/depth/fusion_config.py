@@ -43,19 +43,12 @@ class CoverConfig(StrictModel):
     """Vegetation heights by class."""
 
     grass: float = chosen(0.2, "Mean height in metres of the visible surface of grass above bare ground.", ge=0, lt=100)
-    shrub: float = chosen(
-        1.0,
-        "Mean height in metres of the visible surface of shrub, below the plants' own height because of gaps.",
-        ge=0,
-        lt=100,
-    )
+    shrub: float = chosen(1.0, "Mean height in metres of the visible surface of shrub.", ge=0, lt=100)
     tree: float = chosen(6.0, "Mean height in metres of the visible surface of trees.", ge=0, lt=100)
     doubt: float = chosen(0.5, "Standard deviation of a cover height, as a share of it.")
     crest: float = chosen(3.0, "Maximum height in metres of unlabelled or low cover above a crest.")
     tree_crest: float = chosen(12.0, "Maximum height in metres of a tree above a crest.")
-    bare_crest: float = chosen(
-        1.0, "Maximum height in metres of bare ground and water above a crest, because rasters smooth crests."
-    )
+    bare_crest: float = chosen(1.0, "Maximum height in metres of bare ground and water above a crest.")
 
 
 class SurfaceConfig(StrictModel):
@@ -63,9 +56,7 @@ class SurfaceConfig(StrictModel):
 
     jump: float = chosen(1.25, "Ratio of depths of neighbouring pixels above which they are on two surfaces.")
     most_roll_deg: float = chosen(20.0, "Maximum roll in degrees of a camera whose columns count as vertical.")
-    most_pitch_deg: float = chosen(
-        60.0, "Maximum pitch in degrees, up or down, at which objects stand along a camera's columns."
-    )
+    most_pitch_deg: float = chosen(60.0, "Maximum pitch in degrees at which objects stand along columns.")
     pixel_doubt: float = chosen(0.3, "Displacement of an edge in pixels at a perfect pose, by pixels and DEM cells.")
     least_sigma: float = chosen(1e-3, "Minimum relative standard deviation.")
 
@@ -84,12 +75,8 @@ class SamplingConfig(StrictModel):
 class RegressionConfig(StrictModel):
     """Straight line through most samples (`robust_regression`)."""
 
-    trials: int = chosen(
-        128, "Number of pairs tried; with 45 % outliers, one is clean with 0.3, so all fail once in 10^19.", ge=1
-    )
-    scored: int = chosen(
-        800, "Number of evenly spaced points that score the trials; inliers are selected from all points.", ge=8
-    )
+    trials: int = chosen(128, "Number of pairs tried; 45 % outliers spoil all once in 10^19.", ge=1)
+    scored: int = chosen(800, "Number of evenly spaced points that score the trials.", ge=8)
     band: float = chosen(2.5, "Robust standard deviations within which a point is an inlier.", gt=0)
     fewest: int = chosen(8, "Minimum number of points for a line.", ge=2)
     least_run: float = chosen(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
@@ -100,27 +87,17 @@ class ScaleConfig(StrictModel):
     """Scale and shift of a network's depth (`scale_fit`, `robust_regression`)."""
 
     least_samples: int = chosen(50, "Minimum number of samples of trustworthy ground for a scale.")
-    least_positive: float = chosen(
-        0.9, "Minimum share of positive values of a relative network for a line without a shift."
-    )
+    least_positive: float = chosen(0.9, "Minimum share of positive values for a line without a shift.")
     least_inliers: float = chosen(0.3, "Minimum share of inliers for a usable fit.")
-    least_explained: float = chosen(
-        0.1, "Minimum share of the ground's spread in inverse depth that a network must explain."
-    )
+    least_explained: float = chosen(0.1, "Minimum share of the ground's spread that a network explains.")
     like_terrain: float = chosen(0.2, "Relative noise below which a network is usable even over ground of one depth.")
-    shift_gain: float = chosen(
-        0.6, "Share of the residual that a shift must reach, because a shift determines all far depths."
-    )
-    typical_sigma: float = chosen(
-        0.1, "Relative standard deviation of the terrain above which a sample has less weight."
-    )
+    shift_gain: float = chosen(0.6, "Share of the residual that a shift must reach.")
+    typical_sigma: float = chosen(0.1, "Relative sigma of the terrain above which a sample has less weight.")
     relative_floor: float = chosen(2e-3, "Minimum relative noise of a network.")
     gross_sigmas: float = chosen(3.0, "Joint standard deviations above which a residual is a gross error.")
     covered_gross: float = chosen(0.5, "Share of the much too near pixels that are errors and not missed cover.")
     least_gross: float = chosen(0.003, "Minimum share of gross errors of a network.")
-    noisy_gross: float = chosen(
-        0.05, "Share of gross errors that noise alone may explain, because samples cluster in few places."
-    )
+    noisy_gross: float = chosen(0.05, "Share of gross errors that noise alone may explain.")
 
 
 class ErrorModelConfig(StrictModel):
@@ -129,30 +106,18 @@ class ErrorModelConfig(StrictModel):
     regional: bool = chosen(True, "Whether corrections vary over the photo if held-out regions confirm them.")
     by_depth: bool = chosen(True, "Whether bias and spread vary with the range.")
     unsampled: float = chosen(4.0, "Variance of a region without samples, in multiples of that of held-out regions.")
-    shrink: tuple[float, ...] = chosen(
-        (4.0, 16.0, 64.0), "Weights of the prior of no correction, in samples, which are tried in turn."
-    )
+    shrink: tuple[float, ...] = chosen((4.0, 16.0, 64.0), "Weights of the prior, in samples, tried in turn.")
     gain: float = chosen(0.97, "Share of the held-out error that corrections must reach to be used.")
     winsor: float = chosen(6.0, "Standard deviations at which residuals are clipped.")
-    covered: float = chosen(
-        4.0, "Standard deviations nearer than the terrain above which a sample is unlabelled cover, not an error."
-    )
-    blur: tuple[float, float, float] = chosen(
-        (1.0, 1.0, 1.5), "Width of the smoothing of the tables in regions and half octaves."
-    )
+    covered: float = chosen(4.0, "Standard deviations nearer than the terrain above which a sample is cover.")
+    blur: tuple[float, float, float] = chosen((1.0, 1.0, 1.5), "Smoothing in regions and half octaves.")
     peak: float = chosen(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
     fewest: int = chosen(10, "Minimum number of samples for a spread.")
     belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
-    densest: float = chosen(
-        0.4, "Share of the samples in the densest part, which replaces the median, because objects bias it."
-    )
+    densest: float = chosen(0.4, "Share of the samples in the densest part, which replaces the median.")
     least_spread: float = chosen(0.5, "Minimum spread of one range, as a share of the spread of all ranges.")
-    nearer: float = chosen(
-        12.0, "Ratio to the ground's depth above which a sample is an object right in front of the camera."
-    )
-    nearer_far: float = chosen(
-        3.0, "The same ratio for far ground, because networks give unknown far ranges a medium depth."
-    )
+    nearer: float = chosen(12.0, "Ratio to the ground's depth above which a sample is a near object.")
+    nearer_far: float = chosen(3.0, "The same ratio for far ground.")
     biased: float = chosen(0.3, "Share of a range's bias by which it varies within the half octave.")
     beyond: float = chosen(1.5, "Growth factor of the spread for each half octave beyond all samples.")
     before: float = chosen(1.1, "Growth factor for each half octave nearer than all samples.")
@@ -169,9 +134,7 @@ class UpsamplingConfig(StrictModel):
 class BoundaryConfig(StrictModel):
     """Location of the edge between two ridges in the photo (`occlusion_boundaries`)."""
 
-    usual_crest: float = chosen(
-        0.25, "Usual rise of crests in metres, over which the prior of a cut falls by a factor e."
-    )
+    usual_crest: float = chosen(0.25, "Rise of crests in metres over which a cut's prior falls by e.")
     strip_px: int = chosen(60, "Maximum rise of an edge in pixels; larger cover of a near crest is an object.")
     strip_cells: float = chosen(6.0, "Maximum rise of an edge in rows of a network's depth, if there is one.")
     sample_rows: int = chosen(8, "Number of rows of a side's colour sample.")
@@ -187,9 +150,7 @@ class BoundaryConfig(StrictModel):
         ClassLogOdds(grass=-0.9, shrub=0.6, tree=1.3, bare=-1.7, water=-1.7, built=1.3, unlabelled=0.4),
         "Log odds that a pixel one metre above a crest belongs to it if its colour matches.",
     )
-    toward: float = fitted(
-        1.9, "Increase of the log odds if the network's depth is that of the crest, decrease if it is far."
-    )
+    toward: float = fitted(1.9, "Change of the log odds by the network's depth, crest or far.")
 
 
 class OcclusionConfig(StrictModel):
@@ -210,13 +171,9 @@ class DecisionConfig(StrictModel):
 
     disagree: float = chosen(0.4, "Squared standard deviations above which a disagreement is examined.")
     agree: float = chosen(9.0, "Squared standard deviations up to which both depths are averaged.")
-    torn: float = chosen(
-        0.15, "Relative standard deviation above which the terrain is split between two surfaces and not averaged."
-    )
+    torn: float = chosen(0.15, "Relative sigma above which the terrain is not averaged.")
     soft: float = chosen(0.15, "Tolerance of a pixel between its neighbours, as a share of their range of depths.")
-    likelihood_weight: float = fitted(
-        0.44, "Weight of the log likelihood of a nearer object, because errors extend over many pixels."
-    )
+    likelihood_weight: float = fitted(0.44, "Weight of the log likelihood of a nearer object.")
     canopy_weight: float = fitted(0.18, "The same weight for a canopy raster.")
     canopy: ClassLogOdds = fitted(
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
@@ -224,9 +181,7 @@ class DecisionConfig(StrictModel):
     )
     open: float = chosen(0.1, "Probability above which the less likely depth also counts; 0.5: never.")
     elsewhere: float = chosen(4.0, "Variance of a network on objects, in multiples of its variance on ground.")
-    between: float = chosen(
-        0.3, "Standard deviation of a pixel's depth between its neighbours, as a share of their range."
-    )
+    between: float = chosen(0.3, "Sigma of a pixel's depth as a share of its neighbours' range.")
     blurred: float = chosen(0.3, "Share of a disagreement above which a value between two sides is an edge.")
     ranges: float = chosen(3.0, "Number of e-foldings of depth over which an object is equally likely.")
     measured: float = chosen(0.5, "Relative standard deviation above which a network's depth is no measurement.")
@@ -240,32 +195,20 @@ class PoseCheckConfig(StrictModel):
     cells: int = chosen(480, "Number of columns of the contrast image.")
     least_edges: int = chosen(60, "Minimum number of terrain edges for the check.")
     most_edges: int = chosen(1500, "Maximum number of edges used.")
-    near_deg: float = chosen(
-        0.25, "Maximum displacement in degrees of an edge by cover and DEM errors; nearer edges are ignored."
-    )
-    allowed_deg: float = chosen(
-        0.13, "Tolerated turn in degrees, in addition to three standard deviations of the direction."
-    )
+    near_deg: float = chosen(0.25, "Maximum displacement in degrees of an edge by cover and the DEM.")
+    allowed_deg: float = chosen(0.13, "Tolerated turn in degrees, in addition to three sigmas.")
     cover: float = chosen(1.0, "Height in metres by which cover raises a crest.")
     beside: int = chosen(2, "Distance in pixels above an edge at which the label of its cover is read.")
     as_well: float = chosen(0.8, "Share of the best contrast over the usual one above which a pose is about as good.")
     clearly: float = chosen(0.6, "Share of the best contrast below which the given pose is suspected.")
     contrast: float = chosen(1.8, "Minimum contrast at the best place.")
     outstanding: float = chosen(4.0, "Minimum excess of the best contrast over the usual one, in spreads.")
-    skyline_gain: float = chosen(
-        4.0, "Factor by which the skyline must fit better, because wrong labels fit better somewhere."
-    )
-    skyline_as_well: float = chosen(
-        1.25, "Multiple of the skyline's best cost up to which a fit is about as good, plus `skyline_margin`."
-    )
+    skyline_gain: float = chosen(4.0, "Factor by which the skyline must fit better.")
+    skyline_as_well: float = chosen(1.25, "Multiple of the best cost up to which a fit is about as good.")
     skyline_margin: float = chosen(0.25, "Margin of `skyline_as_well` in mean squared standard deviations.")
     columns: int = chosen(480, "Approximate number of columns of the skyline.")
-    least_share: float = chosen(
-        0.3, "Minimum share of columns with a known skyline beyond near crests; short pieces fit anywhere."
-    )
-    edge: float = chosen(
-        0.75, "Standard deviation of the labels' edge, in steps between columns or cells of their network."
-    )
+    least_share: float = chosen(0.3, "Minimum share of columns with a known, far skyline.")
+    edge: float = chosen(0.75, "Sigma of the labels' edge, in steps between columns or cells.")
     run: int = chosen(3, "Number of rows of land that end the sky.")
     most: float = chosen(4.0, "Standard deviations above which a column is ignored (label errors, clouds).")
     share: float = chosen(0.6, "Minimum share of the columns that remain visible after a shift.")
