@@ -61,13 +61,13 @@ class Posterior:
     probability: Float64Array
 
     @classmethod
-    def of_raster(cls, raster: Float64Array, geometry: GridGeometry, least: float = 1e-9) -> Posterior | None:
-        """Return the posterior of unnormalised densities (H, W); cells with less than `least` of the maximum are
+    def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> Posterior | None:
+        """Return the posterior of unnormalised densities (H, W); cells with less than 1e-9 of the maximum are
         dropped. None if all densities are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:
             return None
-        rows, cols = np.nonzero(raster > least * greatest)
+        rows, cols = np.nonzero(raster > 1e-9 * greatest)
         values = raster[rows, cols]
         order = np.argsort(-values, kind="stable")
         return cls(geometry, rows[order].astype(np.int32), cols[order].astype(np.int32), values[order] / values.sum())

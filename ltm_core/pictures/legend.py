@@ -158,20 +158,15 @@ def scale_colors() -> RgbImage:
     return np.asarray(colors, np.uint8)
 
 
-def depth_colors(
-    ranges: ArrayLike,
-    scale: RangeScale | None = None,
-    sky: tuple[int, int, int] = SKY_COLOR,
-    unknown: tuple[int, int, int] = UNKNOWN_COLOR,
-) -> RgbImage:
+def depth_colors(ranges: ArrayLike, scale: RangeScale | None = None) -> RgbImage:
     """Return the colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
     values = np.asarray(ranges, np.float32)
     fraction = (scale or RangeScale()).fraction(values)
     known = np.isfinite(fraction)
     index = np.where(known, fraction * 255, 0).round().astype(np.uint8)
     colors = scale_colors()[index].copy()
-    colors[~known] = unknown
-    colors[np.isposinf(values)] = sky
+    colors[~known] = UNKNOWN_COLOR
+    colors[np.isposinf(values)] = SKY_COLOR
     return colors
 
 

@@ -162,8 +162,9 @@ def _depth_span(frame: RecordedFrame) -> float:
     return float(np.log2(high / low))
 
 
-def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str, width: int = 640) -> RgbImage:
+def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str) -> RgbImage:
     """Return the images of a frame in a column, beside the map at the same height."""
+    width = 640
     left = panel(sheet, columns=1, width=width)
     titled = panel([(title, fuel_map)], columns=1, width=width)
     margin = titled.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])

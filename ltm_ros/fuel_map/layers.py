@@ -124,13 +124,12 @@ def canvas_of(
     geometry: GridGeometry,
     places: Sequence[CameraMark] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
-    width: int = 760,
 ) -> FuelCanvas:
     """Return a canvas for layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's
     CRS.
     """
     shown = places_of(site, dem) if places is None else places
-    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin, width)
+    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin)
 
 
 def when(text: str) -> int:

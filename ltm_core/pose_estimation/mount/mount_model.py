@@ -131,11 +131,11 @@ class MountModel:
         to_angles[:3, :3] = angle_slopes(self.base)
         return to_angles
 
-    def direction_sigma_deg(self, pan_deg: float, tilt_deg: float = 0.0) -> float:
+    def direction_sigma_deg(self, pan_deg: float) -> float:
         """Return the standard deviation of the viewing direction by the calibration alone, across the worse
         direction."""
         still = replace(self, encoder_sigma=0.0)
-        pose, covariance = still.pose(pan_deg, tilt_deg)
+        pose, covariance = still.pose(pan_deg, 0.0)
         across = pose.rotation[:, :2]
         return math.degrees(math.sqrt(float(np.linalg.eigvalsh(across.T @ covariance[3:, 3:] @ across)[-1])))
 

@@ -290,7 +290,7 @@ class TracedErrors:
         return np.isfinite(self.errors)
 
 
-def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = HIDDEN_BY) -> TracedErrors:
+def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
     """Trace the marked sub-pixel places of all control points, outliers too."""
     pose, places = result.pose, result.points.places
     directions = pixel_rays(result.camera, result.points.pixels) @ pose.rotation.T
@@ -305,7 +305,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
     settled = places.copy()
     settled[:, 2] = np.where(np.isnan(ground), places[:, 2], ground)
     beyond, settled_beyond = (_beyond(tracer, pose.position, aims).tolist() for aims in (places, settled))
-    states = tuple(_state(*values, hidden_by) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
+    states = tuple(_state(*values) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
     return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), states, above)
 
 
@@ -316,12 +316,12 @@ def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 
 
-def _state(above: float, beyond: float, settled_beyond: float, hidden_by: float) -> SurveyedState:
-    if abs(beyond) < hidden_by:
+def _state(above: float, beyond: float, settled_beyond: float) -> SurveyedState:
+    if abs(beyond) < HIDDEN_BY:
         return SurveyedState.SEEN
     if np.isnan(above):
         return SurveyedState.BESIDE
-    if abs(settled_beyond) < hidden_by:
+    if abs(settled_beyond) < HIDDEN_BY:
         return SurveyedState.ABOVE if above > 0 else SurveyedState.BELOW
     if np.isnan(beyond):
         return SurveyedState.BESIDE
