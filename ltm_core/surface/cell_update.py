@@ -95,8 +95,7 @@ def _remembered(seconds: int, last: int, lasting: float) -> float:
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
-    it is not in memory.
-    """
+    it is not in memory."""
     observed, count = 0, sums.used[0]
     for i in range(count):
         ahead = sums.cells[min(i + _AHEAD, count - 1)].place

@@ -34,8 +34,7 @@ pose."""
 
 class CameraView(NamedTuple):
     """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance, and the
-    bend of a ray over its horizontal range.
-    """
+    bend of a ray over its horizontal range."""
 
     rays: Float64Array
     rotation: Float64Array
@@ -46,8 +45,7 @@ class CameraView(NamedTuple):
 
 class Extremes(NamedTuple):
     """Least and greatest of the expected ranges (H, W), unknown ones counted as infinite: within the pose's
-    uncertainty, and within one pixel.
-    """
+    uncertainty, and within one pixel."""
 
     nearest: Float32Array
     farthest: Float32Array

@@ -105,8 +105,7 @@ class TilePool:
 
     def commit(self, last: bool = False) -> int:
         """Write all that has changed, with the frames that did it, in one transaction; how many tiles. Raises
-        StoreError, and then nothing is lost: call it again. `last`: before the store is closed.
-        """
+        StoreError, and then nothing is lost: call it again. `last`: before the store is closed."""
         if not self._dirty and not self._frames:
             return 0
         tiles = {key: tile for key in self._dirty if (tile := self.peek(key)) is not None}

@@ -16,8 +16,7 @@ from ltm_core.raster.dem import Dem
 @dataclass(frozen=True, eq=False)
 class Footprints:
     """`along`, `across`: (N,) metres, extents of a pixel's parallelogram on the ground, away from the camera and
-    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres.
-    """
+    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres."""
 
     along: Float64Array
     across: Float64Array

@@ -221,9 +221,8 @@ class WalkMap:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that
-    were found.
-    """
+    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that were
+    found."""
 
     photos: int
     accepted: int

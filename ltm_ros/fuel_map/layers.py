@@ -56,9 +56,8 @@ class ShownLayers:
         return [change for window in _merged(windows) for change in self._refresh(window)]
 
     def refresh_all(self) -> list[CellChanges]:
-        """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows
-        back on burns.
-        """
+        """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows back on
+        burns."""
         return self.refresh([(0, 0, *self._evidence.geometry.shape)])
 
     def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
@@ -126,8 +125,7 @@ def canvas_of(
     bounds: tuple[float, float, float, float] | None = None,
 ) -> FuelCanvas:
     """Return a canvas for layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's
-    CRS.
-    """
+    CRS."""
     shown = places_of(site, dem) if places is None else places
     return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin)
 

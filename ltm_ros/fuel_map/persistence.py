@@ -1,6 +1,5 @@
-"""Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they
-are on disk.
-"""
+"""Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they are on
+disk."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ LOGGED_FRAMES = 1000
 LOGGED_BYTES = 64 << 20
 UNSAVED_FRAMES = 500_000
 """Maximum number of frames counted only in memory, while the disk fails, before more are rejected: three hours of 40
-per second.
-"""
+per second."""
 UNSAVED_BYTES = 256 << 20
 """The same in bytes, if the store has not been opened yet, so that the frames must be counted again."""
 SLOW_S = 1.0
@@ -81,8 +79,7 @@ class FuelMapPersistence:
         self._in_batch: set[tuple[str, int]] = set()
         self._unseen: tuple[str, int] | None = None
         """The last frame that `seen` found neither in the batch nor in the store, so that `count` need not query the
-        disk again.
-        """
+        disk again."""
         self._batch_bytes = 0
         self._unshown: list[Window] = []
         self._aged_ns = 0

@@ -73,9 +73,8 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRegion:
-    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp,
-    0 for none.
-    """
+    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp, 0 for
+    none."""
 
     cells: BoolArray
     stamp_ns: int
@@ -90,8 +89,7 @@ class DrawnRegion:
 
 def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
     """Return the cells in a PolygonStamped. Raises MessageError for another frame, an invalid polygon, or one without
-    cells.
-    """
+    cells."""
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
         raise MessageError(f"region is in frame {message.header.frame_id!r}, expected 'map'")

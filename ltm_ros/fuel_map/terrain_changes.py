@@ -89,8 +89,7 @@ class SurfaceListener:
 
     def on_change(self, message: Any) -> int:
         """Apply the kinds of change of a window; return the number of changed fuel cells. Raises MessageError,
-        StoreError.
-        """
+        StoreError."""
         cells = self._grid.width * self._grid.height
         if int(message.info.width) * int(message.info.height) > cells or len(message.data) > cells:
             raise MessageError(

@@ -36,8 +36,7 @@ CAMERAS_PROCESS = "cameras"
 """Label of the process that runs the nodes of all cameras, if the site has one."""
 SOURCES_PROCESS = "sources"
 """Label of the process that receives the images of all cameras, if the site has one. It is separate, so that what a
-camera sends, and the libraries that read it, cannot affect the processing of frames.
-"""
+camera sends, and the libraries that read it, cannot affect the processing of frames."""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; others get one thread."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
@@ -107,8 +106,7 @@ class ProcessSpec:
     @property
     def busy(self) -> bool:
         """Return whether numerical libraries may use several threads; a shared process has one thread per core for
-        frames.
-        """
+        frames."""
         return not self.shared and self.nodes[0].busy
 
 
@@ -240,8 +238,7 @@ def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
     """Return a ROS parameters file for a node of any name. Strings are quoted, or bare `y` and `on` would become
-    booleans.
-    """
+    booleans."""
     lines = ["/**:", "  ros__parameters:"]
     for name, value in parameters.items():
         lines.append(f"    {name}: {_scalar_or_list(value)}")

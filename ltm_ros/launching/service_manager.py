@@ -44,8 +44,7 @@ def _one(process: NodeProcess) -> str:
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 START_EXTENSION_S = 120.0
 """Seconds by which the runner extends its start timeout, repeatedly: compiling kernels can take minutes, and a hung
-runner stops extending it.
-"""
+runner stops extending it."""
 SIGNS_A_LIMIT = 3
 """Number of watchdog messages within the manager's watchdog interval."""
 

@@ -22,8 +22,7 @@ MIN_AGE_S = 1.0
 
 BYTES_PER_PARTICIPANT = 72 << 20
 """Space in bytes that a node takes in /dev/shm with config/fastdds.xml (Fast DDS allocates its segment in full at the
-start).
-"""
+start)."""
 
 _OBJECT = re.compile(r"^(?:sem\.)?(?P<base>fastrtps_(?:port\d{1,5}|[0-9a-f]{16}))(?:_el|_sl|_mutex)?$")
 
@@ -47,8 +46,7 @@ class SharedMemory:
 
 def survey(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
     """List every Fast DDS object in `folder`. Changes nothing and takes no locks, so it cannot disturb a starting
-    participant or a cleanup. Objects of another PID namespace count as stale, because their locks are invisible.
-    """
+    participant or a cleanup. Objects of another PID namespace count as stale, because their locks are invisible."""
     return _walk(folder, min_age_s, remove=False)
 
 

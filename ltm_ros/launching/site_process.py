@@ -33,8 +33,7 @@ CLOSE_S = 5.0
 
 class JobNode(OutletNode):
     """A node whose handler is a job of its camera's pipeline. Messages for other jobs of the pipeline are passed
-    directly, others go over DDS.
-    """
+    directly, others go over DDS."""
 
     def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE

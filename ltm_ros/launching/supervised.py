@@ -69,8 +69,7 @@ def signal_at_parents_death(number: int) -> None:
 
 def die_with_parent() -> None:
     """End this process within `GRACE_S` of its parent's end, even in a call that holds the interpreter's lock. Call it
-    from the main thread; `_end` requests an orderly end.
-    """
+    from the main thread; `_end` requests an orderly end."""
     libc = ctypes.CDLL(None)
     libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
     # alarm(2) serves directly as the signal handler: it takes an integer and needs no interpreter, and SIGALRM then

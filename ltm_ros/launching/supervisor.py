@@ -144,8 +144,7 @@ class NodeProcess:
     @property
     def watched(self) -> bool:
         """Return whether its supervisor works or has given the process up. False if the supervisor hangs (blocked
-        console) or has died.
-        """
+        console) or has died."""
         if self.state in (ProcessState.GIVEN_UP, ProcessState.STOPPED):
             return True
         return self._thread.is_alive() and time.monotonic() - self._look_due < UNWATCHED_S
@@ -169,8 +168,7 @@ class NodeProcess:
 
     def wait_stopped(self, timeout_s: float) -> bool:
         """Return whether it has stopped for good within `timeout_s`; call it after `request_stop`, or if it was given
-        up.
-        """
+        up."""
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()

@@ -73,8 +73,7 @@ class Aggregator:
 
     def take(self, tower: str, content: bytes) -> None:
         """Take a message of a tower. Invalid ones are counted by cause and, if they name their frame, answered with the
-        reason.
-        """
+        reason."""
         try:
             if tower not in self._config.towers:
                 raise MessageError(f"{tower!r} is not a tower of {self._config.name}: add it to towers in region.yaml")

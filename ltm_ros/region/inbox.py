@@ -51,8 +51,7 @@ def tell_what_waits(health: Health, frames: int, size: int, oldest_ns: int | Non
 
 WAITING_BYTES: Final = 64 << 20
 """Maximum bytes of all queued messages; above it, the newest message of the tower with most data is dropped, and sent
-again by it.
-"""
+again by it."""
 KEPT_BYTES: Final = 1000
 """Overhead in bytes of a queued message, so that empty messages cannot fill the memory."""
 LONGEST_NAME: Final = 100

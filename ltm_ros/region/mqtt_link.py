@@ -20,8 +20,7 @@ from ltm_ros.runtime.health import Health
 ROOT: Final = "ltm"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 2
 """First and longest pause in seconds between attempts to connect. A rejected attempt costs about 5 kB, a tenth of what
-one camera sends meanwhile.
-"""
+one camera sends meanwhile."""
 LARGEST_PACKET: Final = LARGEST + 1024
 """Maximum bytes of a packet with its topic, which is announced to the broker."""
 
@@ -110,8 +109,7 @@ class MqttLink:
 
     def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
         """Send a message; return whether it was handed over. It may still get lost; with QoS 1 only together with the
-        connection.
-        """
+        connection."""
         if not self.connected.is_set():
             return False
         return self._client.publish(topic, payload, qos=qos, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS

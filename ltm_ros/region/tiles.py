@@ -46,8 +46,7 @@ class TilePublisher:
 
     def note(self, windows: Sequence[Window]) -> None:
         """Record that parts of the map may have changed. Tiles without evidence, most of a region, are not
-        published.
-        """
+        published."""
         persistence = self._aggregator.persistence
         keys = {key for window in windows for key in persistence.map.tiles_of(window)}
         for row, col in keys:

@@ -40,8 +40,7 @@ class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the images, with it, where it is accepted,
     else as stated. `gap`: by which the next best correction costs more. `cost`: by the images and by what is stated.
-    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held.
-    """
+    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held."""
 
     rotation: Float64Array
     tilt_zero: float

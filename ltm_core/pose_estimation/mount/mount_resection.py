@@ -41,8 +41,7 @@ class MountResection:
     """`residuals`: (N, 2) pixels, marked minus projected; `used`: (N,) those that were not outliers; `sigma_px`: of a
     measured coordinate. `worst`: pan (deg) at which the calibration leaves the direction most open, and its standard
     deviation (deg). `focal_factors`: by zoom, with which the stated lens was multiplied, and `focal_sigmas` theirs.
-    `notes`: what a user must know.
-    """
+    `notes`: what a user must know."""
 
     points: PtzPoints
     model: MountModel

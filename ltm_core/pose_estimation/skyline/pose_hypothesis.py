@@ -134,8 +134,7 @@ Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 @dataclass(frozen=True)
 class PoseVerdict:
     """`word`, and why in words. `gap`: by how much the best alternative costs more (inf: there is none);
-    `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits.
-    """
+    `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits."""
 
     word: Word
     reason: str

@@ -36,8 +36,7 @@ class Observations:
 @dataclass(frozen=True, eq=False)
 class SkylineObservations(Observations):
     """Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its
-    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
-    """
+    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so."""
 
     veiled: float
     open: float

@@ -44,8 +44,7 @@ _MOST_SQUARE = 9.0
 class SkylineFit:
     """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit, of those that are not
     taken for land beyond the DEM; `veiled`: that where a nearer crest may hide the horizon; `open`: that where such
-    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas.
-    """
+    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas."""
 
     cost: float = 0.0
     support: float = 0.0
@@ -57,8 +56,7 @@ class SkylineFit:
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
     """`covariance`: (7, 7) of x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
-    skyline and prior. `skyline`: how that of the photo lies on the terrain's.
-    """
+    skyline and prior. `skyline`: how that of the photo lies on the terrain's."""
 
     pose: Pose
     camera: Camera
