@@ -163,26 +163,13 @@ def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
     return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _changes(small: UInt8Array) -> Float32Array:
     """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
-    height, width = small.shape[0], small.shape[1]
-    change = np.zeros((height, width), np.float32)
-    step = np.empty((3, width + 4), np.float32)
-    for v in range(2, height - 1):
-        for j in range(3):
-            for u in range(width):
-                step[j, u + 2] = (
-                    np.float32(small[v, u, j])
-                    + np.float32(small[v + 1, u, j])
-                    - (np.float32(small[v - 1, u, j]) + np.float32(small[v - 2, u, j]))
-                )
-            # The border as cv2.blur has it: mirrored about the outermost column.
-            step[j, 1], step[j, 0] = step[j, 3], step[j, 4]
-            step[j, width + 2], step[j, width + 3] = step[j, width], step[j, width - 1]
-            for u in range(width):
-                five = step[j, u] + step[j, u + 1] + step[j, u + 2] + step[j, u + 3] + step[j, u + 4]
-                change[v, u] += abs(five) * np.float32(0.2)
+    below_less_above = np.repeat(np.array([[-1.0], [-1.0], [1.0], [1.0]]), 5, axis=1)
+    five = cv2.filter2D(small, cv2.CV_32F, below_less_above, anchor=(2, 2), borderType=cv2.BORDER_REFLECT_101)
+    red, green, blue = cv2.split(np.abs(five) * np.float32(0.2))
+    change = np.asarray(red + green + blue, np.float32)
+    change[[0, 1, -1]] = 0.0
     return change
 
 

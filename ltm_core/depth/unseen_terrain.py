@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
@@ -38,34 +37,11 @@ def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
 def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Float32Array:
     """Return the traced depth (H, W) with +inf for NaN where `labels` (H, W) are sky; unchanged depth is returned
     itself."""
-    if not _call_sky(depth, labels, sky, depth[:0]):
+    unknown = np.isnan(depth)
+    if not unknown.any():
         return depth
-    called = depth.copy()
-    _call_sky(depth, labels, sky, called)
-    return called
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _call_sky(depth: Float32Array, labels: UInt8Array, sky: int, called: Float32Array) -> int:
-    """Return the number of such pixels; they are made sky in `called`, unless that is empty."""
-    height, width = depth.shape
-    below_sky = np.ones(width, np.bool_)
-    left, found = width, 0
-    for v in range(height):
-        if left == 0:
-            break
-        for u in range(width):
-            if not below_sky[u]:
-                continue
-            d = depth[v, u]
-            if labels[v, u] != sky or d < np.float32(np.inf):
-                below_sky[u] = False
-                left -= 1
-            elif d != d:
-                found += 1
-                if called.size:
-                    called[v, u] = np.float32(np.inf)
-    return found
+    called = unknown & np.logical_and.accumulate((labels == sky) & ~(depth < np.inf), axis=0)
+    return np.where(called, np.float32(np.inf), depth) if called.any() else depth
 
 
 def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Array, source: UInt8Array) -> None:

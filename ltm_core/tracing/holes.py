@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
 
@@ -41,8 +43,9 @@ class Holes(NamedTuple):
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
     """Return the holes of (H, W) float32 elevations, NaN if nodata; at least one is known. `rise`: maximum rise of
     unknown ground between nodes, metres; `highest`: its maximum height in outer holes."""
-    row, first, end = _runs(elevation, _count_runs(elevation))
-    rim = _rims(elevation, row, first, end, _joined(row, first, end))
+    width = elevation.shape[1]
+    row, first, end = _runs(elevation)
+    rim = _rims(elevation, row, first, end, _joined(row, first, end, width))
     start = np.concatenate([[0], np.cumsum(end - first)])[:-1].astype(np.int64)
     ceilings = np.full(int((end - first).sum()), np.inf, np.float32)
     steps = np.float32(rise), np.float32(rise * _DIAGONAL)
@@ -50,7 +53,6 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
         pass
     outer = np.isinf(rim)
     np.minimum(ceilings, np.repeat(np.where(outer, highest, rim).astype(np.float32), end - first), out=ceilings)
-    width = elevation.shape[1]
     return Holes(row * width + first, row * width + end, outer, start, ceilings)
 
 
@@ -83,63 +85,21 @@ def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
     return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _count_runs(elevation: Float32Array) -> int:
-    count = 0
-    for i in range(elevation.shape[0]):
-        before = False
-        for j in range(elevation.shape[1]):
-            missing = elevation[i, j] != elevation[i, j]
-            count += missing and not before
-            before = missing
-    return count
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _runs(elevation: Float32Array, count: int) -> tuple[Int64Array, Int64Array, Int64Array]:
+def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Return the row, first column and one past the last column of each run of NaN, row after row."""
-    row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
-    k = 0
-    for i in range(elevation.shape[0]):
-        before = False
-        for j in range(elevation.shape[1]):
-            missing = elevation[i, j] != elevation[i, j]
-            if missing and not before:
-                row[k], first[k] = i, j
-            if before and not missing:
-                end[k] = j
-                k += 1
-            before = missing
-        if before:
-            end[k] = elevation.shape[1]
-            k += 1
-    return row, first, end
+    edges = np.diff(np.isnan(elevation).view(np.int8), axis=1, prepend=np.int8(0), append=np.int8(0))
+    row, first = np.nonzero(edges == 1)
+    return row, first, np.nonzero(edges == -1)[1]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _joined(row: Int64Array, first: Int64Array, end: Int64Array) -> Int64Array:
-    """For each run the index of one run that stands for all of its hole: runs that touch, at corners too, are one."""
-    hole = np.arange(row.size)
-    above = 0
-    for k in range(row.size):
-        while above < k and (row[above] < row[k] - 1 or (row[above] == row[k] - 1 and end[above] < first[k])):
-            above += 1
-        other = above
-        while other < k and row[other] == row[k] - 1 and first[other] <= end[k]:
-            a, b = _root(hole, other), _root(hole, k)
-            hole[max(a, b)] = min(a, b)
-            other += 1
-    for k in range(row.size):
-        hole[k] = _root(hole, k)
-    return hole
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _root(hole: Int64Array, k: int) -> int:
-    while hole[k] != k:
-        hole[k] = hole[hole[k]]
-        k = hole[k]
-    return k
+def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:
+    """For each run the number of its hole: runs that touch, at corners too, are one."""
+    above = (row - 1) * (width + 1)
+    lowest = np.searchsorted(row * (width + 1) + end, above + first)
+    count = np.searchsorted(row * (width + 1) + first, above + end, "right") - lowest
+    touching = np.arange(count.sum()) + np.repeat(lowest - np.cumsum(count) + count, count)
+    pairs = coo_array((np.ones(len(touching)), (np.repeat(np.arange(row.size), count), touching)), (row.size, row.size))
+    return connected_components(pairs, directed=False)[1].astype(np.int64) if row.size else row
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

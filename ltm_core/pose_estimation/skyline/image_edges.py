@@ -188,7 +188,9 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     spacing = max(1.0, width / COLUMNS)
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
-    top = _first_land(sky, columns, _RUN)
+    seen = ~sky[:, columns]
+    land = np.logical_and.reduce([seen[k : height - _RUN + 1 + k] for k in range(_RUN)])
+    top = np.where(land.any(0), land.argmax(0), height)
     # A column without any sky says that the terrain covers it; one whose "sky" starts below land is a hole in trees.
     covered = top <= 1
     edge = (top > 1) & (top < height - _RUN)
@@ -221,21 +223,6 @@ def _vertical_gradient(photo: UInt8Array) -> Float32Array:
     change[1:-1] = lab[2:] - lab[:-2]
     change[..., 0] *= np.float32(100 / 255)
     return np.asarray(np.sqrt(np.einsum("hwc,hwc->hw", change, change)), np.float32)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
-    """Return the first row from which on `run` rows are no sky; H without."""
-    height = sky.shape[0]
-    top = np.full(len(columns), height, np.int64)
-    for k in range(len(columns)):
-        length = 0
-        for v in range(height):
-            length = 0 if sky[v, columns[k]] else length + 1
-            if length == run:
-                top[k] = v - run + 1
-                break
-    return top
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
