@@ -20,7 +20,7 @@ GRID = GridGeometry(345_975.0, 3_783_195.0, 100.0, 6, 4, "EPSG:32611")  # a hect
 def run(*arrival: list[float]) -> FireRun:
     hours = np.array(arrival, np.float32)
     burned = np.isfinite(hours)
-    return FireRun(hours, np.where(burned, 2.0, 0.0).astype(np.float32), burned.astype(np.uint8))
+    return FireRun(hours, np.where(burned, 2.0, 0.0).astype(np.float32))
 
 
 N = float("nan")
