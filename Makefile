@@ -53,8 +53,8 @@ demo-fire: $(INSTALLED) $(FIRE)/.installed
 demo-update: $(VENV)/.installed-dev
 	$(BIN)/ltm-lab eval update --pictures out/demo-update
 
-demo-real: $(INSTALLED)
-	$(BIN)/ltm demo --real --out out/demo-real
+demo-real: $(VENV)/.installed-dev
+	$(BIN)/ltm-lab eval photo --out out/demo-real
 
 # More processes than the two cores that they are for: what waits (for a camera's next picture, a file's flush, a node
 # to be up) leaves its core to the others.

@@ -15,8 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from std_msgs.msg import String
 
 from ltm_core.base.errors import MessageError
-from ltm_core.surface.confirmed_surface import AS_GIVEN, SurfaceManifest
-from ltm_core.surface.surface_versions_io import VERSION
+from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifest
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 

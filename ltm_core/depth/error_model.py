@@ -1,15 +1,7 @@
-"""Model the errors of a depth network by region and class, and estimate the model from trusted terrain.
+"""Model the errors of a depth network, and estimate the model from trusted terrain.
 
-What a network answers where the true depth is known: its slow errors and its noise, by region and by depth.
-
-The question that fusion asks of every pixel is not how far off the network usually is, but what it would say *here* if
-the terrain were right. A network that takes all far hills for nearer ones does not contradict a far hill; one that sees
-them so everywhere but at one spot does.
-
-A network's error model out of what it said where the terrain can be trusted.
-
-First bias and spread by range, over the whole photo; then corrections by region, where they hold on regions that they
-were not taken from.
+The model states what the network answers, and its noise, if the true depth is known: first bias and spread by range
+over the whole photo, then corrections by region if held-out regions confirm them.
 """
 
 from __future__ import annotations
@@ -52,11 +44,8 @@ class ErrorTables(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Error model: at true inverse depth x, the network gives x - shift x, with a sigma of factor x.
-
-    `tables`: shift and factor, (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they
-    differ over the photo.
-    """
+    """Error model: at true inverse depth x, the network gives x - shift x, with a sigma of factor x. `tables`: both,
+    (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they differ over the photo."""
 
     tables: ErrorTables
     regional: bool
@@ -136,11 +125,8 @@ def expected_predictions(
     sigma: Float32Array,
 ) -> None:
     """Compute `expected_prediction` for a row of pixels (W,) into `less` and `sigma`. `tables`: (C * D, 4), one row of
-    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,) work arrays.
-
-    The logarithm is taken from the numbers' own bits, so that no table is looked up: log2(2^e (1 + m)) is
-    e + m + 0.3438 m (1 - m) but for 0.009.
-    """
+    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,) work arrays. The logarithm comes from the
+    bits: log2(2^e (1 + m)) is e + m + 0.3438 m (1 - m) but for 0.009."""
     least, last = np.float32(1 / _FARTHEST), np.float32(OCTAVES - 1.001)
     for u in range(len(inverse)):
         sigma[u] = inverse[u] if inverse[u] > least else least
@@ -200,12 +186,8 @@ def estimate_errors(
 def _by_depth(
     octave: IndexArray, less: Float64Array, terrain: Float64Array, region: IndexArray, config: FusionConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the
-    terrain's.
-
-    Both are drawn towards those of all samples by a region's worth of belief. Samples side by side are no evidence
-    of an error that goes with depth: they may all lie on one hill, or on one thing that stands there since.
-    """
+    """Return the middle of `less` (N,) by half octave, a share of the true inverse depth, and its spread without the
+    terrain's; both are drawn towards those of all samples, because neighbouring samples may all lie on one hill."""
     rules = config.error_model
     middle, wide = _spread(less, terrain, config)
     known, usual, square = [], [], []
@@ -251,12 +233,8 @@ def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> 
 def _by_region(
     off: Float64Array, samples: GroundSamples, size: tuple[int, int], config: FusionConfig
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C,
-    D).
-
-    Means are taken over the regions of a checkerboard and judged on the others: what they say of ground that they have
-    not seen is what they will say of trees.
-    """
+    """Return the mean of `off` (N,) by region and depth, 0 where held-out regions of a checkerboard do not confirm it,
+    and the spread about it, (R, C, D)."""
     rules = config.error_model
     region = _regions(samples, size)
     rows, cols = region // REGIONS[1], region % REGIONS[1]

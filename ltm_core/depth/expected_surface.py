@@ -1,11 +1,7 @@
 """Compute the depth that the terrain and the network predict for each pixel, with its standard deviation.
 
-What the terrain lets expect of a pixel: the depth of the visible surface and how sure it is.
-
-Traced depth is that of bare ground. Where a label shows vegetation, the camera sees its top: the ray that
-meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels further down the
-image. So the raised surface's depth is found in the traced image itself, exactly where the slope goes on, and never
-across a silhouette (that is `occlusion_boundaries`' work).
+The ray that meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels
+further down the image: so the top of vegetation is found in the traced image itself, never across a silhouette.
 """
 
 from __future__ import annotations
@@ -53,16 +49,9 @@ def expected_surface(
 ) -> tuple[Float32Array, Float32Array]:
     """Return depth and sigma of the visible surface, (H, W) float32 metres; +inf and NaN are those of `ground`.
 
-    Args:
-        ground: traced depth along the optical axis (H, W).
-        labels: class ids (H, W), or None: bare ground everywhere.
-        cover: (256,) metres of cover above ground by class id.
-        angle_sigma: of the camera's direction, radians.
-        dem_sigma: of the terrain's heights, metres.
-
-    Sigma follows from the traced depth's own gradient: what a pixel's neighbour above or below sees is what the pixel
-    would see under another pitch, or over lower or higher ground. A camera that is rolled gets no cover, since its
-    columns are not plumb.
+    `ground`: traced depth along the optical axis (H, W). `labels`: class ids (H, W); None: bare ground. `cover`: (256,)
+    metres above ground by class id; not used if the camera is rolled. `angle_sigma`: of the camera's direction,
+    radians. `dem_sigma`: of the terrain's heights, metres. Sigma follows from the gradient of the traced depth.
     """
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
@@ -142,11 +131,8 @@ def _cover(
     surface: Float32Array,
     square: Float32Array,
 ) -> None:
-    """Bring row `v` of the ground to the top of its cover, into `surface`, and add its doubt to the variance `square`.
-
-    How many pixels the cover's height spans depends on the depth that is sought; the row above, which is done, is as
-    good as known.
-    """
+    """Bring row `v` of the ground to the top of its cover, into `surface`, and add its variance to `square`. The row
+    above gives the first guess of the depth."""
     height, width = ground.shape
     here, above, top = ground[v], surface[max(v - 1, 0)], surface[v]
     flat = ground.reshape(-1)

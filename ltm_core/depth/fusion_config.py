@@ -1,30 +1,20 @@
 """Define the constants of depth fusion; read those of a network from the file beside its manifest.
 
-Each constant has one of three origins: *derived* from geometry or arithmetic, with no choice left; *fitted* to
-rendered frames by `ltm-lab train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; or
-*chosen* on the development scenarios by the RMSE of `ltm-lab eval depth`.
-
-Log odds are natural logarithms of p / (1 - p).
+A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes all beside a depth network as
+`<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are
+natural logarithms of p / (1 - p).
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
-
-
-def derived(default: Any, meaning: str, **bounds: float) -> Any:
-    """Declare a constant that follows from others; `bounds` as in pydantic, for example ge=0."""
-    return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
@@ -53,19 +43,12 @@ class CoverConfig(StrictModel):
     """Vegetation heights by class."""
 
     grass: float = chosen(0.2, "Mean height in metres of the visible surface of grass above bare ground.", ge=0, lt=100)
-    shrub: float = chosen(
-        1.0,
-        "Mean height in metres of the visible surface of shrub, below the plants' own height because of gaps.",
-        ge=0,
-        lt=100,
-    )
+    shrub: float = chosen(1.0, "Mean height in metres of the visible surface of shrub.", ge=0, lt=100)
     tree: float = chosen(6.0, "Mean height in metres of the visible surface of trees.", ge=0, lt=100)
     doubt: float = chosen(0.5, "Standard deviation of a cover height, as a share of it.")
     crest: float = chosen(3.0, "Maximum height in metres of unlabelled or low cover above a crest.")
     tree_crest: float = chosen(12.0, "Maximum height in metres of a tree above a crest.")
-    bare_crest: float = chosen(
-        1.0, "Maximum height in metres of bare ground and water above a crest, because rasters smooth crests."
-    )
+    bare_crest: float = chosen(1.0, "Maximum height in metres of bare ground and water above a crest.")
 
 
 class SurfaceConfig(StrictModel):
@@ -73,9 +56,7 @@ class SurfaceConfig(StrictModel):
 
     jump: float = chosen(1.25, "Ratio of depths of neighbouring pixels above which they are on two surfaces.")
     most_roll_deg: float = chosen(20.0, "Maximum roll in degrees of a camera whose columns count as vertical.")
-    most_pitch_deg: float = chosen(
-        60.0, "Maximum pitch in degrees, up or down, at which objects stand along a camera's columns."
-    )
+    most_pitch_deg: float = chosen(60.0, "Maximum pitch in degrees at which objects stand along columns.")
     pixel_doubt: float = chosen(0.3, "Displacement of an edge in pixels at a perfect pose, by pixels and DEM cells.")
     least_sigma: float = chosen(1e-3, "Minimum relative standard deviation.")
 
@@ -94,15 +75,11 @@ class SamplingConfig(StrictModel):
 class RegressionConfig(StrictModel):
     """Straight line through most samples (`robust_regression`)."""
 
-    trials: int = derived(
-        128, "Number of pairs tried; with 45 % outliers, one is clean with 0.3, so all fail once in 10^19.", ge=1
-    )
-    scored: int = chosen(
-        800, "Number of evenly spaced points that score the trials; inliers are selected from all points.", ge=8
-    )
+    trials: int = chosen(128, "Number of pairs tried; 45 % outliers spoil all once in 10^19.", ge=1)
+    scored: int = chosen(800, "Number of evenly spaced points that score the trials.", ge=8)
     band: float = chosen(2.5, "Robust standard deviations within which a point is an inlier.", gt=0)
     fewest: int = chosen(8, "Minimum number of points for a line.", ge=2)
-    least_run: float = derived(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
+    least_run: float = chosen(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
     refined: int = chosen(3, "Number of rounds of least squares over the inliers.")
 
 
@@ -110,27 +87,17 @@ class ScaleConfig(StrictModel):
     """Scale and shift of a network's depth (`scale_fit`, `robust_regression`)."""
 
     least_samples: int = chosen(50, "Minimum number of samples of trustworthy ground for a scale.")
-    least_positive: float = chosen(
-        0.9, "Minimum share of positive values of a relative network for a line without a shift."
-    )
+    least_positive: float = chosen(0.9, "Minimum share of positive values for a line without a shift.")
     least_inliers: float = chosen(0.3, "Minimum share of inliers for a usable fit.")
-    least_explained: float = chosen(
-        0.1, "Minimum share of the ground's spread in inverse depth that a network must explain."
-    )
+    least_explained: float = chosen(0.1, "Minimum share of the ground's spread that a network explains.")
     like_terrain: float = chosen(0.2, "Relative noise below which a network is usable even over ground of one depth.")
-    shift_gain: float = chosen(
-        0.6, "Share of the residual that a shift must reach, because a shift determines all far depths."
-    )
-    typical_sigma: float = chosen(
-        0.1, "Relative standard deviation of the terrain above which a sample has less weight."
-    )
+    shift_gain: float = chosen(0.6, "Share of the residual that a shift must reach.")
+    typical_sigma: float = chosen(0.1, "Relative sigma of the terrain above which a sample has less weight.")
     relative_floor: float = chosen(2e-3, "Minimum relative noise of a network.")
     gross_sigmas: float = chosen(3.0, "Joint standard deviations above which a residual is a gross error.")
     covered_gross: float = chosen(0.5, "Share of the much too near pixels that are errors and not missed cover.")
     least_gross: float = chosen(0.003, "Minimum share of gross errors of a network.")
-    noisy_gross: float = chosen(
-        0.05, "Share of gross errors that noise alone may explain, because samples cluster in few places."
-    )
+    noisy_gross: float = chosen(0.05, "Share of gross errors that noise alone may explain.")
 
 
 class ErrorModelConfig(StrictModel):
@@ -139,30 +106,18 @@ class ErrorModelConfig(StrictModel):
     regional: bool = chosen(True, "Whether corrections vary over the photo if held-out regions confirm them.")
     by_depth: bool = chosen(True, "Whether bias and spread vary with the range.")
     unsampled: float = chosen(4.0, "Variance of a region without samples, in multiples of that of held-out regions.")
-    shrink: tuple[float, ...] = chosen(
-        (4.0, 16.0, 64.0), "Weights of the prior of no correction, in samples, which are tried in turn."
-    )
+    shrink: tuple[float, ...] = chosen((4.0, 16.0, 64.0), "Weights of the prior, in samples, tried in turn.")
     gain: float = chosen(0.97, "Share of the held-out error that corrections must reach to be used.")
     winsor: float = chosen(6.0, "Standard deviations at which residuals are clipped.")
-    covered: float = chosen(
-        4.0, "Standard deviations nearer than the terrain above which a sample is unlabelled cover, not an error."
-    )
-    blur: tuple[float, float, float] = chosen(
-        (1.0, 1.0, 1.5), "Width of the smoothing of the tables in regions and half octaves."
-    )
-    peak: float = derived(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
+    covered: float = chosen(4.0, "Standard deviations nearer than the terrain above which a sample is cover.")
+    blur: tuple[float, float, float] = chosen((1.0, 1.0, 1.5), "Smoothing in regions and half octaves.")
+    peak: float = chosen(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
     fewest: int = chosen(10, "Minimum number of samples for a spread.")
     belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
-    densest: float = chosen(
-        0.4, "Share of the samples in the densest part, which replaces the median, because objects bias it."
-    )
+    densest: float = chosen(0.4, "Share of the samples in the densest part, which replaces the median.")
     least_spread: float = chosen(0.5, "Minimum spread of one range, as a share of the spread of all ranges.")
-    nearer: float = chosen(
-        12.0, "Ratio to the ground's depth above which a sample is an object right in front of the camera."
-    )
-    nearer_far: float = chosen(
-        3.0, "The same ratio for far ground, because networks give unknown far ranges a medium depth."
-    )
+    nearer: float = chosen(12.0, "Ratio to the ground's depth above which a sample is a near object.")
+    nearer_far: float = chosen(3.0, "The same ratio for far ground.")
     biased: float = chosen(0.3, "Share of a range's bias by which it varies within the half octave.")
     beyond: float = chosen(1.5, "Growth factor of the spread for each half octave beyond all samples.")
     before: float = chosen(1.1, "Growth factor for each half octave nearer than all samples.")
@@ -179,9 +134,7 @@ class UpsamplingConfig(StrictModel):
 class BoundaryConfig(StrictModel):
     """Location of the edge between two ridges in the photo (`occlusion_boundaries`)."""
 
-    usual_crest: float = chosen(
-        0.25, "Usual rise of crests in metres, over which the prior of a cut falls by a factor e."
-    )
+    usual_crest: float = chosen(0.25, "Rise of crests in metres over which a cut's prior falls by e.")
     strip_px: int = chosen(60, "Maximum rise of an edge in pixels; larger cover of a near crest is an object.")
     strip_cells: float = chosen(6.0, "Maximum rise of an edge in rows of a network's depth, if there is one.")
     sample_rows: int = chosen(8, "Number of rows of a side's colour sample.")
@@ -197,9 +150,7 @@ class BoundaryConfig(StrictModel):
         ClassLogOdds(grass=-0.9, shrub=0.6, tree=1.3, bare=-1.7, water=-1.7, built=1.3, unlabelled=0.4),
         "Log odds that a pixel one metre above a crest belongs to it if its colour matches.",
     )
-    toward: float = fitted(
-        1.9, "Increase of the log odds if the network's depth is that of the crest, decrease if it is far."
-    )
+    toward: float = fitted(1.9, "Change of the log odds by the network's depth, crest or far.")
 
 
 class OcclusionConfig(StrictModel):
@@ -220,13 +171,9 @@ class DecisionConfig(StrictModel):
 
     disagree: float = chosen(0.4, "Squared standard deviations above which a disagreement is examined.")
     agree: float = chosen(9.0, "Squared standard deviations up to which both depths are averaged.")
-    torn: float = chosen(
-        0.15, "Relative standard deviation above which the terrain is split between two surfaces and not averaged."
-    )
+    torn: float = chosen(0.15, "Relative sigma above which the terrain is not averaged.")
     soft: float = chosen(0.15, "Tolerance of a pixel between its neighbours, as a share of their range of depths.")
-    likelihood_weight: float = fitted(
-        0.44, "Weight of the log likelihood of a nearer object, because errors extend over many pixels."
-    )
+    likelihood_weight: float = fitted(0.44, "Weight of the log likelihood of a nearer object.")
     canopy_weight: float = fitted(0.18, "The same weight for a canopy raster.")
     canopy: ClassLogOdds = fitted(
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
@@ -234,9 +181,7 @@ class DecisionConfig(StrictModel):
     )
     open: float = chosen(0.1, "Probability above which the less likely depth also counts; 0.5: never.")
     elsewhere: float = chosen(4.0, "Variance of a network on objects, in multiples of its variance on ground.")
-    between: float = chosen(
-        0.3, "Standard deviation of a pixel's depth between its neighbours, as a share of their range."
-    )
+    between: float = chosen(0.3, "Sigma of a pixel's depth as a share of its neighbours' range.")
     blurred: float = chosen(0.3, "Share of a disagreement above which a value between two sides is an edge.")
     ranges: float = chosen(3.0, "Number of e-foldings of depth over which an object is equally likely.")
     measured: float = chosen(0.5, "Relative standard deviation above which a network's depth is no measurement.")
@@ -250,32 +195,20 @@ class PoseCheckConfig(StrictModel):
     cells: int = chosen(480, "Number of columns of the contrast image.")
     least_edges: int = chosen(60, "Minimum number of terrain edges for the check.")
     most_edges: int = chosen(1500, "Maximum number of edges used.")
-    near_deg: float = chosen(
-        0.25, "Maximum displacement in degrees of an edge by cover and DEM errors; nearer edges are ignored."
-    )
-    allowed_deg: float = chosen(
-        0.13, "Tolerated turn in degrees, in addition to three standard deviations of the direction."
-    )
+    near_deg: float = chosen(0.25, "Maximum displacement in degrees of an edge by cover and the DEM.")
+    allowed_deg: float = chosen(0.13, "Tolerated turn in degrees, in addition to three sigmas.")
     cover: float = chosen(1.0, "Height in metres by which cover raises a crest.")
     beside: int = chosen(2, "Distance in pixels above an edge at which the label of its cover is read.")
     as_well: float = chosen(0.8, "Share of the best contrast over the usual one above which a pose is about as good.")
     clearly: float = chosen(0.6, "Share of the best contrast below which the given pose is suspected.")
     contrast: float = chosen(1.8, "Minimum contrast at the best place.")
     outstanding: float = chosen(4.0, "Minimum excess of the best contrast over the usual one, in spreads.")
-    skyline_gain: float = chosen(
-        4.0, "Factor by which the skyline must fit better, because wrong labels fit better somewhere."
-    )
-    skyline_as_well: float = chosen(
-        1.25, "Multiple of the skyline's best cost up to which a fit is about as good, plus `skyline_margin`."
-    )
+    skyline_gain: float = chosen(4.0, "Factor by which the skyline must fit better.")
+    skyline_as_well: float = chosen(1.25, "Multiple of the best cost up to which a fit is about as good.")
     skyline_margin: float = chosen(0.25, "Margin of `skyline_as_well` in mean squared standard deviations.")
     columns: int = chosen(480, "Approximate number of columns of the skyline.")
-    least_share: float = chosen(
-        0.3, "Minimum share of columns with a known skyline beyond near crests; short pieces fit anywhere."
-    )
-    edge: float = chosen(
-        0.75, "Standard deviation of the labels' edge, in steps between columns or cells of their network."
-    )
+    least_share: float = chosen(0.3, "Minimum share of columns with a known, far skyline.")
+    edge: float = chosen(0.75, "Sigma of the labels' edge, in steps between columns or cells.")
     run: int = chosen(3, "Number of rows of land that end the sky.")
     most: float = chosen(4.0, "Standard deviations above which a column is ignored (label errors, clouds).")
     share: float = chosen(0.6, "Minimum share of the columns that remain visible after a shift.")
@@ -298,32 +231,6 @@ class FusionConfig(StrictModel):
     occlusion: OcclusionConfig = OcclusionConfig()
     decision: DecisionConfig = DecisionConfig()
 
-    def constants(self) -> Iterator[tuple[str, Any, str, str]]:
-        """Iterate over dotted name, value, origin and meaning of every constant."""
-        yield from _constants(self, "")
-
-    def updated(self, changes: dict[str, Any]) -> FusionConfig:
-        """Return a copy with other values by dotted name; all types and bounds are checked. Raises ValueError."""
-        content = self.model_dump()
-        for name, value in changes.items():
-            *path, last = name.split(".")
-            place = content
-            for part in path:
-                place = place[part]
-            place[last] = value
-        return FusionConfig.model_validate(content)
-
-
-def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, str]]:
-    for name, info in type(model).model_fields.items():
-        value = getattr(model, name)
-        if isinstance(value, BaseModel):
-            yield from _constants(value, f"{prefix}{name}.")
-        else:
-            extra = info.json_schema_extra
-            assert isinstance(extra, dict)  # nosec B101 # tells the type checker what holds
-            yield f"{prefix}{name}", value, str(extra["origin"]), info.description or ""
-
 
 def fusion_path(manifest: NetworkManifest) -> Path:
     """Return the path of the constants fitted with a network."""
@@ -334,20 +241,3 @@ def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
     """Return the constants beside a manifest, or the defaults. Raises ConfigError for an invalid file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()
-
-
-def write_fusion_config(path: Path, config: FusionConfig, source: str) -> None:
-    """Write every constant, each with its origin and meaning. `source`: how the fitted ones were found, in words."""
-    lines = [f"# Constants of depth fusion (ltm_core/depth/fusion_config.py). Fitted ones by: {source}"]
-    before: list[str] = []
-    for group, constants in groupby(config.constants(), key=lambda c: c[0].rpartition(".")[0]):
-        parts = group.split(".")
-        shared = sum(1 for a, b in zip(before, parts, strict=False) if a == b)
-        lines += [f"{'  ' * depth}{parts[depth]}:" for depth in range(shared, len(parts))]
-        before = parts
-        for name, value, origin, meaning in constants:
-            text = f"{'  ' * len(parts)}{name.rpartition('.')[2]}: {json.dumps(value)}"
-            lines.append(f"{text:<28} # {origin}; {meaning}")
-    if path.is_symlink():  # to another network's: that one keeps its own
-        path.unlink()
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, UInt8Array
@@ -21,10 +20,9 @@ VEGETATION = ("grass", "shrub", "tree")
 class ClassPriors:
     """Tables over the 256 ids of a label image; for their values see `fusion_config`.
 
-    `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
-    to which an edge of the terrain may be raised there. `canopy_log_odds`: float32, that a canopy raster and not bare
-    ground is what shows. `occluder_log_odds`: float32, that something stands before the ground. `outline`: float32 log
-    odds that a pixel belongs to a crest. `sky`: the id of sky.
+    `cover`: metres of cover above bare ground. `ground`: whether the terrain shows. `crest`: metres to which an edge
+    may be raised. `canopy_log_odds`: of a canopy raster against bare ground. `occluder_log_odds`: of something in front
+    of the ground. `outline`: log odds that a pixel belongs to a crest. `sky`: the id of sky.
     """
 
     cover: Float32Array
@@ -76,16 +74,6 @@ def _table(labels: LabelSet, odds: ClassLogOdds) -> Float32Array:
     return table
 
 
-class _SamplingRules(NamedTuple):
-    """As compiled code takes them. `steep`: relative change of depth over two rows that is grazed."""
-
-    jump: np.float32
-    unsure: np.float32
-    steep: np.float32
-    step: int
-    clear: int
-
-
 @dataclass(frozen=True, eq=False)
 class GroundSamples:
     """Ground samples. `rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface
@@ -112,66 +100,31 @@ def ground_samples(
     focal: float,
     config: FusionConfig,
 ) -> GroundSamples:
-    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes and grazing views.
-
-    `ground`: (256,) which classes are. `focal`: pixels. Where sigma is a large part of the depth is left
-    out as well: ground near a low mast is unsure, but a network must not be left without what is near.
-    """
+    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes, grazing views and uncertain
+    depths. `ground`: (256,) whether a class is ground. `focal`: pixels."""
     rules = config.sampling
-    rows, cols, depth = _candidates(
-        surface,
-        sigma,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
-        labels is not None,
-        ground,
-        _SamplingRules(
-            np.float32(config.surface.jump),
-            np.float32(rules.unsure),
-            np.float32(2.0 / (focal * np.tan(np.radians(rules.grazing_deg)))),
-            rules.step,
-            rules.clear,
-        ),
-    )
+    jump, clear = np.float32(config.surface.jump), rules.clear
+    steep = np.float32(2.0 / (focal * np.tan(np.radians(rules.grazing_deg))))  # relative change of depth over two rows
+    v = np.arange(clear, surface.shape[0] - clear, rules.step)[:, None]
+    u = np.arange(clear, surface.shape[1] - clear, rules.step)[None]
+    d = surface[v, u]
+    good = (d < np.float32(1e9)) & (d > 0) & (sigma[v, u] < np.float32(rules.unsure) * d)
+    if labels is not None:
+        good &= ground[labels[v, u]]
+    row, col = np.nonzero(good)
+    rows, cols, depth = v[row, 0], u[0, col], d[row, col]
+    good = np.ones(len(depth), np.bool_)
+    for down, right in ((clear, 0), (-clear, 0), (0, -clear), (0, clear)):
+        beside = surface[rows + down, cols + right]
+        good &= (beside < jump * depth) & (depth < jump * beside)
+    rows, cols, depth = rows[good], cols[good], depth[good]
+    # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
+    with np.errstate(invalid="ignore"):
+        good = np.abs(surface[rows - 1, cols] - surface[rows + 1, cols]) < steep * depth
+    rows, cols, depth = rows[good], cols[good], depth[good]
     chosen = _even(depth, rules)
     rows, cols = rows[chosen], cols[chosen]
     return GroundSamples(rows, cols, depth[chosen].astype(np.float64), sigma[rows, cols].astype(np.float64))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _candidates(
-    surface: Float32Array,
-    sigma: Float32Array,
-    labels: UInt8Array,
-    labelled: bool,
-    ground: BoolArray,
-    rules: _SamplingRules,
-) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """Return the rows, columns and depth of the pixels of a grid that are fit."""
-    height, width = surface.shape
-    clear, step = rules.clear, rules.step
-    down, across = (height - 2 * clear + step - 1) // step, (width - 2 * clear + step - 1) // step
-    count = max(down, 0) * max(across, 0)
-    rows, cols, depth = np.empty(count, np.intp), np.empty(count, np.intp), np.empty(count, np.float32)
-    far, jump, unsure, steep = np.float32(1e9), rules.jump, rules.unsure, rules.steep
-    i = 0
-    for v in range(clear, height - clear, step):
-        for u in range(clear, width - clear, step):
-            d = surface[v, u]
-            good = d < far and d > 0 and sigma[v, u] < unsure * d and (not labelled or ground[labels[v, u]])
-            if good:
-                for beside in (
-                    surface[v + clear, u],
-                    surface[v - clear, u],
-                    surface[v, u - clear],
-                    surface[v, u + clear],
-                ):
-                    good &= beside < jump * d and d < jump * beside
-                # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
-                good &= abs(surface[v - 1, u] - surface[v + 1, u]) < steep * d
-            if good:
-                rows[i], cols[i], depth[i] = v, u, d
-                i += 1
-    return rows[:i], cols[:i], depth[:i]
 
 
 def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
@@ -186,19 +139,7 @@ def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
     most = rules.crowd * np.median(filled)
     while np.minimum(filled, most).sum() > rules.most:
         most *= 0.9
-    return np.asarray(_evenly(octave, np.minimum(1.0, most / np.maximum(counts, 1))))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _evenly(kind: IndexArray, share: Float64Array) -> IndexArray:
-    """Return which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come
-    row by row."""
-    chosen, rank, n = np.empty(len(kind), np.intp), np.zeros(len(share), np.intp), 0
-    for i in range(len(kind)):
-        k = kind[i]
-        before = np.floor(rank[k] * share[k])
-        rank[k] += 1
-        if np.floor(rank[k] * share[k]) > before:
-            chosen[n] = i
-            n += 1
-    return chosen[:n]
+    share = np.minimum(1.0, most / np.maximum(counts, 1))[octave]
+    rank = np.empty(len(depth), np.intp)  # within its octave
+    rank[np.argsort(octave, kind="stable")] = np.arange(len(depth)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.flatnonzero(np.floor((rank + 1) * share) > np.floor(rank * share))

@@ -1,7 +1,5 @@
 """Upsample a network's fitted depth to the photo's size, with the photo's edges.
 
-A small image brought to a photo's size with the photo's edges.
-
 Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
 the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size.
 """
@@ -24,10 +22,7 @@ def guided_coefficients(
     image: Float32Array, grey: UInt8Array, config: UpsamplingConfig
 ) -> tuple[Float32Array, Float32Array]:
     """Return the gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W),
-    0..255.
-
-    NaN in `image` spreads by twice the windows' radius.
-    """
+    0..255. NaN in `image` spreads by twice the windows' radius."""
     height, width = image.shape
     guide: Float32Array = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     window = (2 * config.radius + 1, 2 * config.radius + 1)

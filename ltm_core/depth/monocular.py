@@ -44,11 +44,8 @@ class NetworkDepth:
 
 
 class DepthNetwork:
-    """Runs the depth network of a manifest on RGB photos of any size.
-
-    `threads`: CPU threads of ONNX Runtime. `fusion`: the constants that were fitted with it. Raises ModelError as
-    OnnxModel does, and for a network of labels; ConfigError for a wrong file of constants.
-    """
+    """Runs the depth network of a manifest on RGB photos of any size. `threads`: CPU threads of ONNX Runtime. Raises
+    ModelError as OnnxModel, and for a network of labels; ConfigError for an invalid file of constants."""
 
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         self.manifest = manifest.require(depth=True)
@@ -61,12 +58,8 @@ class DepthNetwork:
         return cls(NetworkManifest.find(path_or_name), threads)
 
     def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
-        """Return the depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
-
-        Metres of a network that assumes a focal length are scaled to the camera's. Pixels without a finite depth, or
-        without a positive one in metres, become NaN. Raises ImageError for another shape or dtype, and if camera and
-        photo differ in size.
-        """
+        """Return the depth of a photo (H, W, 3) uint8 RGB taken by `camera`, NaN where invalid; metres of a network for
+        one focal length are scaled to the camera's. Raises ImageError for another shape, size or dtype."""
         if rgb.shape != (camera.height, camera.width, 3) or rgb.dtype != np.uint8:
             raise ImageError(
                 f"photo of {rgb.shape} {rgb.dtype} does not fit a camera of {camera.width} x {camera.height}: "

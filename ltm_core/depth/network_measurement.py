@@ -1,8 +1,4 @@
-"""Depth measured by a network alone, to detect changes of the terrain.
-
-Fused depth depends on the terrain: it follows one side where the two disagree, and is pulled towards it elsewhere. A
-change map needs independent measurements with their uncertainty.
-"""
+"""Depth measured by a network alone, with its uncertainty, to detect changes of the terrain: fused depth follows it."""
 
 from __future__ import annotations
 

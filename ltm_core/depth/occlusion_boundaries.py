@@ -1,11 +1,7 @@
 """Move the edges between ridges to where the photo shows them, which is more accurate than the DEM.
 
-What grows on a crest, and a raster that rounds crests off, move the true edge up in the image by some pixels. In this
-strip the terrain's answer is wrong by the whole distance between the two ridges. For every column the pixels above a
-traced silhouette are given to the near or to the far side by colour: each side's mean and variance are taken next to
-the strip, and one cut between them is chosen where the likelihood is greatest, under a prior that falls off with
-the height that the cover would have. A network whose depth has been fitted says as well which side a pixel is nearer
-to; what it takes for near may stand higher than cover does.
+The pixels above a traced silhouette are given to the near or the far side by colour: one cut a column where the
+likelihood is greatest, under a prior that falls with the height of the cover. A fitted network's depth takes part.
 """
 
 from __future__ import annotations
@@ -87,11 +83,8 @@ def refine_occlusion_boundaries(
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
 ) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return the edges found.
-
-    `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
-    `edges`: of `ground`, where they are known.
-    """
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return them. `labels`: (H, W)
+    ids of `classes`, or None. `network`: its view at the photo's size. `edges`: of `ground`, if known."""
     rules = config.boundaries
     edges = DepthDiscontinuities.of(ground, config.surface.jump) if edges is None else edges
     rows, cols = edges.rows, edges.cols

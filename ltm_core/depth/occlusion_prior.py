@@ -1,11 +1,7 @@
 """Compute how likely something stands before the ground, and find where traced depth jumps.
 
-How likely something stands before the ground: by the labels about a place, and by how high it would have to be.
-
-Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
-judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
-sees there, and in a wood a pixel of grass may well be a crown. An object has its foot on the ground: directly below
-it in the image, the terrain is as near as the object, and its height is the distance from there up to the pixel.
+Labels are often wrong about single crowns, so all labels about a place count. An object's foot is directly below it in
+the image, where the terrain is as near as the object, and its height is the distance from there up to the pixel.
 """
 
 from __future__ import annotations
@@ -25,8 +21,6 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import UNLABELLED
 
-_BLOCK = 64  # columns that are searched at once in a row with edges
-
 
 @dataclass(frozen=True, eq=False)
 class DepthDiscontinuities:
@@ -40,42 +34,12 @@ class DepthDiscontinuities:
     @classmethod
     def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
         """Return pixels with ground (H, W) below a pixel that is at least `jump` times as far, sky or unknown."""
-        rows, cols = _edges(ground, np.float32(jump))
-        return cls(rows, cols, jump)
+        here, above = ground[:0:-1], ground[-2::-1]
+        rows, cols = np.nonzero((here < np.float32(1e9)) & ~(above < np.float32(jump) * here))
+        return cls((len(ground) - 1 - rows).astype(np.int32), cols.astype(np.int32), jump)
 
     def __len__(self) -> int:
         return len(self.rows)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _edges(ground: Float32Array, jump: np.float32) -> tuple[Int32Array, Int32Array]:
-    height = len(ground)
-    counts = np.zeros(height, np.int32)
-    for v in range(1, height):
-        counts[v] = _count(ground[v], ground[v - 1], jump)
-    total = counts.sum()
-    rows, cols = np.empty(total, np.int32), np.empty(total, np.int32)
-    i = 0
-    for v in range(height - 1, 0, -1):
-        first, end = 0, i + counts[v]
-        while i < end:
-            here, above = ground[v, first : first + _BLOCK], ground[v - 1, first : first + _BLOCK]
-            if _count(here, above, jump):
-                for u in range(len(here)):
-                    if here[u] < np.float32(1e9) and not above[u] < jump * here[u]:
-                        rows[i], cols[i] = v, first + u
-                        i += 1
-            first += _BLOCK
-    return rows, cols
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _count(here: Float32Array, above: Float32Array, jump: np.float32) -> np.int32:
-    """Return how many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
-    count = np.int32(0)
-    for u in range(len(here)):
-        count += np.int32((here[u] < np.float32(1e9)) & (not above[u] < jump * here[u]))
-    return count
 
 
 _STEP = 4  # rows of the photo between those of `feet`

@@ -1,17 +1,8 @@
 """Decide between terrain and network pixel by pixel, in whole rows.
 
-Rows of pixels, whole: the terrain beside what a network sees, and their mean where both agree.
-
-What nearly all pixels need is computed in short loops without branches, which compilers turn into vector code.
-
-Terrain or network, pixel by pixel.
-
-If the terrain were right, what would the network say here, and how surely (`error_model`)? Where it says that, both are
-averaged by inverse variance, in inverse depth: far away the terrain decides, since a network's sigma grows with the
-square of the depth. Where it sees something nearer, either something stands before the terrain or the network is wrong;
-the chance of each, by what the labels about the place say (`occlusion_prior`), decides whether the network alone is
-taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to
-it.
+Where the network says what it would say if the terrain were right (`error_model`), both are averaged by inverse
+variance, in inverse depth. Where it sees something nearer, the odds of an object (`occlusion_prior`) against an error
+of the network decide; if they are nearly even, depth is the mean of both, and sigma includes their distance.
 """
 
 from __future__ import annotations
@@ -95,11 +86,8 @@ class FusionRow(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionRules) -> int:
-    """Hold one row of terrain against what the network sees: fills `true` to `asked`; how many are asked.
-
-    `tables`: (C * D, 4) the row's of `interpolation_table`. Compilers give up on loops that write into several of many
-    arrays: one result a loop.
-    """
+    """Compare one row of terrain with the network's view: fills `true` to `asked`; returns how many are asked.
+    `tables`: (C * D, 4), the row's of `interpolation_table`. One result a loop, so that compilers vectorise it."""
     d, s, y, label = row.depth, row.sigma, row.seen, row.labels
     true, own, less, spread, off, joint = row.true, row.own, row.less, row.spread, row.off, row.joint
     near, back, asked, soft_share, disagree = row.nearest, row.farthest, row.asked, rules.soft, rules.disagree
@@ -167,11 +155,7 @@ def fuse_pixels(
     config: FusionConfig,
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
-    `topodepth.DepthSource`.
-
-    `over`: (H, W) depth of a canopy raster, `network`: what it sees, `standing`: what may stand there, `labels`: (H, W)
-    class ids; None where there is none.
-    """
+    `topodepth.DepthSource`. `over`: (H, W) depth of a canopy raster; `network`, `standing`, `labels` (H, W) or None."""
     _fuse(
         depth,
         sigma,
@@ -292,12 +276,9 @@ def log_against(
     gross: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Return the log likelihood ratio of the terrain against an object anywhere in front of it that is seen at the
-    inverse depth `other`, 1/m.
-
-    `off`: by how much it is nearer than it would say of the terrain, with variance `joint`, of its own `spread`.
-    `gross`: share of gross errors, which are anywhere too.
-    """
+    """Return the log likelihood ratio of the terrain against an object anywhere in front of it at the inverse depth
+    `other`, 1/m. `off`: excess over the expected value, with variance `joint`, of its own `spread`. `gross`: share of
+    gross errors."""
     fits = np.exp(np.float32(-0.5) * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
     return np.float32(np.log((np.float32(1.0) - gross) * fits * rules.ranges * max(other, spread) + gross))
 
@@ -313,11 +294,8 @@ def network_chance(
     rules: DecisionRules,
 ) -> np.float32:
     """Return the probability that the inverse depth `other` is the network's alone, not the terrain's; see
-    `log_against`.
-
-    `odds`: log odds of something that stands there. Of the log likelihood only a part counts: a network's errors go on
-    for many pixels.
-    """
+    `log_against`. `odds`: log odds of an object there. Errors extend over many pixels, so the log likelihood is
+    weighted."""
     against = log_against(other, off, joint, spread, gross, rules)
     return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.likelihood_weight * against - odds)))
 

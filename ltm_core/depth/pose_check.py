@@ -1,10 +1,8 @@
 """Check that the terrain matches the photo: traced silhouettes against the photo's edges, and the traced skyline
 against that of the labels.
 
-A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over
-the photo's vertical gradient. The pose is suspected where only turns beyond what is no surprise meet about as much
-contrast as the best one: the best place alone is blind along a ridge. Cover on crests moves edges up by a few metres,
-trees by more, and crests that are so near that this is much are left out.
+The traced silhouettes are shifted over the photo's vertical gradient. The pose is suspected if only turns beyond the
+tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out.
 """
 
 from __future__ import annotations
@@ -59,11 +57,9 @@ def check_pose(
     label_cell: float = 1.0,
     edges: DepthDiscontinuities | None = None,
 ) -> PoseCheck:
-    """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
-
-    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean. `label_cell`:
-    pixels of the photo that one of the labels' network spans. `edges`: of `ground`, where they are known.
-    """
+    """Check one photo (H, W, 3) and its labels (H, W), if any, against its traced depth (H, W). `angle_sigma`,
+    `dem_sigma`: tolerances in radians and metres. `label_cell`: pixels of the photo per pixel of the labels' network.
+    `edges`: of `ground`, if known."""
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
     edges = DepthDiscontinuities.of(ground, SurfaceConfig().jump) if edges is None else edges
@@ -167,26 +163,13 @@ def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
     return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _changes(small: UInt8Array) -> Float32Array:
     """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
-    height, width = small.shape[0], small.shape[1]
-    change = np.zeros((height, width), np.float32)
-    step = np.empty((3, width + 4), np.float32)
-    for v in range(2, height - 1):
-        for j in range(3):
-            for u in range(width):
-                step[j, u + 2] = (
-                    np.float32(small[v, u, j])
-                    + np.float32(small[v + 1, u, j])
-                    - (np.float32(small[v - 1, u, j]) + np.float32(small[v - 2, u, j]))
-                )
-            # The border as cv2.blur has it: mirrored about the outermost column.
-            step[j, 1], step[j, 0] = step[j, 3], step[j, 4]
-            step[j, width + 2], step[j, width + 3] = step[j, width], step[j, width - 1]
-            for u in range(width):
-                five = step[j, u] + step[j, u + 1] + step[j, u + 2] + step[j, u + 3] + step[j, u + 4]
-                change[v, u] += abs(five) * np.float32(0.2)
+    below_less_above = np.repeat(np.array([[-1.0], [-1.0], [1.0], [1.0]]), 5, axis=1)
+    five = cv2.filter2D(small, cv2.CV_32F, below_less_above, anchor=(2, 2), borderType=cv2.BORDER_REFLECT_101)
+    red, green, blue = cv2.split(np.abs(five) * np.float32(0.2))
+    change = np.asarray(red + green + blue, np.float32)
+    change[[0, 1, -1]] = 0.0
     return change
 
 

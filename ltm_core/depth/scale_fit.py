@@ -1,15 +1,8 @@
 """Fit a network's depth to metres: a robust line over the image, then slow corrections.
 
-The straight line that most points agree on: a network's scale and shift from points that are partly wrong.
-
 RANSAC (Fischler and Bolles, 1981) with the median as its score (LMedS, Rousseeuw, 1984), so that the noise need not be
-known beforehand, and least squares over the inliers. All trials are scored in one array operation: scikit-learn's and
-scikit-image's loops take 0.1 to 1 s for what has 60 ms together with the rest.
-
-A network's depth brought to metres: one line over the image, then slow corrections where they hold on unseen ground.
-
-Everything ends as inverse depth, 1/m, since that is what a photo determines: its noise is then about even over the
-image, and far is 0 and not infinite.
+known, and least squares over the inliers; all trials are scored in one array operation. The result is inverse depth,
+1/m, whose noise is about even over the image.
 """
 
 from __future__ import annotations
@@ -51,11 +44,8 @@ def robust_line(
     seed: int = 0,
     rules: RegressionConfig = _RULES,
 ) -> Line | None:
-    """Return the line through the points (N,) that at most half of them contradict.
-
-    `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
-    points without noise stay inliers. None where fewer than `rules.fewest` points are given or x does not vary.
-    """
+    """Return the line through the points (N,) that at most half of them contradict; None for fewer than `rules.fewest`
+    points or constant x. `weight`: (N,) factors of the residuals. `floor`: minimum sigma of a weighted residual."""
     weights = np.ones_like(x) if weight is None else weight
     if len(x) < rules.fewest or not np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
         return None
@@ -235,12 +225,8 @@ def _through_zero(
 
 
 def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
-    """Return the line with a shift where that earns its place: one that hardly shows on the ground that was sampled
-    would yet decide how near or far all else is.
-
-    It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
-    other way round noise flattens the line: over ground of about one depth to a constant.
-    """
+    """Return the line with a shift if that reduces the residuals enough, because a shift determines all far depths. The
+    network's values are regressed on the terrain's, because the network is the noisy side."""
     values, inverse, weight = given
     reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
     spread = np.subtract(*np.quantile(values, (0.9, 0.1)))

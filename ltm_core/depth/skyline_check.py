@@ -1,8 +1,6 @@
-"""Check that the traced skyline matches the edge of the labels' sky.
+"""Check that the traced skyline matches the edge of the labels' sky, by shifting one over the other.
 
-The traced skyline is shifted over the observed one, column by column. Ground that is seen as sky speaks against a
-place, and so does sky that is seen as land, beyond what cover on the crest explains: both in sigmas of the label's
-edge, the direction and the height of the DEM. Where unknown land may stand behind known ground, only the former counts.
+Where unknown land may rise behind known ground, only ground that is seen as sky contradicts a place.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import numba
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.geometry.camera import Camera
 
@@ -46,21 +44,22 @@ def check_skyline(
     cell: float = 1.0,
 ) -> SkylineCheck | None:
     """Compare the traced depth's (H, W) skyline with that of the labels (H, W); return None if too little is known.
-
-    `crest`: (256,) metres to which each class may rise over a crest. `nearest`: metres; crests that are nearer say
-    nothing. `reach`: radians of the largest turn that is tried. `cell`: pixels of the photo that one of the labels'
-    network spans; it draws the skyline no finer, and what rises and falls within one is drawn at some height of it.
-    """
+    `crest`: (256,) metres that each class may rise over a crest. `nearest`: minimum range of crests in metres. `reach`:
+    maximum turn in radians. `cell`: pixels of the photo per pixel of the labels' network."""
     width = ground.shape[1]
     step = max(1, round(width / config.columns))
     cols = np.arange(step // 2, width, step)
-    observed, top = _tops(labels, sky, ground, cols, config.run)
+    height = len(labels)
+    seen, known = labels[:, cols] != sky, ground[:, cols] < np.float32(1e9)
+    land = np.logical_and.reduce([seen[k : height - config.run + 1 + k] for k in range(config.run)])
+    observed = np.where(land.any(0), land.argmax(0), height).astype(np.float64)  # 0 without sky, H without land
+    top = known.argmax(0)  # 0 without known ground
     edge = top > 0
     depth = np.where(edge, ground[top, cols], 1.0).astype(np.float64)
     pixels = camera.fy / depth  # that a metre spans
     far = edge & (depth > nearest)
     # What stands on the crest is of the class that the sky ends at.
-    border = np.minimum(observed.astype(np.intp) + 1, len(labels) - 1)
+    border = np.minimum(observed.astype(np.intp) + 1, height - 1)
     cover = crest[labels[border, cols]].astype(np.float64)
     open_above = far & np.isposinf(ground[np.maximum(top - 1, 0), cols])
     if open_above.mean() < config.least_share or not (observed > 0).any():
@@ -92,34 +91,6 @@ def _within(top: Float64Array, columns: int) -> Float64Array:
     size = columns | 1
     mean = uniform_filter1d(top, size, mode="nearest")
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _tops(
-    labels: UInt8Array, sky: int, ground: Float32Array, cols: Int64Array, land: int
-) -> tuple[Float64Array, Int64Array]:
-    """Of columns (C,): the first row from which on `land` rows are no sky, 0 without sky and H without land; and the
-    first row of known ground, 0 without."""
-    height, count = labels.shape[0], len(cols)
-    observed, top = np.full(count, float(height)), np.zeros(count, np.int64)
-    run, found = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    left = 2 * count
-    for v in range(height):
-        for k in range(count):
-            if run[k] < land:
-                run[k] = 0 if labels[v, cols[k]] == sky else run[k] + 1
-                if run[k] == land:
-                    observed[k] = v - land + 1
-                    left -= 1
-            if not found[k]:
-                d = ground[v, cols[k]]
-                if d < np.float32(1e9):
-                    found[k] = True
-                    top[k] = v
-                    left -= 1
-        if left == 0:
-            break
-    return observed, top
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

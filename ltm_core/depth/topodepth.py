@@ -1,9 +1,8 @@
 """TopoDepth: fuse traced depth and a network's depth of one photo, pixel by pixel, by their uncertainty.
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
-from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
-answer is brought to the visible surface, by the height of what the labels say grows there or by a canopy raster, and at
-silhouettes by the photo. Then every pixel is decided: see `pixel_fusion`.
+from pixels whose terrain can be trusted. The terrain's answer is brought to the visible surface, by the height of what
+the labels say grows there or by a canopy raster, and at silhouettes by the photo. Then `pixel_fusion` decides.
 """
 
 from __future__ import annotations
@@ -71,11 +70,9 @@ class FusedDepth:
     """Fused depth of one photo.
 
     `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
-    `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, sky where labels
-    say so of what is unknown: where it differs from `depth`, what is seen stands before it. `inlier_ratio`: of the
-    network's fit to trusted ground. `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None
-    where there was no network. `hidden`: (H, W) bool, where something else stands before the terrain and there is no
-    depth; None: nowhere.
+    `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, with sky by the
+    labels where it is unknown. `inlier_ratio`, `fit`: of the network's fit to trusted ground. `verdict`, and its
+    `reason` unless ok. `hidden`: (H, W) bool, without depth because structures hide the terrain; None: nowhere.
     """
 
     depth: Float32Array
@@ -138,22 +135,12 @@ def fuse(
     hidden: BoolArray | None = None,
     unusable: str = "",
 ) -> FusedDepth:
-    """Fuse one photo's depths.
+    """Fuse one photo's depths. Raises ImageError if sizes differ.
 
-    Args:
-        traced: what the tracer gave over bare ground.
-        network: the network's depth of the same photo at its own size; None: terrain, labels and photo alone.
-        rgb: (H, W, 3) uint8, the photo.
-        labels: (H, W) uint8 class ids, or None.
-        classes: what these mean.
-        settings: sigmas of what goes in.
-        surface: what the tracer gave over a surface raster (canopy), where there is one.
-        config: the constants, as they were fitted with the network; None: the defaults.
-        hidden: (H, W) bool, where the photo shows something else than the terrain: no depth there, and nothing of it is
-            used; None: nowhere.
-        unusable: why the photo shows too little to be used; empty: it is used.
-
-    Raises ImageError where sizes differ.
+    `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
+    its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
+    `config`: constants fitted with the network; None: the defaults. `hidden`: (H, W) bool, pixels that show something
+    else than the terrain. `unusable`: why the photo is not used; empty: it is.
     """
     settings = FusionSettings() if settings is None else settings
     config = FusionConfig() if config is None else config
@@ -198,9 +185,7 @@ def measure(
     doubtful: BoolArray | None = None,
 ) -> NetworkMeasurement:
     """Return the network's measurement of a photo alone: `fuse(...).measured(doubtful)` without the fused depth.
-
-    Arguments and errors as there.
-    """
+    Arguments and errors as there."""
     settings = FusionSettings() if settings is None else settings
     config = FusionConfig() if config is None else config
     judged = _judge(traced, rgb, labels, classes, settings, None, config, hidden, unusable)

@@ -1,10 +1,7 @@
 """Compare fires on the previous and the updated map and on drawn ones, and read and write their rasters.
 
-The shares of life forms in a cell have a Dirichlet distribution (`docs/how/fuel.md`); a draw takes them from it, and
-the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees
-with. Cells beside each other are not independent, since a network mislabels stands and not cells: the draws of a form
-go through a Gaussian copula, whose field is a smooth one, as wide as the context that the map uses, and an
-independent one, with the measured correlation of a stand as the weight of the first.
+A draw takes the shares of life forms in each cell from their Dirichlet distribution (`docs/how/fuel.md`). Neighbouring
+cells are correlated by a Gaussian copula of a smooth field, as wide as the map's context, and an independent one.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array
 from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.export.landscape import Landscape
 
@@ -33,12 +33,10 @@ class FireModelError(LtmError):
 @dataclass(frozen=True, eq=False)
 class FireRun:
     """Result of a fire, (H, W) each. `arrival`: hours after ignition, NaN where the fire does not arrive. `flame`:
-    length in metres, 0 where it does not arrive. `fire_type` of burned cells: 0 none, 1 surface, 2 passive crown, 3
-    active crown fire."""
+    length in metres, 0 where it does not arrive."""
 
     arrival: Float32Array
     flame: Float32Array
-    fire_type: UInt8Array
 
     @property
     def burned(self) -> BoolArray:
@@ -69,10 +67,8 @@ def interpreter() -> Path:
 
 
 class Pyretechnics:
-    """Context manager of one process of the model, which computes one fire after the other.
-
-    Raises FireModelError where it cannot be started or ends early.
-    """
+    """Context manager of one process of the model, which computes one fire after the other. Raises FireModelError if it
+    cannot be started or ends early."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="ltm-fire-")
@@ -106,7 +102,7 @@ class Pyretechnics:
             }
         )
         with np.load(result) as found:
-            return FireRun(found["arrival"] / np.float32(60), found["flame"], found["fire_type"])
+            return FireRun(found["arrival"] / np.float32(60), found["flame"])
 
     def head_rates(self, codes: Sequence[int], wind: Wind, moisture: Moisture) -> dict[int, tuple[float, float]]:
         """Return rate of spread in m/min and flame length in metres of a head fire on flat open ground, by fuel

@@ -76,9 +76,8 @@ def spread(asked: dict[str, Any]) -> dict[str, Any]:
     burned = found["fire_type"] > 0
     arrival = np.where(burned, found["time_of_arrival"], np.nan)[::-1].astype(np.float32)
     flame = np.where(burned, found["flame_length"], 0.0)[::-1].astype(np.float32)
-    crown = np.where(burned, found["fire_type"], 0)[::-1].astype(np.uint8)
     arrival[asked["row"], asked["col"]] = 0.0
-    np.savez(asked["result"], arrival=arrival, flame=flame, fire_type=crown)
+    np.savez(asked["result"], arrival=arrival, flame=flame)
     return {"stopped": result["stop_condition"]}
 
 

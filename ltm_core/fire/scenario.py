@@ -100,10 +100,8 @@ class FireScenario:
 
 
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
-    """Return row and column of "x,y" in `crs`, by default the landscape's own.
-
-    Raises ConfigError for what is no place, one outside, and one where nothing burns.
-    """
+    """Return row and column of "x,y" in `crs`, by default the landscape's own. Raises ConfigError for an invalid place,
+    one outside, and one where nothing burns."""
     from pyproj import Transformer
     from pyproj.exceptions import CRSError
 

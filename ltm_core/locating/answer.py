@@ -32,11 +32,10 @@ _NARROWEST_DEG = 2.0
 class PlaceView:
     """View of a place by one camera.
 
-    `pixel`: u, v, where it lies in the image, hidden or not; None behind the camera or outside. `state`: seen,
-    hidden, outside or unknown. `lift`: metres above the place from which the camera sees it; 0 where it is seen, NaN
-    where unknown ground decides. `hidden_by`: x, y, z of the crest before it. `azimuth_deg` (from grid north),
-    `pitch_deg`: where to turn. `hfov_deg`: how wide to look, so that what is not known of the place is in view.
-    `distance`: horizontal, metres.
+    `pixel`: u, v in the image, hidden or not; None if outside. `state`: seen, hidden, outside or unknown. `lift`:
+    metres above the place from which the camera sees it; NaN if unknown ground decides. `hidden_by`: x, y, z of the
+    crest before it. `azimuth_deg` (from grid north), `pitch_deg`: where to turn. `hfov_deg`: field of view that
+    contains the uncertainty. `distance`: horizontal, metres.
     """
 
     camera: str
@@ -57,10 +56,8 @@ class PlaceView:
 def place_views(
     sight: PointVisibility, cameras: Sequence[PosedCamera], place: Float64Array, extent: float = 0.0
 ) -> list[PlaceView]:
-    """Return the views of a place (3,) by all cameras, in their order. `extent`: metres by which the place may be off.
-
-    Raises RegionError for a place that is not finite, as beside the DEM, where no height is known.
-    """
+    """Return the views of a place (3,) by all cameras, in their order. `extent`: uncertainty of the place in metres.
+    Raises RegionError for a place without a height, as outside the DEM."""
     target = np.asarray(place, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():
         raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}; check that it is on the DEM")

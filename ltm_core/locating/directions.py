@@ -1,31 +1,13 @@
 """Compute directions of marked pixels on the map, their densities, and the likelihood of a mark along a fan.
 
-Compute directions of marked pixels on the map, with their densities.
-
-Directions of marked pixels on the map, with what the pose, the lens and the mark leave unknown of them.
-
 A direction is (azimuth, slope): radians clockwise from grid north, and rise over horizontal range at the camera. To
 first order, with the camera moved by o and turned by the small rotation w, a point at horizontal range r seems to lie
 at (azimuth, slope) + [G / r, -T] (o, w): its covariance is a quadratic in 1 / r.
 
-How likely a mark is for each place of a fan: the probability density of the marked direction, given the place.
-
-**Where something on the ground is marked** at its own direction. Where the terrain model hides the place by a little,
-its error may be the reason: the place then counts by the chance of that.
-
-**Where smoke is marked** at the lowest part of it that is seen. That is its foot where it is seen. Behind a crest it is
-where the plume comes up over the crest: in height, the highest of the terrain's slopes from the camera to the place; in
-azimuth, the foot's and what the plume has drifted sideways until there, which is the more the farther the marked slope
-is above the foot's. `lifts` says how high smoke must stand at a place; a plume is the less likely to be so high.
-
-Slopes of the place and of crests have errors by the terrain model's, the larger the nearer they are: a ridge close to
-the camera that the model has a little too low may be what hides the foot (`sight_kernels`).
-
-Along a ray the slope changes from sample to sample; the density is averaged over that change in closed form, or near
-and steep ground would fall between the samples.
-
-**A camera that is turned** marks the right slope, and its azimuth says no more than how far it may be turned. In some
-cases it is wrong otherwise, and its slope says nothing either.
+Something on the ground is marked at its own direction. Smoke is marked at the lowest part of it that is visible: its
+foot, or behind a crest the highest of the terrain's slopes from the camera to the place, where it has drifted sideways
+the more, the farther that is above the foot's slope. Slopes of the place and of crests have errors by the terrain
+model's, the larger the nearer they are (`sight_kernels`).
 """
 
 from __future__ import annotations
@@ -247,13 +229,9 @@ def sight_likelihood(
 ) -> SightLikelihood:
     """Return the likelihood of each sample given the mark.
 
-    Args:
-        height: of the camera, metres.
-        variances: of the terrain's heights, by raster of the stack, square metres.
-        apart: metres from which errors of these heights are independent, by raster.
-        smoke: what is marked is the lowest visible part of smoke, not something on the ground.
-        lean: of a plume, `LocatingConfig.plume_lean`.
-        turned: the table is of a camera that is turned (`turned_table`).
+    `height`: of the camera, metres. `variances`: of the terrain's heights, by raster of the stack, square metres;
+    `apart`: metres beyond which their errors are independent. `smoke`: the lowest visible part of smoke is marked, else
+    something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`.
     """
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)

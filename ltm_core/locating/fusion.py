@@ -112,10 +112,8 @@ class Fused:
 
 
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """Fuse all sights at the resolution that their common places need.
-
-    `turned`: sights of a camera that is turned by an unknown angle.
-    """
+    """Fuse all sights at the resolution that their common places need. `turned`: sights of a camera that is turned by
+    an unknown angle."""
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
@@ -140,9 +138,7 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
 
 
 def _shared(sights: Sequence[Sight]) -> dict[str, float]:
-    """By camera: of how many, itself included, it is one that looks in the same direction. These are wrong alike of
-    terrain and plume.
-    """
+    """Return, by camera, the number of cameras with this viewing direction, which share errors of terrain and plume."""
     azimuths = {sight.name: float(sight.directions.azimuth @ sight.directions.weights) for sight in sights}
     return {
         name: sum(math.cos(azimuth - other) ** _ALIKE for other in azimuths.values())

@@ -1,22 +1,13 @@
 """Locate marks in the images of one or several cameras: from sightings to a posterior over the map.
 
-For a place x, camera c and its marked direction m_c (`sight_likelihood`), with the chance that a plume is higher than
-h, S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) = 1 / (1 + (r / detection_range)^2):
+For a place x, camera c and its marked direction m_c (`directions`), with the chance that a plume is higher than h,
+S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) = 1 / (1 + (r / detection_range)^2):
 
     p(x | m) ~ S(max_c lift_c(x)) prod_c D(r_c(x)) p(m_c | x)
 
-The prior is flat over the ground. One plume has one height, so S stands once. Sightings of one camera share its pose's
-error: their densities are averaged (geometrically) and no number of them makes the camera better than one. Cameras that
-look in one direction share what is wrong of the terrain model and of the plume: they too are averaged, the more so the
-smaller the angle between them, and those at right angles are multiplied.
-
-**Whether cameras agree** is judged by evidence: the integral of the right side above, that all are right, against that
-camera c is turned by an angle of which only a prior is known (`direction_table`, `sight_likelihood`), for every c.
-Mounts slip and encoders lose their zero about the vertical: the camera's slope still agrees with the right place, and
-how far it must be turned for each place says something too. The cameras disagree where the mean of these ratios is
-above `wrong_odds`. The shares of the ratios are then the probabilities of each camera to be the wrong one, and the
-answer is the mixture, by these, of what the others say without it. Which is named is judged by how mounts slip
-(`wrong_camera.judged`); of two cameras none is: one fire's marks tell no more than that one is wrong.
+The prior is flat over the ground. Densities of sightings of one camera, and of cameras that look in one direction, are
+averaged geometrically, because they share errors. The cameras disagree if the evidence that one of them is turned
+exceeds that of none by `wrong_odds`; the answer is then the mixture of what the others say without each.
 
 `misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have.
 """
@@ -80,13 +71,8 @@ class Location:
 
 
 class Locator:
-    """Locator of marks on one terrain.
-
-    Args:
-        dem: what cameras see of the terrain (`Site.open_surface`), in the frame of the poses; a stack too.
-        bend: curvature coefficient of rays, `geodesy.ray_bend`.
-        config: what is assumed.
-    """
+    """Locator of marks on one terrain. `dem`: the visible surface (`Site.open_surface`), in the frame of the poses.
+    `bend`: curvature coefficient of rays, `geodesy.ray_bend`."""
 
     def __init__(self, dem: Dem, bend: float, config: LocatingConfig = LocatingConfig()) -> None:
         self.dem = dem
@@ -94,15 +80,11 @@ class Locator:
         self.config = config
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
-        """Locate the marked object.
+        """Locate the marked object by one or several sightings of it. `smoke`: its lowest visible part is marked, and
+        its foot may be hidden; else it stands on the ground that is marked.
 
-        Args:
-            sightings: one or several, of one or several cameras, of the same thing.
-            smoke: its lowest visible part is marked, and its foot may be hidden; else it stands on the ground that is
-                marked.
-
-        Raises RegionError: no sighting, too many, one that shows sky or terrain that is not known; PoseError for a
-        camera under the ground or a covariance that is none.
+        Raises RegionError: no sighting, too many, one of sky or unknown terrain; PoseError for a camera under the
+        ground or an invalid covariance.
         """
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
             raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")

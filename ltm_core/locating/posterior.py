@@ -52,11 +52,8 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Probability of cells; all others have none.
-
-    `geometry`: the raster that the cells are of, in the map frame. `rows`, `cols`: (N,) int32. `probability`: (N,)
-    float64, sums to 1, most probable cell first.
-    """
+    """Probability of cells; all others have none. `geometry`: their raster in the map frame. `rows`, `cols`: (N,)
+    int32. `probability`: (N,) float64, sums to 1, most probable cell first."""
 
     geometry: GridGeometry
     rows: Int32Array
@@ -64,13 +61,13 @@ class Posterior:
     probability: Float64Array
 
     @classmethod
-    def of_raster(cls, raster: Float64Array, geometry: GridGeometry, least: float = 1e-9) -> Posterior | None:
-        """Return the posterior of unnormalised densities (H, W); cells with less than `least` of the maximum are
+    def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> Posterior | None:
+        """Return the posterior of unnormalised densities (H, W); cells with less than 1e-9 of the maximum are
         dropped. None if all densities are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:
             return None
-        rows, cols = np.nonzero(raster > least * greatest)
+        rows, cols = np.nonzero(raster > 1e-9 * greatest)
         values = raster[rows, cols]
         order = np.argsort(-values, kind="stable")
         return cls(geometry, rows[order].astype(np.int32), cols[order].astype(np.int32), values[order] / values.sum())
@@ -103,7 +100,7 @@ class Posterior:
         along = vectors[:, 1]
         azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
         unit = Ellipse(self.mean, math.sqrt(float(values[1])), math.sqrt(float(values[0])), azimuth)
-        reach = _reach(unit, self.places)
+        reach = reach_in_ellipse(unit, self.places)
         order = np.argsort(reach)
         at = int(np.searchsorted(np.cumsum(self.probability[order]), share))
         # Where all is in a cell or two, their size decides, which the covariance holds.
@@ -114,21 +111,6 @@ class Posterior:
         """Return (N,) the cells of the smallest region with at least `share` of the probability."""
         before = np.concatenate([[0.0], np.cumsum(self.probability)[:-1]])
         return np.asarray(before < share)
-
-    def densest_area(self, share: float) -> float:
-        """Return the area of that region in square metres."""
-        return float(self.densest(share).sum()) * self.geometry.resolution**2
-
-    def credibility(self, x: float, y: float) -> float:
-        """Return the share of the probability in cells more probable than that of a place: the place is in the densest
-        region of any larger share. 1 if it is in none."""
-        row, col = (int(v) for v in self.geometry.cell_of(x, y))
-        here = np.flatnonzero((self.rows == row) & (self.cols == col))
-        return float(self.probability[: here[0]].sum()) if len(here) else 1.0
-
-    def holds(self, ellipse: Ellipse, x: float, y: float) -> bool:
-        """Return whether a place is in an ellipse."""
-        return bool(_reach(ellipse, np.array([[x, y]]))[0] <= 1)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
@@ -167,7 +149,7 @@ class Posterior:
         return full
 
 
-def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
+def reach_in_ellipse(ellipse: Ellipse, places: Float64Array) -> Float64Array:
     """Return the distance from the centre over that of the outline in the same direction, (N,)."""
     azimuth = math.radians(ellipse.azimuth_deg)
     along = np.array([math.sin(azimuth), math.cos(azimuth)])
@@ -178,10 +160,8 @@ def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
 
 
 def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """Read a mask of the camera's image size; non-black pixels are masked, (H, W).
-
-    Raises ImageError for a file that is no image, RegionError for one of another size.
-    """
+    """Read a mask of the camera's image size; non-black pixels are masked, (H, W). Raises ImageError for a file that is
+    no image, RegionError for one of another size."""
     from ltm_core.storage.image_io import read_rgb
 
     mask = read_rgb(path).any(axis=2)

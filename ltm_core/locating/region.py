@@ -25,10 +25,8 @@ a leaning plume rises from its base."""
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Places in an image where an object may meet the ground.
-
-    `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
-    """
+    """Places in an image where an object may meet the ground. `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1.
+    `sigmas`: (K, 2) of u and v, pixels."""
 
     pixels: Float64Array
     weights: Float64Array
@@ -72,13 +70,9 @@ def marked_polygon(
 ) -> ImageMark:
     """Return the mark of the lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
 
-    Args:
-        sigma: of a place in the image, pixels.
-        share: of the region's height by which its lower edge is off, where that is more.
-        smoke: the region's lowest part is its foot, what is higher leans over; else every place of the edge may be it.
-        mask: (H, W) of the image; what is True there is left out (sky, a mast in view).
-
-    Raises RegionError: not a polygon, not in the image, its lower edge cut off by the image's border, all masked.
+    `sigma`: of a place, pixels, or `share` of the region's height if more. `smoke`: the lowest part is the foot, higher
+    parts lean over; else every place of the edge may be it. `mask`: (H, W), True is left out. Raises RegionError: not a
+    polygon, outside the image, its lower edge cut off by the border, all masked.
     """
     points = np.asarray(outline, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MOST_VERTICES:

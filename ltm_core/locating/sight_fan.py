@@ -1,10 +1,4 @@
-"""Sample the terrain in a sector around a camera.
-
-Terrain in a sector around a camera: heights along rays of the map, from near to far, and what stands before what.
-
-A query covers a sector of a degree or two, so the terrain is sampled only there, and no image is traced. Tests compare
-its lines of sight with `visibility.PointVisibility`.
-"""
+"""Sample the terrain in a sector around a camera: heights along rays of the map, and what stands before what."""
 
 from __future__ import annotations
 

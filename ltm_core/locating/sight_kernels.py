@@ -1,7 +1,5 @@
 """Evaluate the likelihood of a mark along the rays of a fan, with plumes that drift.
 
-What the slope of a mark says of each place along a ray of the map: the loops of `sight_likelihood`.
-
 Smoke is first seen at the highest of several slopes: the place's own ground or a crest close before it (`near`), and
 the crests farther before it (`far`), whose heights have errors of their own. The density of the greatest of independent
 normal variables is the sum of each one's, times the chance that all others are lower.

@@ -85,11 +85,8 @@ class LocatingTerrain:
     smoke: bool
 
     def look(self, sighting: Sighting) -> Sight:
-        """Return the likelihood of all places that a sighting may show.
-
-        Raises PoseError for a camera under the ground or a covariance that is none, RegionError for a mark that has no
-        direction, or that nothing on the ground explains.
-        """
+        """Return the likelihood of all places that a sighting may show. Raises PoseError for a camera under the ground
+        or an invalid covariance, RegionError for a mark without a direction, or that nothing on the ground explains."""
         covariance = checked_covariance(sighting.covariance)
         x, y, z = (float(v) for v in sighting.pose.position)
         clearance = z - float(self.dem.elevation_at(x, y))

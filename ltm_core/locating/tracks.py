@@ -1,11 +1,7 @@
 """Assign sightings of several cameras and times to fires, with the pose that each was marked under.
 
-Tracks: which sightings, of several cameras and times, are of one fire.
-
-A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
-that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire about
-which its cameras disagree. What all fires say of each camera is kept: one that is turned is named by them together. All
-else begins a new track.
+A sighting joins the track that it agrees with best (`Locator.limit`). If it agrees with none but lies in the direction
+of one, it begins a track of its own, and the two count as one fire about which its cameras disagree.
 """
 
 from __future__ import annotations
@@ -110,13 +106,9 @@ class Track:
 class Tracks:
     """The tracks of a site.
 
-    Args:
-        locator: over its terrain.
-        smoke: what is marked is smoke.
-        lifetime_ns: after which a track without a new sighting ends.
-        most: tracks kept; the one that was seen longest ago goes first.
-        of_a_camera: sightings of one camera that a track keeps, the newest.
-        memory_ns: after which what a fire says of the cameras is forgotten.
+    `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends. `most`: maximum number of
+    tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera in a track, the newest.
+    `memory_ns`: after which evidence about cameras is forgotten.
     """
 
     locator: Locator
@@ -173,12 +165,8 @@ class Tracks:
         return track, alone, track.wrong
 
     def forget(self, camera: str) -> bool:
-        """Reset a camera whose mount was fitted again: its earlier marks had other poses and are not used any more.
-        Return whether there were any.
-
-        A track that others have marked too goes on by their marks. One that only it has marked stays where it is, and
-        takes no more, until it ends.
-        """
+        """Reset a camera whose mount was fitted again: its earlier marks are not used any more. Return whether there
+        were any. A track that only it has marked stays where it is, and takes no more, until it ends."""
         found = self.fires.forget(camera)
         for track in self.tracks:
             if camera in track.disputed:
@@ -212,9 +200,8 @@ class Tracks:
         return next((one for one in self.tracks if seen in one.sightings), track)
 
     def _reunite(self, fire: int, wrong: str) -> None:
-        """Merge tracks of one fire that a turned camera separated: with it one of them agrees by chance,
-        the other then does not. What they have marked becomes one track where they agree, what the wrong one has marked
-        another."""
+        """Merge tracks of one fire that a turned camera separated: the marks of the others become one track if they
+        agree, those of the turned camera another."""
         open_ones = [track for track in self.tracks if track.fire == fire and not track.closed]
         parts = [(track, [s for s in track.sightings if s.sighting.name != wrong]) for track in open_ones]
         apart = sorted((part for part in parts if part[1]), key=lambda part: part[0].number)

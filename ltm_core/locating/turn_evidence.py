@@ -1,9 +1,7 @@
 """Evidence of marks for a turn of a camera about the vertical: their probability density by the angle.
 
-One fire cannot always tell which camera is turned. The directions of three cameras make a triangle on the map, and at
-each of its corners two agree and the third one is off by some angle: only slopes, and that small turns are likelier,
-tell the corners apart. But a turn is the same for all fires, and the angles that a right camera would have to be off
-by are not. So densities are kept by angle, and those of several fires are multiplied (`wrong_camera`).
+One fire cannot always tell which camera is turned, but the turn is the same for all fires: densities are kept by angle,
+and those of several fires are multiplied (`wrong_camera`).
 """
 
 from __future__ import annotations
@@ -58,14 +56,8 @@ def turn_profile(
     turned: Sequence[Sight],
     resolution: float,
 ) -> TurnProfile:
-    """Compute the profile from the possible cells of a raster.
-
-    Args:
-        evidence: (N,) logarithm of the density of all marks by cell, with `turned` sightings of one camera that may be
-            turned by any angle (`Sight`s of `look_turned`).
-        apart: (N,) of the other cameras' marks.
-        x, y: (N,) of the cells.
-    """
+    """Compute the profile from the possible cells of a raster, at x, y (N,). `evidence`: (N,) logarithm of the density
+    of all marks, with `turned` sightings of one camera turned by any angle; `apart`: of the other cameras' marks."""
     off, prior, variance = np.zeros(len(x)), np.zeros(len(x)), 0.0
     for sight in turned:
         directions, to_x, to_y = sight.directions, x - sight.position[0], y - sight.position[1]
@@ -99,12 +91,9 @@ def turn_evidence(
 ) -> TurnEvidence:
     """Compute the evidence of one fire, by camera that may be turned.
 
-    Args:
-        profiles: None where no place is possible with that camera turned.
-        log_evidence: of all marks with no camera turned.
-        elsewhere: density of a camera's mark that is of another thing, times the chance of that: whatever a single fire
-            says, it may be two fires.
-        marked: the sightings of each camera.
+    `profiles`: None if no place is possible with that camera turned. `log_evidence`: of all marks with no camera
+    turned. `elsewhere`: density of a mark of another object, times its probability. `marked`: the sightings of each
+    camera.
     """
     sigmas = {name: _pose_sigma(sights) for name, sights in marked.items()}
     azimuths = {name: _azimuth(sights[-1].directions) for name, sights in marked.items()}

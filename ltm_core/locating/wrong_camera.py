@@ -1,10 +1,7 @@
 """Find the turned camera of a site from the marks of several fires.
 
-The images of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
-the result counts here: the cameras whose pose is no longer known are `lost`.
-
-It is not known when a camera was turned. Its marks from before the turn do not contradict it: fires that a camera has
-marked correctly in the morning do not protect it if it was turned at noon. So each moment between two fires is tried.
+It is not known when a camera was turned, and its marks from before do not contradict it: each moment between two fires
+is tried. Cameras whose mount no longer fits their images (`mount_watch`) are `lost`.
 """
 
 from __future__ import annotations
@@ -52,12 +49,8 @@ class TurnVerdict:
 
 
 def slip_density(turn: Float64Array, step: float) -> Float64Array:
-    """Return the density per radian of the angle by which a mount has slipped, to either side.
-
-    Args:
-        turn: angles, radians.
-        step: difference between two angles; turns of less than half of it are not distinguished.
-    """
+    """Return the density per radian of the angle (radians) by which a mount has slipped, to either side. `step`:
+    difference between two angles; turns of less than half of it are not distinguished."""
     size = np.maximum(np.abs(turn), step / 2)
     bell = np.exp(-0.5 * (np.log(size / _SLIP_MEDIAN) / _SLIP_SPREAD) ** 2)
     return np.asarray(bell / (2 * size * _SLIP_SPREAD * math.sqrt(2 * math.pi)), np.float64)
@@ -76,18 +69,13 @@ def judged(
 ) -> TurnVerdict:
     """Return whether a camera is turned, and which.
 
-    Beforehand, "one camera is turned" and "none is" are equally probable, and each camera is as probable as another.
-    If none is turned, the poses still err by what their covariances allow, by the same angle at all fires: the
-    explanation by the one camera that makes the marks likeliest counts, so that no camera is named for an error that
-    its covariance allows.
+    "One camera is turned" and "none is" are equally probable beforehand, and so are the cameras. If none is turned,
+    poses still err within their covariances, by the same angle at all fires: the best such explanation by one camera
+    counts.
 
-    Args:
-        fires: evidence of different fires; several sightings of one fire are one.
-        sure: probability above which a camera is named. If only two cameras mark a single fire, marks name neither:
-            they may be of two fires.
-        slips: (T,) density of the angle of a camera that is turned.
-        stamps: times of the fires, nanoseconds; None: all at one time.
-        lost: cameras whose pose is no longer known, by their own images.
+    `fires`: evidence of different fires. `sure`: probability above which a camera is named; if two cameras mark a
+    single fire, marks name neither. `slips`: (T,) density of the angle of a turn. `stamps`: times of the fires,
+    nanoseconds; None: all at one time. `lost`: cameras whose pose is no longer known, by their own images.
     """
     marking = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
     names = [*marking, *sorted(set(lost) - set(marking))]
@@ -123,15 +111,10 @@ def judged(
 
 @dataclass
 class FireMemory:
-    """Evidence of a site's recent fires, newest last, and the lost cameras.
+    """Evidence of a site's recent fires, newest last, and the lost cameras. Fires at one place count as one, because an
+    error of the terrain model makes the same camera suspect there again and again.
 
-    An error of the terrain model makes the same camera suspect again and again at one place, so fires at one place
-    count as one: a chimney that is marked all day long is one fire.
-
-    Args:
-        sure: see `judged`.
-        memory_ns: age at which a fire is forgotten: a mount that has been repaired is right again.
-        most: maximum number of fires, the newest.
+    `sure`: see `judged`. `memory_ns`: age at which a fire is forgotten. `most`: maximum number of fires.
     """
 
     sure: float
@@ -151,10 +134,7 @@ class FireMemory:
         self.expire(stamp_ns)
 
     def forget(self, camera: str) -> bool:
-        """Forget the fires that a camera has marked; return whether there were any.
-
-        For a camera whose pose has been corrected: the evidence about the other cameras depended on its direction too.
-        """
+        """Forget the fires that a camera whose pose was corrected has marked; return whether there were any."""
         before = len(self._fires)
         self._fires = {key: fire for key, fire in self._fires.items() if camera not in fire[1].ratios}
         return len(self._fires) < before
@@ -176,12 +156,8 @@ def _of_one_place(one: TurnEvidence, other: TurnEvidence) -> bool:
 
 
 def _turned_ratios(fires: Sequence[tuple[int, Float64Array]]) -> tuple[Float64Array, Float64Array]:
-    """Return two (T,) logarithms of how much likelier one camera's marks are if it is turned by an angle than if not:
-    turned since before all fires, and turned at an unknown time.
-
-    Args:
-        fires: stamp and (T,) ratio of each (`TurnEvidence.ratios`).
-    """
+    """Return two (T,) log likelihood ratios of one camera's marks, turned to not turned: since before all fires, and
+    since an unknown time. `fires`: stamp and (T,) ratio of each (`TurnEvidence.ratios`)."""
     stamps = sorted({stamp for stamp, _ in fires})
     if not stamps:
         return np.zeros(len(TURNS)), np.zeros(len(TURNS))

@@ -3,7 +3,7 @@
 from ltm_core.pictures.legend import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
 from ltm_core.pictures.maps import MapCamera, fuel_map_picture, labelled_shade, terrain_map_picture
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
-from ltm_core.pictures.relief import hillshade, hypsometric, terrain_colors
+from ltm_core.pictures.relief import hillshade, terrain_colors
 from ltm_core.pictures.sheets import fit, panel
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "fit",
     "fuel_map_picture",
     "hillshade",
-    "hypsometric",
     "label_colors",
     "label_legend",
     "labelled_shade",

@@ -80,10 +80,10 @@ def terrain_of(landscape: Landscape) -> Dem:
     return Dem(np.where(band == NODATA, np.nan, band).astype(np.float32), landscape.geometry)
 
 
-def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
+def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int]) -> RgbImage:
     """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble;
     cells whose fuel or canopy has changed are outlined. `cell`: where it starts."""
-    canvas = _canvas(effect, landscape, cell, width)
+    canvas = _canvas(effect, landscape, cell)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
     was, now = effect.before, effect.after
@@ -121,12 +121,12 @@ def _flames(run: FireRun) -> BoolArray:
     return run.burned & (run.flame > 0)
 
 
-def _canvas(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int) -> FuelCanvas:
+def _canvas(effect: FireEffect, landscape: Landscape, cell: tuple[int, int]) -> FuelCanvas:
     g = landscape.geometry
     x, y = (float(v) for v in g.to_map(*cell))
     burned = effect.before.burned | effect.after.burned
     bounds = interesting_bounds(burned, g, (), g)
-    return FuelCanvas(g, terrain_of(landscape), [CameraMark("ignition", x, y)], bounds, width=width)
+    return FuelCanvas(g, terrain_of(landscape), [CameraMark("ignition", x, y)], bounds)
 
 
 def _drawn(

@@ -22,7 +22,17 @@ from ltm_core.fuel.codes import FuelSystem, code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, Anchor, ClassPalette, draw_texts, label_legend, with_legend
+from ltm_core.pictures.legend import (
+    INK,
+    PAPER,
+    UNLABELLED,
+    Anchor,
+    ClassPalette,
+    Palette,
+    draw_texts,
+    label_legend,
+    with_legend,
+)
 from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel, with_axes
@@ -36,11 +46,9 @@ _NO_MORE: Final = 0.85
 
 
 @dataclass(frozen=True)
-class Scale:
+class Scale(Palette):
     """Ranges of a quantity, each with a name and a colour: class k is of values from bounds[k - 1] to bounds[k]."""
 
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
     bounds: tuple[float, ...]
 
     @classmethod
@@ -88,12 +96,9 @@ class FuelCanvas:
     """Draws layers of one fuel grid over the relief of one part of the terrain. Palettes are of life forms
     (`life_form_labels`).
 
-    Args:
-        geometry: the fuel grid; `dem` in the same frame.
-        places: the cameras.
-        bounds: (x_min, y_min, x_max, y_max) of the part; default: the whole grid, as far as the terrain goes.
-        offset: what the axes add to coordinates, such as the map frame's origin.
-        width: pixels of a map without its axes.
+    `geometry`: the fuel grid; `dem` in the same frame. `places`: the cameras. `bounds`: (x_min, y_min, x_max, y_max) of
+    the part; default: the whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its
+    axes.
     """
 
     def __init__(
@@ -142,7 +147,7 @@ class FuelCanvas:
         """Return a map of fuel models (H, W)."""
         picture = self.map(code_colors(codes), codes >= 0, outlined)
         named = code_names(codes)
-        legend = _Names(tuple(name for name, _ in named), tuple(color for _, color in named))
+        legend = Palette(tuple(name for name, _ in named), tuple(color for _, color in named))
         return self.finished(picture, label_legend(picture.shape[1], legend))
 
     def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
@@ -222,12 +227,6 @@ class _Bare(FuelCanvas):
         return picture
 
 
-@dataclass(frozen=True)
-class _Names:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
-
-
 def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
     """Return the life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of
     which the last two are not known, as of an earlier date, the first two alone."""
@@ -267,10 +266,8 @@ def change_sheet(
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
-    """For each camera, how many frames saw each cell, and how much ground a pixel covered at best.
-
-    Raises ImageError where no camera has seen anything.
-    """
+    """Draw, for each camera, how many frames saw each cell, and the smallest ground footprint of a pixel. Raises
+    ImageError if no camera has seen anything."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         maps[f"{name}: number of frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
@@ -282,10 +279,8 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
 
 
 def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbImage:
-    """For each camera, the cells (H, W) that it has seen, and how many cameras have seen each.
-
-    Raises ImageError where there is no camera.
-    """
+    """Draw, for each camera, the cells (H, W) that it has seen, and how many cameras have seen each. Raises ImageError
+    without cameras."""
     maps = {
         f"seen by {name}: {int(cells.sum()):,} cells": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
         for name, cells in sorted(by_camera.items())

@@ -29,6 +29,14 @@ class ClassPalette(Protocol):
     def colors(self) -> Any: ...
 
 
+@dataclass(frozen=True)
+class Palette:
+    """Names and RGB colours of classes."""
+
+    names: tuple[str, ...]
+    colors: tuple[tuple[int, int, int], ...]
+
+
 Anchor = Literal["lt", "mt", "rt", "lm", "mm", "rm", "lb", "mb", "rb"]
 
 
@@ -97,10 +105,8 @@ UNKNOWN_COLOR = (70, 70, 74)
 
 @dataclass(frozen=True)
 class RangeScale:
-    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour.
-
-    The default suits a tower camera. It does not follow the image, so that colours mean the same in all pictures.
-    """
+    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour. The default suits
+    a tower camera, and does not follow the image."""
 
     near: float = 30.0
     far: float = 30_000.0
@@ -152,20 +158,15 @@ def scale_colors() -> RgbImage:
     return np.asarray(colors, np.uint8)
 
 
-def depth_colors(
-    ranges: ArrayLike,
-    scale: RangeScale | None = None,
-    sky: tuple[int, int, int] = SKY_COLOR,
-    unknown: tuple[int, int, int] = UNKNOWN_COLOR,
-) -> RgbImage:
+def depth_colors(ranges: ArrayLike, scale: RangeScale | None = None) -> RgbImage:
     """Return the colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
     values = np.asarray(ranges, np.float32)
     fraction = (scale or RangeScale()).fraction(values)
     known = np.isfinite(fraction)
     index = np.where(known, fraction * 255, 0).round().astype(np.uint8)
     colors = scale_colors()[index].copy()
-    colors[~known] = unknown
-    colors[np.isposinf(values)] = sky
+    colors[~known] = UNKNOWN_COLOR
+    colors[np.isposinf(values)] = SKY_COLOR
     return colors
 
 
@@ -262,10 +263,8 @@ _UNKNOWN = (190, 192, 196)
 
 
 def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
-    """|estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large.
-
-    Sky in both is sky; where the one has a depth and the other has none, grey.
-    """
+    """Return |estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large; sky if both are sky,
+    grey if only one has a depth."""
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))

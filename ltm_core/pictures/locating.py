@@ -22,7 +22,6 @@ _LEAST_VIEW = 300.0
 """Minimum width in metres of the detail map."""
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
 _FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
-_TRUTH = (0, 120, 60)
 STATE_COLORS = {
     PointState.VISIBLE: (40, 190, 90),
     PointState.HIDDEN: (235, 90, 40),
@@ -38,14 +37,12 @@ def location_picture(
     cameras: Sequence[MapCamera],
     offset: tuple[float, float],
     titles: tuple[str, str],
-    truth: tuple[float, float] | None = None,
 ) -> RgbImage:
-    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely.
-
-    `dem`, `posterior`, `cameras`: in the map frame. `ellipses`: with their names, smallest first. `offset`: of the map
-    frame in its CRS, for the axes. `truth`: x, y of a known place, marked.
-    """
-    close = _close_bounds(posterior, ellipses, truth)
+    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely; all in the map
+    frame. `ellipses`: with their names, smallest first. `offset`: of the map frame, for the axes."""
+    close = _padded(
+        np.concatenate([posterior.places[posterior.densest(0.99)], ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW
+    )
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
     whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
     maps = []
@@ -55,7 +52,7 @@ def location_picture(
         reach = 0.3 * (bounds[2] - bounds[0])
         drawn = [MapCamera(c.name, c.camera, c.position, c.azimuth_deg, reach) for c in cameras if _within(c, bounds)]
         picture = furnished(picture, view, drawn, None).copy()  # Pillow's cannot be drawn on
-        _draw(picture, view, ellipses, posterior.mean, truth)
+        _draw(picture, view, ellipses, posterior.mean)
         if bounds is close:
             picture = _named(picture, view, ellipses)
         framed = with_axes(picture, view, offset)
@@ -97,16 +94,6 @@ def _fixed(points: Float64Array) -> list[list[int]]:
 def _within(camera: MapCamera, bounds: tuple[float, float, float, float]) -> bool:
     x, y = camera.position
     return bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3]
-
-
-def _close_bounds(
-    posterior: Posterior, ellipses: Sequence[tuple[str, Ellipse]], truth: tuple[float, float] | None
-) -> tuple[float, float, float, float]:
-    outlines = [ellipse.outline() for _, ellipse in ellipses[-1:]]
-    places = [posterior.places[posterior.densest(0.99)], *outlines]
-    if truth is not None:
-        places.append(np.array([truth]))
-    return _padded(np.concatenate(places), 0.12, _LEAST_VIEW)
 
 
 def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:
@@ -151,7 +138,6 @@ def _draw(
     view: GridGeometry,
     ellipses: Sequence[tuple[str, Ellipse]],
     mean: tuple[float, float],
-    truth: tuple[float, float] | None,
 ) -> None:
     for number, (_, ellipse) in enumerate(ellipses):
         outline = ellipse.outline(180)
@@ -160,12 +146,9 @@ def _draw(
         color = _FIRST if number == 0 else _SECOND
         cv2.polylines(picture, [points], True, (255, 255, 255), 4 - number, cv2.LINE_AA, _SHIFT)
         cv2.polylines(picture, [points], True, color, 2 - min(number, 1), cv2.LINE_AA, _SHIFT)
-    for place, color in ((mean, _FIRST), (truth, _TRUTH)):
-        if place is None:
-            continue
-        at_row, at_col = (round(float(v)) for v in view.to_grid(*place))
-        cv2.drawMarker(picture, (at_col, at_row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
-        cv2.drawMarker(picture, (at_col, at_row), color, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+    at_row, at_col = (round(float(v)) for v in view.to_grid(*mean))
+    cv2.drawMarker(picture, (at_col, at_row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
+    cv2.drawMarker(picture, (at_col, at_row), _FIRST, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
 
 
 def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]]) -> RgbImage:

@@ -62,12 +62,8 @@ def labelled_shade(
     view: GridGeometry,
     opacity: float = 0.8,
 ) -> RgbImage:
-    """Return the class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare
-    relief.
-
-    Cells of both rasters are looked up at the centres of the view's pixels. Raises RasterError where classes and
-    geometry disagree or the rasters are in different CRSs.
-    """
+    """Return the class colours over grey relief on the raster `view`, (H, W, 3), nearest cells; 255 shows the bare
+    relief. Raises RasterError if classes and geometry disagree or the rasters are in different CRSs."""
     if classes.shape != geometry.shape:
         raise RasterError(f"classes of shape {classes.shape} do not fit a raster of {geometry.shape}")
     known = {g.crs for g in (geometry, dem.geometry, view) if g.crs is not None}
@@ -93,11 +89,8 @@ def fuel_map_picture(
     title: str | None = None,
     outlined: BoolArray | None = None,
 ) -> RgbImage:
-    """Return the fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
-
-    `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras. `outlined`:
-    (H, W) cells to mark.
-    """
+    """Return the fuel map (H, W) uint8 class ids, 255 unseen, over relief, with cameras and legend. `bounds`: the part
+    shown; default: all seen cells and cameras. `outlined`: (H, W) cells to mark."""
     if bounds is None:
         bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, dem.geometry)
     view = view_of(bounds, width)
@@ -170,11 +163,8 @@ def relief(dem: Dem, view: GridGeometry) -> RgbImage:
 
 
 def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray[Any]]) -> Float32Array:
-    """Return what `draw(factor, window)` gives of a part of the DEM, at the view's pixel centres, bilinear; NaN
-    outside.
-
-    Only the part under the view is drawn, as means over `factor` cells where the view is that much coarser.
-    """
+    """Return what `draw(factor, window)` gives of the part of the DEM under the view, at its pixel centres, bilinear;
+    NaN outside. `factor`: cells averaged for a coarser view."""
     whole = dem.geometry
     factor = max(1, int(view.resolution / whole.resolution))
     if min(whole.height, whole.width) < 2 * factor:

@@ -34,28 +34,23 @@ def label_colors(
 
 
 def overlay_depth(
-    image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
+    image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55
 ) -> RgbImage:
-    """Return the range colours over the photo, which stays plain where the range is sky or unknown.
-
-    `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
-    nearest). `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes that disagree.
-    """
+    """Return the range colours over the photo (H, W, 3), plain where the range is sky or unknown. `ranges`: (H, W)
+    metres, or every n-th pixel. Thin dark lines mark the scale's round ranges. Raises ImageError on sizes
+    that disagree."""
     scale = scale or RangeScale()
     values = _to_image_size(np.asarray(ranges, np.float32), image)
     known = np.isfinite(values)
     mixed = _mix(image, depth_colors(values, scale), opacity)
-    if contours:
-        line = _edges(np.digitize(np.where(known, values, np.inf), scale.ticks()).astype(np.int16)) & known
-        mixed[line] = (mixed[line] * 0.45).astype(np.uint8)
+    line = _edges(np.digitize(np.where(known, values, np.inf), scale.ticks()).astype(np.int16)) & known
+    mixed[line] = (mixed[line] * 0.45).astype(np.uint8)
     return np.where(known[..., None], mixed, image)
 
 
 def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
-    """Return the class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
-
-    `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
-    """
+    """Return the class colours over the photo with thin borders, plain where unlabelled. `labels`: (H, W) uint8, or
+    every n-th pixel. Raises ImageError on sizes that disagree."""
     ids = _to_image_size(np.asarray(labels, np.uint8), image)
     colors = label_colors(ids, label_set)
     mixed = _mix(image, colors, opacity)

@@ -17,37 +17,33 @@ Window = tuple[int, int, int, int]
 
 # Lights from four sides, north-west strongest: ridges of every direction keep a lit and a dark side.
 _LIGHTS = ((315.0, 0.5), (270.0, 0.2), (360.0, 0.2), (225.0, 0.1))
+_ALTITUDE_DEG = 45.0
 _TINTS = np.array(
     [[122, 150, 112], [168, 182, 128], [214, 204, 152], [196, 166, 124], [168, 138, 116], [238, 236, 234]], np.float32
 )
 _NODATA = (214, 216, 220)
+_SHADE = 0.75
+"""Strength of the shade over the height tints, 0 to 1."""
 _GREY = 0.7
 """Brightness of cells without height."""
 _STRIP_CELLS = 1 << 20
 _SPAN_CELLS = 1 << 22
 
 
-def hillshade(
-    dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0, factor: int = 1, window: Window | None = None
-) -> Float32Array:
-    """Return the brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides; NaN where there is
-    no height.
-
-    Slopes by Horn's 3 x 3 differences (Horn 1981), the border row and column by the same with repeated edges. `factor`,
-    `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
-    """
-    return drawn(dem, lambda part, resolution: _shade(part, resolution, altitude_deg, exaggeration), factor, window)
+def hillshade(dem: Dem, factor: int = 1, window: Window | None = None) -> Float32Array:
+    """Return the brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides, by Horn's 3 x 3
+    differences (1981); NaN without height. `factor`, `window`: as of `drawn`; default: the whole DEM."""
+    return drawn(dem, _shade, factor, window)
 
 
 def drawn(
     dem: Dem, draw: Callable[[Float32Array, float], Float32Array], factor: int = 1, window: Window | None = None
 ) -> Float32Array:
-    """Return what `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip: nothing but
-    the result is ever held whole.
+    """Return what `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip to save
+    memory.
 
-    `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32; what it draws of a cell may
-    depend on the cell's neighbours alone. `window`: (row, col, height, width) of the part that is drawn, all multiples
-    of `factor`; default: as many whole blocks as there are.
+    `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32, and may use a cell's
+    neighbours. `window`: (row, col, height, width) of the part, multiples of `factor`; default: all whole blocks.
     """
     rows, cols = dem.elevation.shape
     top, left, height, width = window or (0, 0, rows // factor * factor, cols // factor * factor)
@@ -87,11 +83,9 @@ def brightness_at(dem: Dem, x: NDArray[np.floating], y: NDArray[np.floating]) ->
     return light
 
 
-def _shade(
-    elevation: Float32Array, resolution: float, altitude_deg: float = 45.0, exaggeration: float = 1.0
-) -> Float32Array:
-    east, north = _slopes(elevation, resolution / exaggeration)
-    altitude = np.deg2rad(altitude_deg)
+def _shade(elevation: Float32Array, resolution: float) -> Float32Array:
+    east, north = _slopes(elevation, resolution)
+    altitude = np.deg2rad(_ALTITUDE_DEG)
     norm = np.sqrt(1.0 + east * east + north * north)
     # Horn's differences leave the middle cell out, so a lone missing height would get a shade.
     shade = np.where(np.isfinite(elevation), np.float32(0), np.float32(np.nan))
@@ -113,15 +107,6 @@ def _slopes(elevation: Float32Array, resolution: float) -> tuple[Float32Array, F
     return np.asarray(east, np.float32), np.asarray(north, np.float32)
 
 
-def hypsometric(elevation: Float32Array, low: float | None = None, high: float | None = None) -> RgbImage:
-    """Return the height tints (H, W, 3), green lowland to white summits, between the 1st and 99th percentile unless
-    given."""
-    if low is None or high is None:
-        bottom, top = height_span(elevation)
-        low, high = (bottom if low is None else low), (top if high is None else high)
-    return np.asarray(_tints(elevation, low, high).round(), np.uint8)
-
-
 def height_span(elevation: Float32Array) -> tuple[float, float]:
     """Return the 1st and 99th percentile of the known heights, of a large raster those of evenly taken ones; 0 to 1
     where none is known."""
@@ -134,15 +119,13 @@ def height_span(elevation: Float32Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def terrain_colors(dem: Dem, strength: float = 0.75, factor: int = 1, window: Window | None = None) -> RgbImage:
-    """Return the height tints under shaded relief, (h, w, 3); `strength` 0 leaves the shade away, 1 applies it fully.
-
-    `factor`, `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
-    """
+def terrain_colors(dem: Dem, factor: int = 1, window: Window | None = None) -> RgbImage:
+    """Return the height tints under shaded relief, (h, w, 3); `factor`, `window`: as
+    of `drawn`; default: the whole DEM."""
     low, high = height_span(dem.elevation)
 
     def draw(elevation: Float32Array, resolution: float) -> Float32Array:
-        light = 1.0 + strength * (np.nan_to_num(_shade(elevation, resolution), nan=0.75) / 0.75 - 1.0)
+        light = 1.0 + _SHADE * (np.nan_to_num(_shade(elevation, resolution), nan=0.75) / 0.75 - 1.0)
         tints = _tints(elevation, low, high).round()
         return np.asarray(np.clip(tints * light[..., None], 0, 255), np.float32)
 

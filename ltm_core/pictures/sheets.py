@@ -19,10 +19,7 @@ _LEAST_TICKS = 3
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
     """Return `picture` (of the raster `view`) with eastings below and northings on the left, metres, every round
-    distance.
-
-    `offset`: what is added to the view's coordinates, such as the map frame's origin.
-    """
+    distance. `offset`: added to the view's coordinates."""
     height, width = picture.shape[:2]
     size = max(11, round(width / 68))
     step = round_step(min(width, height) * view.resolution)
@@ -69,11 +66,11 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 
 
-def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, gap: int = 14) -> RgbImage:
+def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800) -> RgbImage:
     """Return a sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
     if not pictures or columns < 1:
         raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
-    size = max(13, round(width / 42))
+    size, gap = max(13, round(width / 42)), 14
     title = round(size * 1.8)
     columns = min(columns, len(pictures))
     fitted = [(name, fit(picture, width)) for name, picture in pictures]

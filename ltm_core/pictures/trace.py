@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,12 +17,13 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import (
     MapCamera,
     RangeScale,
+    fuel_map_picture,
     overlay_depth,
     range_legend,
     terrain_map_picture,
     with_legend,
 )
-from ltm_core.pictures.legend import draw_texts
+from ltm_core.pictures.legend import Palette, draw_texts
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
@@ -94,12 +94,8 @@ _WIDEST_TRACE = 2200
 
 
 def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
-    """Return the ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a
-    legend.
-
-    `photo`: (H, W, 3) uint8 of the camera's size. `dem`: the terrain that was traced. A picture wider than 2200 pixels
-    is drawn at every second, third, ... pixel.
-    """
+    """Return the ranges in colour over the photo (H, W, 3), or over shaded terrain without one, with skyline and
+    legend; at every n-th pixel if wider than 2200 pixels."""
     step = -(-traced.camera.width // _WIDEST_TRACE)
     ranges = traced.range[::step, ::step]
     traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
@@ -113,10 +109,8 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
 
 
 def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
-    """Return the shaded relief with the cells that the picture sees, its camera and its field of view.
-
-    `counts`: pixels a cell, shape of the DEM.
-    """
+    """Return the shaded relief with the cells that the photo sees, its camera and its field of view. `counts`: pixels
+    per cell, of the DEM's shape."""
     horizontal = traced.horizontal()
     known = horizontal[np.isfinite(horizontal)]
     reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
@@ -142,10 +136,8 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
-    """Return `picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
-
-    Where unknown ground meets the sky there is no line: that edge is the DEM's, not the landscape's.
-    """
+    """Return `picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it; not where unknown
+    ground does."""
     edge = np.isposinf(ranges[:-1]) & np.isfinite(ranges[1:])
     thickness = max(1, round(picture.shape[0] / 540))
     drawn = picture.copy()
@@ -167,13 +159,7 @@ BANDS = (
 )
 
 
-@dataclass(frozen=True)
-class _Counts:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
-
-
-_PALETTE = _Counts(
+_PALETTE = Palette(
     ("not seen", "1 camera", "2 cameras", "3 cameras", "4 or more"),
     ((92, 98, 112), (253, 190, 92), (243, 130, 62), (214, 68, 66), (140, 32, 92)),
 )
@@ -193,12 +179,8 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 def coverage_picture(
     coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str | None = None
 ) -> UInt8Array:
-    """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with the cameras and a legend.
-
-    `dem`: in the frame of the coverage.
-    """
-    from ltm_core.pictures import MapCamera, fuel_map_picture
-
+    """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with cameras and legend.
+    `dem`: in the frame of the coverage."""
     classes = np.clip(coverage.count, 0, len(_PALETTE.names) - 1).astype(np.uint8)
     classes[coverage.count < 0] = 255
     reach = 0.08 * max(

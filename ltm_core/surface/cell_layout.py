@@ -1,8 +1,7 @@
 """Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
-Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
-
-A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order.
+Values that are read together lie together, to save cache lines. A *place* numbers a cell as the tiles do: tile x TILE^2
++ the cell in its tile, both in row-major order.
 """
 
 from __future__ import annotations
@@ -55,15 +54,12 @@ class TileCells(NamedTuple):
     """State of the tiles in memory, (slots, cells of a tile) each.
 
     Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and
-    `weight`, that of share / variance; `relative_variance`, the mean of what they know of a shift of the whole stand,
-    and `pose_variance`, that of the poses' part; `first`, `last` seen (s), `cameras` (a bit each),
-    `frames`, `label` last seen. `base`: the canopy that the first consistent observations found (0 where the
-    surface raster is known, NaN before). `watched`: the cameras whose labels have shown for an hour that what stood
-    there stands. Of the candidate: the same, with c_. Of an accepted change: its kind, the
-    smoothed `shift` from the reference and base, since when, and the cameras that agreed then.
-
-    `high`: 1 where an estimate or a candidate may hold that something stands high enough above the reference to be
-    looked for in images.
+    `weight`, that of share / variance; `relative_variance`, the mean of that of a shift of the whole stand, and
+    `pose_variance`; `first`, `last` seen (s), `cameras` (a bit each), `frames`, `label` last seen. `base`: the canopy
+    that the first observations found (0 with a surface raster, NaN before). `watched`: the cameras whose labels have
+    shown for an hour that something stands. Of the candidate: the same, with c_. Of an accepted change: kind, smoothed
+    `shift`, since, by. `high`: 1 if an estimate or a candidate may be high enough above the reference to be looked for
+    in images.
     """
 
     estimate: RecordArray
@@ -103,10 +99,9 @@ that it stays."""
 
 
 class FrameSums(NamedTuple):
-    """`used`: how many cells and tiles are in use. `cells`: their sums. `tiles`: the tiles by their number in this
-    frame, and `number_of` the inverse by tile, -1 where it is not seen. `at`: by number of the tile and cell in it,
-    1 + where its sums are, 0 where it is not seen.
-    """
+    """`used`: number of cells and tiles in use. `cells`: their sums. `tiles`: the tiles by their number in this frame,
+    `number_of` the inverse, -1 if unseen. `at`: by number of the tile and cell in it, 1 + the index of its sums, 0 if
+    unseen."""
 
     used: Int64Array
     cells: RecordArray

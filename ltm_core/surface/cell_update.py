@@ -1,13 +1,9 @@
 """Recursive estimate of each cell's surface height, updated frame by frame in compiled code.
 
-Each cell has an *estimate* of its height above the reference, which consistent observations refine, and at most one
-*candidate*: what contradicts the estimate, until it is contradicted itself or enough independent views confirm it;
-then it becomes the estimate. So a single view, or a moving object, changes nothing.
-
-Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
-time: one look per hour counts, however many frames there are. Of the variance of a mean, the part that is new in each
-look falls with the number of looks; the part that a camera repeats, and the part due to pose errors, fall only with the
-number of cameras. Looks of years ago tell little of today.
+Each cell has an *estimate* of its height above the reference, and at most one *candidate*: what contradicts the
+estimate, until it is contradicted itself or independent views confirm it; then it becomes the estimate. A camera's
+weight in a cell grows with time (one look per hour), because its observations shortly after each other repeat its
+errors; the part of the variance that it always repeats falls only with the number of cameras (docs/how/surface.md).
 """
 
 from __future__ import annotations
@@ -99,8 +95,7 @@ def _remembered(seconds: int, last: int, lasting: float) -> float:
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
-    it is not in memory.
-    """
+    it is not in memory."""
     observed, count = 0, sums.used[0]
     for i in range(count):
         ahead = sums.cells[min(i + _AHEAD, count - 1)].place
@@ -158,13 +153,9 @@ def _both(one: float, other: float) -> float:
 def _told(
     cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
-    """Return the height of a cell in which something stood, its variance and the pose's part of it, by what labels say
-    of that.
-
-    The variance is that at which a normal distribution would tell the two heights apart by the labels' log odds, and
-    that of a cell whose pixels say both. A camera that has seen for an hour that it stands tells by far better odds
-    whether it still does: what it mistakes, it mistook before.
-    """
+    """Return the height of a cell in which something stood, by its labels, its variance (at which a normal distribution
+    would separate the two heights by the labels' log odds), and the pose's part of it. A camera that has seen for an
+    hour that it stands has far better odds."""
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     share = one.gone / (one.gone + one.stays)
     odds, pose = (one.gone + one.stays) / one.labelled, one.labelled_pose / one.labelled

@@ -101,10 +101,8 @@ def decide(
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
     """Return the changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
 
-    The estimates of cells that independent views have seen are smoothed with their weights, what stands apart from what
-    is open. Change is where the result is beyond the threshold and sure enough, surer where one camera alone has seen
-    the cell, with the connected cells around it that moved the same way and are less sure; regions smaller than
-    `min_area` are left out.
+    Change is where the smoothed shift exceeds the threshold and is significant, and the connected cells around it that
+    moved the same way; regions smaller than `min_area` are left out.
     """
     parts = mosaic(peek, window, _NEEDED)
     row, col, height, width = window

@@ -1,15 +1,6 @@
 """Hold the cells whose height independent views have confirmed, and the list of their versions.
 
-Hold the cells whose height independent views have confirmed, and confirm those of a surface map.
-
-The cells whose height independent views have confirmed, and a terrain on which they stand.
-
-Only changed cells are held: all else of a terrain stays as it was given, bit for bit.
-
-What a surface map has confirmed: the cells on whose change independent views agree, and their heights now.
-
-The map goes on comparing images with the reference that it was given. So what it has confirmed is neither found a
-second time, nor undone because depth is traced to it from then on.
+All other cells of a terrain stay as they were given, to the bit.
 """
 
 from __future__ import annotations
@@ -72,10 +63,8 @@ class ConfirmedSurface:
         return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
 
     def ground_over(self, given: Dem) -> Dem:
-        """Return `given`, bare earth, with changed ground cells replaced; `given` itself if there are none.
-
-        Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
-        """
+        """Return `given`, bare earth, with changed ground cells replaced in all levels except near their seams; `given`
+        itself if there are none."""
         return self._over(given, self.ground)
 
     def surface_over(self, given: Dem) -> Dem:
@@ -218,10 +207,8 @@ class SurfaceManifest(StrictModel):
 
 
 def of_later_release(content: bytes, error: ValidationError) -> str:
-    """Return the evidence that a later release wrote an unreadable manifest; empty: none, so it is damaged.
-
-    It states a later format, or has keys that this program does not know and nothing else is wrong with it.
-    """
+    """Return the evidence that a later release wrote an unreadable manifest, a later format or only unknown keys;
+    empty: none, so it is damaged."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

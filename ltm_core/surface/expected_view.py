@@ -6,9 +6,6 @@ None of it depends on the image, so it is kept, and a camera that stands still p
 from __future__ import annotations
 
 import math
-import mmap
-from collections import OrderedDict
-from collections.abc import Hashable
 from typing import NamedTuple
 
 import numpy as np
@@ -37,8 +34,7 @@ pose."""
 
 class CameraView(NamedTuple):
     """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance, and the
-    bend of a ray over its horizontal range.
-    """
+    bend of a ray over its horizontal range."""
 
     rays: Float64Array
     rotation: Float64Array
@@ -49,38 +45,12 @@ class CameraView(NamedTuple):
 
 class Extremes(NamedTuple):
     """Least and greatest of the expected ranges (H, W), unknown ones counted as infinite: within the pose's
-    uncertainty, and within one pixel.
-    """
+    uncertainty, and within one pixel."""
 
     nearest: Float32Array
     farthest: Float32Array
     near: Float32Array
     far: Float32Array
-
-
-class ExpectedViews:
-    """Bounded cache of expected views by key, at most a number of bytes but at least one view. The least recently used
-    one is evicted and its memory reused, because freeing arrays of this size would fragment memory."""
-
-    def __init__(self, most_bytes: int) -> None:
-        self._most = most_bytes
-        self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
-
-    def get(self, key: Hashable) -> RecordArray | None:
-        """Return the view (H, W) of EXPECTED_PIXEL and mark it as used; None if it is not cached."""
-        if key in self._kept:
-            self._kept.move_to_end(key)
-        return self._kept.get(key)
-
-    def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
-        """Return the array of a new view, with arbitrary content, to be filled."""
-        pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
-        while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
-            pixels = self._kept.popitem(last=False)[1]
-        if pixels is None or pixels.shape != shape:
-            pixels = np.frombuffer(mmap.mmap(-1, size), EXPECTED_PIXEL).reshape(shape)
-        self._kept[key] = pixels
-        return pixels
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]

@@ -1,7 +1,6 @@
 """Free-space test: a camera that sees through an object in a cell limits the cell's height.
 
-Rays that pass under the reference are walked where they do so (`observation_kernel`). What is held to stand *above* the
-reference, candidates and accepted growth, is few cells: each is looked for in the image instead.
+What stands above the reference is few cells: each is projected into the image.
 """
 
 from __future__ import annotations
@@ -78,16 +77,11 @@ def see_through(
     rules: Rules,
     reach: tuple[float, float],
 ) -> int:
-    """Drop objects that this image sees through, or count it against growth that several observations have seen; return
-    the number of cells.
+    """Drop objects that this image sees through, also those that it has brought itself, because what hovers is smoke or
+    a bird; count it against growth that several observations have seen. Return the number of cells.
 
-    What the image itself has brought is looked at too: what stands, stands on something, so that whatever hovers in the
-    air, as smoke does or a bird, is seen through under its own place.
-
-    Args:
-        cells, places: the state in memory, and (N, 3) slot, tile row and tile column of the tiles in it.
-        camera: of the pixels in use; a cell is seen through where all of these about it see farther.
-        reach: metres, between which things are looked for.
+    `places`: (N, 3) slot, tile row and tile column of the tiles in memory. `camera`: of the pixels in use. `reach`:
+    minimum and maximum distance of objects in metres.
     """
     rows, cols = (np.append(np.arange(0, n - 1, 16), n - 1) for n in (camera.height, camera.width))
     rays = camera.rays()[np.ix_(rows, cols)]
@@ -150,10 +144,8 @@ def _find(
     place: CameraBounds,
     found: ElevatedCells,
 ) -> tuple[int, int]:
-    """Fill `found` with what stands higher than `least` where the camera may see it, from the tile `begin` of
-    `places` on: how many, and where to go on. A cell that has both is listed as both; what is no longer high is not
-    asked again. `corner`: x and y of the grid's north-west corner, and its cell size.
-    """
+    """Fill `found` with cells higher than `least` that the camera may see, from the tile `begin` of `places` on; return
+    their number, and where to go on. `corner`: x and y of the grid's north-west corner, and its cell size."""
     count = 0
     height, width = surface.shape
     m = place.rotation

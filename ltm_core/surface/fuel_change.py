@@ -1,9 +1,4 @@
-"""Rule by which changes of the surface map change fuel cells, so that both maps agree.
-
-A fuel cell takes a change over when enough of what views have seen of it has changed in one way. What stood there and
-is gone leaves ground, or what the camera labels there now; what has grown is what the camera labels there, else by its
-height; ground that has moved carries nothing.
-"""
+"""Rule by which changes of the surface map change fuel cells, so that both maps agree."""
 
 from __future__ import annotations
 
@@ -99,11 +94,8 @@ def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChan
 
 
 def cover_after(kind: ChangeKind, shift: float, labels: UInt8Array) -> int | None:
-    """Return the cover of a surface that has moved by `shift` metres with these labels; None: unknown.
-
-    Ground that has moved is bare. What has grown is not bare, and not grass from 1 m on, whatever a label says; what
-    was removed is not what stood there: a tree's label there is an old one.
-    """
+    """Return the cover of a surface that has moved by `shift` metres with these labels; None: unknown. Moved ground is
+    bare; what has grown is neither bare nor grass; what was removed is not what a label of what stood there says."""
     if kind == ChangeKind.LOWERED:
         return int(Label.BARE)
     known = labels[labels != 255]

@@ -1,8 +1,4 @@
-"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled.
-
-If the reference has an object in a cell, a pixel's label is evidence that the cell is still as high, or as low as bare
-earth. Certain objects in front of the cell hide it.
-"""
+"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled."""
 
 from __future__ import annotations
 
@@ -31,13 +27,9 @@ def add_labels(
 ) -> None:
     """Add the label evidence of labels (H, W) by cell, as far as `sums` has room.
 
-    Args:
-        expected_pixels: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.
-        gone: (256,) log odds by label that what stood is gone.
-        depth: what the same photo measures, edge to edge over it, at its own size.
-
-    At an edge, where ranges within a pixel differ by about as much as the height of what stood, the label may be that
-    of what is beside it: it does not count.
+    `expected_pixels`: the reference's view of these pixels; `cosines`: their depth / slant range. `gone`: (256,) log
+    odds by label that what stood is gone. `depth`: the measurement in the same photo, at its own size. Labels at an
+    edge do not count, because they may be of what is beside it.
     """
     rows, cols = ids.shape
     height, width = depth.depth.shape

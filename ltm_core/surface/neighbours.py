@@ -1,8 +1,6 @@
 """Combine each cell's height shift with its neighbours of the same kind, and group changed cells into regions.
 
-A stand grows or is felled as a whole, and its crowns are seen from the side: each cell of it tells little of its own
-height, all of them together a lot of whether the stand is as it was. Open ground beside it takes no part in that.
-Standing vegetation and open ground are therefore averaged separately.
+Standing vegetation and open ground are averaged separately, because a stand grows or is felled as a whole.
 """
 
 from __future__ import annotations
@@ -93,13 +91,9 @@ def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, reso
 def stand_rise(
     off: Float32Array, level: Float32Array, grown: BoolArray, shift: Float32Array, resolution: float
 ) -> Float32Array:
-    """Return the growth of stands: the mean of their level cells over WIDE; `shift` if none is near.
-
-    Where a crown grows, its face comes nearer by a fraction of that: such cells tell that it has grown and not by how
-    much. `level`: of each cell, (0, 1], the variance on the block's slope as a share of that on its own, so about the
-    square of one slope over the other. Cells count by the square of that, and not by their variance, which is greater
-    for those that were found off their crowns, since a small step among crowns is a great one of height.
-    """
+    """Return the growth of stands: the mean of their level cells over WIDE; `shift` if none is near. The face of a
+    growing crown comes nearer by a fraction of its growth, so cells count by the square of `level` (0, 1]: the variance
+    on the block's slope as a share of that on their own."""
     weight = np.where(grown, level**2, 0).astype(np.float32)
     sigma = WIDE / resolution
     total = blurred(weight, sigma)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 from dataclasses import dataclass
 
 import cv2
@@ -13,11 +14,12 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RecordArr
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.surface.cell_layout import TILE, FrameSums, clear
-from ltm_core.surface.expected_view import CameraView, ExpectedViews, Extremes, predict_view
+from ltm_core.surface.expected_view import EXPECTED_PIXEL, CameraView, Extremes, predict_view
 from ltm_core.surface.label_kernel import add_labels
 from ltm_core.surface.observation_kernel import ObservationLimits, Pixels, observe
 from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.tracer import BoundedCache
 
 _WIDEST_WINDOW = 24
 """Maximum window in pixels; if a pose is so uncertain that a silhouette may lie further off, silhouettes carry no
@@ -102,12 +104,9 @@ class DepthFrame:
 
 
 class Observer:
-    """Convert depth images to observations of a reference surface.
-
-    `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
-    views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
-    None: labels say nothing of it.
-    """
+    """Convert depth images to observations of a reference surface. `columns`: maximum number of columns of a frame.
+    `views_mb`: memory for the expected views of fixed cameras. `gone`: (256,) log odds by label id that what stood in a
+    cell is gone; None: labels are not used."""
 
     def __init__(
         self,
@@ -136,7 +135,7 @@ class Observer:
         self._gone = np.zeros(256, np.float32) if gone is None else gone
         self._tiles = tiles[0] * tiles[1]
         self._sums = FrameSums.empty(0, self._tiles)
-        self._views = ExpectedViews(int(views_mb * 2**20))
+        self._views = BoundedCache[RecordArray](int(views_mb * 2**20), lambda pixels: pixels.nbytes)
 
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
         """Return the observations of a frame by cell, valid until the next call. Raises PoseError as the tracer
@@ -202,8 +201,11 @@ class Observer:
             known = np.where(np.isnan(expected), np.float32(np.inf), expected)
             near, far = _extremes(known, 1)
             widest = (near, far) if window == 1 else _extremes(known, window)
-            expected_pixels = self._views.put(key, expected.shape)
+            # A mapping of its own: on the heap, arrays of this size would fragment the memory.
+            room = mmap.mmap(-1, expected.size * EXPECTED_PIXEL.itemsize)
+            expected_pixels = np.frombuffer(room, EXPECTED_PIXEL).reshape(expected.shape)
             predict_view(self._ground, view, expected, Extremes(*widest, near, far), expected_pixels)
+            self._views.put(key, expected_pixels)
         return expected_pixels
 
 

@@ -1,18 +1,13 @@
 """Compare each pixel of a depth image with the reference surface and form an observation of a cell; compiled.
 
-A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
+* A range that **agrees** with the reference is an observation of the cell that the reference predicts.
+* A **nearer** range is an observation of the cell that the point lies in: something stands there.
+* A **farther** one, if all around it are farther too, is also one of the cell that it lies in, and caps all cells that
+  the ray passed below the surface.
 
-* **It agrees**: the observation is of the cell that the reference says it sees. The difference along the ray, times the
-  incidence factor, is the difference of the surface's height there.
-* **It is nearer**: something stands where the reference has air. The observation is of the cell that the point lies in.
-* **It is farther**, and so are all around it: the ray went through what the reference has as solid. All cells that it
-  passed below the surface are capped at the ray's height, and the observation is of the cell that the point lies in.
-
-The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
-metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
-On the steep side of a crown a small error along the ray is a large one of height, so the variance takes the slope of
-the cell itself where that is the steeper one. Whether the stand is as it was, such a pixel tells far better than how
-high its cell is: its *relative variance* is that of the slope of the block.
+The incidence factor |n.d| / n_z (n: normal of a block of cells, d: direction of the ray) turns metres along the ray
+into metres of height. The variance takes the slope of the cell itself if that is steeper; the *relative variance*, of
+a change of the whole stand, that of the block (docs/how/surface.md).
 """
 
 from __future__ import annotations
@@ -91,9 +86,8 @@ def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
-    """Return where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small
-    changes are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the
-    crown's height, and what stood behind a felled stand is seen where it stands."""
+    """Return the most likely range of an object that the reference does not have, from `first` to `last`: small changes
+    of the surface are likelier than large ones."""
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
@@ -133,10 +127,8 @@ def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> 
 def _carve(
     ground: ReferenceGrid, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
 ) -> None:
-    """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
-    by cell, but for blocks of cells that it passes above all of. `r`, `sigma`: what the ray has measured, so how surely
-    it passed each of them.
-    """
+    """Cap the cells over which a ray is less than `below` metres above the reference, between two ranges. `r`, `sigma`:
+    the measured range, which determines how surely it passed each of them."""
     stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
     t, left = begin + 0.5 * stride, _LONGEST_CARVE
     while t < end and left > 0:
@@ -194,12 +186,9 @@ def observe(
     limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
-    """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use
-    (H, W), the least depth among each and those around it.
-
-    Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
-    where that ended. So an image carves a cell a few times, and not once for each ray over it.
-    """
+    """Add a frame's observations up by cell, as far as `sums` has room. `beside`: of the pixels in use (H, W), the
+    least depth among each and those around it. Rows are processed from the bottom up, and a ray carves only beyond the
+    one below it."""
     rows, cols = expected_pixels.shape
     step = pixels.step
     labelled = pixels.labels.size > 0

@@ -159,11 +159,8 @@ class Reference:
     @classmethod
     def of(cls, bare: Elevations, surface: Elevations | None = None, resolution: float | None = None) -> Reference:
         """Return both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its
-        own).
-
-        Where the surface raster is unknown or below bare earth, bare earth stands. Raises ConfigError where the grid
-        has too many cells.
-        """
+        own); bare earth where the surface raster is unknown or below it. Raises ConfigError if the grid has too many
+        cells."""
         whole = bare.geometry
         cell = resolution or whole.resolution
         height = max(2, round(whole.height * whole.resolution / cell))

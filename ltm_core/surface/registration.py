@@ -1,10 +1,9 @@
 """Register a frame to the reference: correct its rotation, within the pose's covariance, by stable ground.
 
-A pose that is off by half a degree moves a kilometre's points by 8.7 m, all of them together: what the frame says of
-unchanged ground tells the error. To first order, turning the camera by the small rotation w about the map's axes moves
-the height of a point p from the camera by w.(p x n) / n_z (n: normal of the surface). The turn is the maximum of the
-posterior: robust (Cauchy) residuals of open ground, and the pose's covariance as the prior. Growth over a whole view
-would look like a turned camera, so canopy does not take part.
+To first order, turning the camera by the small rotation w about the map's axes moves the height of a point p from the
+camera by w.(p x n) / n_z (n: normal of the surface). The turn is the maximum of the posterior: robust (Cauchy)
+residuals of open ground, and the pose's covariance as the prior. Canopy takes no part, because its growth over a whole
+view would look like a turned camera.
 """
 
 from __future__ import annotations

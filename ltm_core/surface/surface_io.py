@@ -23,11 +23,8 @@ from ltm_core.surface.surface_map import SurfaceMap
 
 
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """Return the changed cells, and the number of cells that independent views have judged.
-
-    Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
-    half is left. Bare earth itself follows where the ground is lower.
-    """
+    """Return the changed cells, and the number of cells that independent views have judged. Where something was
+    removed, the visible surface is the nearer of what is left of it and bare earth."""
     geometry = surface.reference.geometry
     found: list[tuple[NDArray[Any], ...]] = []
     seen = 0

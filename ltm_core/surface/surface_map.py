@@ -61,18 +61,10 @@ class _Turn:
 class SurfaceMap:
     """The estimate of every cell, and the changes that views agree on. Bare earth is never edited.
 
-    Args:
-        reference: bare earth and, where known, the surface, in the map frame.
-        config: the rules.
-        cameras: all names, at most 32.
-        store: of `tile_pool.schema_of` the grid in the site's CRS; None: what no longer fits the memory for cells is
-            kept compressed.
-        curvature: of rays, as the tracer takes it.
-        refraction: likewise.
-        gone: (256,) log odds by label id that what stood in a cell is gone; None: labels say nothing of it.
-        assumed_pose_error: of frames without a covariance; None: the default.
-
-    Raises ConfigError for more cameras than a cell can tell apart.
+    `cameras`: all names, at most 32 (else ConfigError). `store`: of `tile_pool.schema_of` the grid in the site's CRS;
+    None: what does not fit the memory for cells is kept compressed. `curvature`, `refraction`: as for the tracer.
+    `gone`: (256,) log odds by label id that what stood in a cell is gone; None: labels are not used.
+    `assumed_pose_error`: of frames without a covariance.
     """
 
     def __init__(

@@ -1,10 +1,7 @@
-"""Keep versions of a site's confirmed surface on disk, and the terrain of one version.
+"""Keep versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
 
-Versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
-
-A version's file is whole or not there, and is never written again; the manifest, which names the version that counts,
-is replaced in one step after the file is on the disk. Whoever reads finds the version before or the new one, whatever
-kills the writer. Only the node `terrain` writes; others read.
+A file is written once; the manifest, which names the version in use, is replaced in one step afterwards, so readers
+find the previous version or the new one. Only the node `terrain` writes.
 """
 
 from __future__ import annotations
@@ -27,25 +24,12 @@ from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import (
     AS_GIVEN,
     KEPT,
-    VERSION,
     ConfirmedSurface,
     CountedVersion,
     SurfaceManifest,
     SurfaceVersion,
     of_later_release,
 )
-
-__all__ = [
-    "AS_GIVEN",
-    "FOLDER",
-    "KEPT",
-    "MANIFEST",
-    "VERSION",
-    "CountedVersion",
-    "SurfaceManifest",
-    "SurfaceVersion",
-    "SurfaceVersions",
-]
 
 FOLDER = "surfaces"
 """Name of the folder beside the store of the terrain."""
@@ -61,10 +45,8 @@ class BrokenManifestError(StoreError):
 
 @dataclass(frozen=True)
 class SurfaceVersions:
-    """Versions of a site in a folder, which is created with the first one.
-
-    `geometry`: of the terrain's grid, in the map frame; a version of another grid is rejected.
-    """
+    """Versions of a site in a folder, which is created with the first one. `geometry`: of the terrain's grid, in the
+    map frame; a version of another grid is rejected."""
 
     folder: Path
     site: str

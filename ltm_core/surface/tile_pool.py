@@ -22,10 +22,8 @@ def schema_of(geometry: GridGeometry) -> StoreSchema:
 
 
 class TilePool:
-    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room.
-
-    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is allocated on use.
-    """
+    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room. `canopy_known`: whether a
+    fresh cell's base is the reference itself."""
 
     def __init__(self, store: TileStore, capacity: int, canopy_known: bool) -> None:
         self.store = store
@@ -107,8 +105,7 @@ class TilePool:
 
     def commit(self, last: bool = False) -> int:
         """Write all that has changed, with the frames that did it, in one transaction; how many tiles. Raises
-        StoreError, and then nothing is lost: call it again. `last`: before the store is closed.
-        """
+        StoreError, and then nothing is lost: call it again. `last`: before the store is closed."""
         if not self._dirty and not self._frames:
             return 0
         tiles = {key: tile for key in self._dirty if (tile := self.peek(key)) is not None}

@@ -1,7 +1,5 @@
 """Intersect a curved ray with the bilinear surface of single DEM cells, one after the other.
 
-Intersection of a curved ray with the bilinear surface of one DEM cell.
-
 Grid units, as everywhere in the kernels (see `pyramid_traversal`).
 """
 
@@ -64,10 +62,8 @@ def meets(f0: float, f1: float, a: float, dq: float) -> bool:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def first_root(f0: float, f1: float, a: float, dq: float) -> float:
-    """Return the first root of f0 + f1 t + a t^2, at most dq, where there is one: the formula that does not cancel.
-
-    Press et al., Numerical Recipes, 3rd ed., 5.6.
-    """
+    """Return the first root of f0 + f1 t + a t^2, at most dq, if any: the formula that does not cancel (Press et al.,
+    Numerical Recipes, 3rd ed., 5.6)."""
     discriminant = f1 * f1 - 4.0 * a * f0
     root = 2.0 * f0 / (math.sqrt(discriminant if discriminant > 0.0 else 0.0) - f1)
     return root if root < dq else dq
@@ -96,10 +92,8 @@ def cell_hit(
     major_stride: int,
     minor_stride: int,
 ) -> tuple[float, int]:
-    """Return the first hit of a ray that meets nothing before `q`, where it is in strip `cell` of its major axis.
-
-    Returns the range and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must go on from there.
-    """
+    """Return the range of the first hit of a ray that meets nothing before `q`, where it is in strip `cell` of its
+    major axis, and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must continue from there."""
     # Where the ray enters the strip, and how far it is to the next cell on either axis.
     m = o_minor + t * q
     if m < 0.0 or m > n_minor:

@@ -1,16 +1,10 @@
 """Trace a whole image column by column, from the bottom up over the horizon profile.
 
-State of a block of neighbouring image columns during the column sweep, one row at a time.
+Up a column of pixels rays climb, so the entry of the profile that a ray needs is a few places after that of the pixel
+below. From the strip that the entry names, a ray goes through single cells; one that needs more than a few, or comes
+to a hole, is handed to the pyramid (`pyramid_traversal.hit_between`). A ray without an entry meets nothing.
 
-A block is one flat float64 array, in which each field has `COLUMNS` places from the index on that stands here.
-
-Fast tracing of a whole image: sweeps each column upwards over the horizon profile and finds hits cell by cell.
-
-Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
-of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
-of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
-(`pyramid_traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and
-the terrain is not looked at.
+A block of neighbouring columns is one flat float64 array, in which each field has `COLUMNS` places.
 """
 
 from __future__ import annotations
@@ -64,16 +58,12 @@ def sweep_image(
     rays: Float64Array,
     out: Float32Array,
 ) -> None:
-    """Take an image of rays through one stage.
+    """Take an image of rays through one stage. The camera must stand over the raster or the next finer one, and in no
+    outer hole.
 
-    The camera must stand over the raster or the next finer one, and in no outer hole.
-
-    Args:
-        wedges: profile of the camera's position for this stage.
-        rotation: (3, 3) float64, ray frame -> (east, north, up).
-        rays: (H, W, 3) float64 unit vectors; a NaN one gives NaN.
-        out: (H, W) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
-            stage, on return after it.
+    `wedges`: profile of the camera's position for this stage. `rotation`: (3, 3) ray frame -> (east, north, up).
+    `rays`: (H, W, 3) unit vectors; NaN gives NaN. `out`: (H, W) float32, slant ranges in metres, or the states of rays
+    that have met nothing, before this stage on entry, after it on return.
     """
     height, width = rays.shape[0], rays.shape[1]
     flat_rays, flat_out = rays.reshape(-1), out.reshape(-1)
@@ -198,10 +188,7 @@ def through_cells(
     out: Float32Array,
 ) -> int:
     """Compute those of a block's rays that an entry and single cells decide; return the number left for `by_pyramid`.
-    `at`: flat index of the first pixel.
-
-    Apart from the rest, for what the pyramid needs would otherwise be carried past every ray.
-    """
+    `at`: flat index of the first pixel."""
     columns, rows = width - 1, height - 1
     ox, oy, oz, plain_bend, resolution = stage.ox, stage.oy, stage.oz, stage.bend, stage.resolution
     after = stage.part == AFTER
@@ -284,11 +271,8 @@ def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def first_reaching(tangents: Float32Array, start: int, count: int, hint: int, slope: float) -> int:
-    """Return the place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count`
-    where none is.
-
-    The search widens from `hint` by doubling steps.
-    """
+    """Return the place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` if
+    none is. The search widens from `hint` by doubling steps."""
     low, high = 0, count  # tangents before `low` are less, those from `high` on are not
     place = min(hint, count)
     step = 1

@@ -1,19 +1,14 @@
 """Bound the ground height where a DEM has no data: in its holes, over its edge and beyond it.
 
-Holes of a DEM: groups of nodata nodes, and how high the ground inside them may be.
+A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes. The *ceiling* of a NaN node is
+the highest that its ground may be: no higher than any known node beside the hole plus `steepest` times the way to it
+within the hole; and besides
 
-A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes, on which the surface is
-bilinear. A cell with any NaN node is a hole: its ground is unknown, but bounded (`possible_ground`). The *ceiling* of a
-NaN node is the highest that its ground may be: no higher than any known node beside the hole plus `steepest` times the
-way to it from node to node within the hole, by rows, columns and diagonals; and besides
+* in an **enclosed** hole, which known ground surrounds, no higher than the highest known node that touches it;
+* in an **outer** hole, which reaches the edge of the raster and is outside the DEM as the space beyond it is, no higher
+  than `highest`.
 
-* in an **enclosed** hole (a lake, a gap in a survey), which known ground surrounds, no higher than the highest known
-  node that touches it;
-* in an **outer** hole, which reaches the edge of the raster (the margin of a reprojected DEM, the ragged edge of a
-  survey) and is outside the DEM as the space beyond the raster is, no higher than `highest`.
-
-Holes are held as runs of NaN nodes along rows, and a ceiling for each of these nodes: a second raster with the ceilings
-filled in would double the memory of a DEM that has one speck of nodata.
+Holes are held as runs of NaN nodes along rows with their ceilings; a filled raster would double a DEM's memory.
 """
 
 from __future__ import annotations
@@ -22,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
 
@@ -44,13 +41,11 @@ class Holes(NamedTuple):
 
 
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
-    """Return the holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
-
-    `rise`: the most that unknown ground rises from one node to the next, metres; `highest`: the highest that it may be
-    in outer holes.
-    """
-    row, first, end = _runs(elevation, _count_runs(elevation))
-    rim = _rims(elevation, row, first, end, _joined(row, first, end))
+    """Return the holes of (H, W) float32 elevations, NaN if nodata; at least one is known. `rise`: maximum rise of
+    unknown ground between nodes, metres; `highest`: its maximum height in outer holes."""
+    width = elevation.shape[1]
+    row, first, end = _runs(elevation)
+    rim = _rims(elevation, row, first, end, _joined(row, first, end, width))
     start = np.concatenate([[0], np.cumsum(end - first)])[:-1].astype(np.int64)
     ceilings = np.full(int((end - first).sum()), np.inf, np.float32)
     steps = np.float32(rise), np.float32(rise * _DIAGONAL)
@@ -58,7 +53,6 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
         pass
     outer = np.isinf(rim)
     np.minimum(ceilings, np.repeat(np.where(outer, highest, rim).astype(np.float32), end - first), out=ceilings)
-    width = elevation.shape[1]
     return Holes(row * width + first, row * width + end, outer, start, ceilings)
 
 
@@ -91,63 +85,21 @@ def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
     return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _count_runs(elevation: Float32Array) -> int:
-    count = 0
-    for i in range(elevation.shape[0]):
-        before = False
-        for j in range(elevation.shape[1]):
-            missing = elevation[i, j] != elevation[i, j]
-            count += missing and not before
-            before = missing
-    return count
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _runs(elevation: Float32Array, count: int) -> tuple[Int64Array, Int64Array, Int64Array]:
+def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Return the row, first column and one past the last column of each run of NaN, row after row."""
-    row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
-    k = 0
-    for i in range(elevation.shape[0]):
-        before = False
-        for j in range(elevation.shape[1]):
-            missing = elevation[i, j] != elevation[i, j]
-            if missing and not before:
-                row[k], first[k] = i, j
-            if before and not missing:
-                end[k] = j
-                k += 1
-            before = missing
-        if before:
-            end[k] = elevation.shape[1]
-            k += 1
-    return row, first, end
+    edges = np.diff(np.isnan(elevation).view(np.int8), axis=1, prepend=np.int8(0), append=np.int8(0))
+    row, first = np.nonzero(edges == 1)
+    return row, first, np.nonzero(edges == -1)[1]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _joined(row: Int64Array, first: Int64Array, end: Int64Array) -> Int64Array:
-    """For each run the index of one run that stands for all of its hole: runs that touch, at corners too, are one."""
-    hole = np.arange(row.size)
-    above = 0
-    for k in range(row.size):
-        while above < k and (row[above] < row[k] - 1 or (row[above] == row[k] - 1 and end[above] < first[k])):
-            above += 1
-        other = above
-        while other < k and row[other] == row[k] - 1 and first[other] <= end[k]:
-            a, b = _root(hole, other), _root(hole, k)
-            hole[max(a, b)] = min(a, b)
-            other += 1
-    for k in range(row.size):
-        hole[k] = _root(hole, k)
-    return hole
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _root(hole: Int64Array, k: int) -> int:
-    while hole[k] != k:
-        hole[k] = hole[hole[k]]
-        k = hole[k]
-    return k
+def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:
+    """For each run the number of its hole: runs that touch, at corners too, are one."""
+    above = (row - 1) * (width + 1)
+    lowest = np.searchsorted(row * (width + 1) + end, above + first)
+    count = np.searchsorted(row * (width + 1) + first, above + end, "right") - lowest
+    touching = np.arange(count.sum()) + np.repeat(lowest - np.cumsum(count) + count, count)
+    pairs = coo_array((np.ones(len(touching)), (np.repeat(np.arange(row.size), count), touching)), (row.size, row.size))
+    return connected_components(pairs, directed=False)[1].astype(np.int64) if row.size else row
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -179,12 +131,8 @@ def _lowered(
     straight: np.float32,
     diagonal: np.float32,
 ) -> bool:
-    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether
-    any fell.
-
-    Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance
-    transformations in digital images*, CVGIP 34, 1986), also around corners.
-    """
+    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether any
+    fell. Repeated until none falls: Borgefors, *Distance transformations in digital images*, CVGIP 34, 1986."""
     width = elevation.shape[1]
     fell = False
     # Filled heights of the row before and of the row itself, a place wider at both ends.

@@ -237,10 +237,8 @@ def wedge_of(along_x: bool, forward: bool, t: float) -> int:
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
 def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
-    """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin.
-
-    It may miss one: a ray in a wedge that is not built is traced without it.
-    """
+    """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin; a ray in a
+    missed one is traced without a profile."""
     for i in range(0, rays.shape[0], every):
         for j in range(0, rays.shape[1] + every - 1, every):
             a, b, c = rays[i, min(j, rays.shape[1] - 1)]

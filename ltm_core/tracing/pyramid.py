@@ -29,11 +29,8 @@ WITHIN, MIXED, OUTSIDE = 0, 1, 2
 
 
 class MaximumPyramid(NamedTuple):
-    """Bounds of all levels in one flat array.
-
-    Level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`, `widths[L]` blocks a row; lower indices
-    of both are unused.
-    """
+    """Bounds of all levels in one flat array: level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`,
+    `widths[L]` blocks a row; lower indices of both are unused."""
 
     bounds: Float32Array
     offsets: Int64Array
@@ -68,9 +65,10 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
     if outside.size:
         _outside_from_nodes(nodes, holes, blocks(outside, LEAF))
     for level in range(LEAF + 1, len(heights)):
-        _bounds_from_bounds(blocks(bounds, level - 1), blocks(bounds, level))
+        blocks(bounds, level)[:] = _of_four(np.maximum, blocks(bounds, level - 1))
         if outside.size:
-            _outside_from_blocks(blocks(outside, level - 1), blocks(outside, level))
+            most, least = (_of_four(reduce, blocks(outside, level - 1)) for reduce in (np.maximum, np.minimum))
+            blocks(outside, level)[:] = np.where(most == least, most, MIXED)
     return MaximumPyramid(bounds, np.array(offsets, dtype=np.int64), np.array(widths, dtype=np.int64), outside)
 
 
@@ -119,17 +117,7 @@ def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) 
             outside[i, j] = WITHIN if count == 0 else OUTSIDE if count == every else MIXED
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _bounds_from_bounds(below: Float32Array, bounds: Float32Array) -> None:
-    """Return a level from the one below: the maximum of up to 2 x 2 blocks."""
-    for i in range(bounds.shape[0]):
-        for j in range(bounds.shape[1]):
-            bounds[i, j] = below[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].max()
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _outside_from_blocks(below: UInt8Array, outside: UInt8Array) -> None:
-    for i in range(outside.shape[0]):
-        for j in range(outside.shape[1]):
-            part = below[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
-            outside[i, j] = part.max() if part.max() == part.min() else MIXED
+def _of_four(reduce: np.ufunc, below: NDArray[Any]) -> NDArray[Any]:
+    """Return what `reduce` makes of each of up to 2 x 2 blocks."""
+    rows = reduce.reduceat(below, np.arange(0, below.shape[0], 2), axis=0)
+    return np.asarray(reduce.reduceat(rows, np.arange(0, below.shape[1], 2), axis=1))

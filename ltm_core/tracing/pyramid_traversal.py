@@ -167,11 +167,8 @@ def hit_between(
     level: int,
 ) -> float:
     """Return the range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN where it
-    meets possible ground, and the ray's state where it has met nothing.
-
-    `bend`: the stage's, or that for lengths other than a cell; `state`: that at `start`; `level`: that of the first
-    block looked at.
-    """
+    meets possible ground, and the ray's state where it has met nothing. `bend`: the stage's, or that for lengths other
+    than a cell; `state`: that at `start`; `level`: that of the first block looked at."""
     nodes, width, height, top = ground.nodes, ground.width, ground.height, ground.top
     bounds, offsets, widths, outsides = ground.bounds, ground.offsets, ground.widths, ground.outside
     ox, oy, oz = stage.ox, stage.oy, stage.oz
@@ -322,15 +319,9 @@ def trace_directions(
     first: bool,
     out: Float32Array,
 ) -> None:
-    """Take rays from one origin through one stage.
-
-    Args:
-        rotation: (3, 3) float64, ray frame -> (east, north, up).
-        rays: (N, 3) float64 unit vectors; a NaN one gives NaN.
-        first: the camera stands over this stage's raster, if over any, so that plumb rays end here.
-        out: (N,) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
-            stage, on return after it.
-    """
+    """Take rays from one origin through one stage. `rotation`: (3, 3) ray frame -> (east, north, up). `rays`: (N, 3)
+    unit vectors; NaN gives NaN. `first`: vertical rays end here. `out`: (N,) float32, slant ranges in metres, or the
+    states of rays that have met nothing, before this stage on entry, after it on return."""
     n_chunks = (rays.shape[0] + _CHUNK - 1) // _CHUNK
     for task in prange(_TASKS):
         # Chunks are dealt out in turn: rows near the horizon cost several times what sky and foreground do.

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numba import njit
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Float64Array
@@ -53,9 +52,8 @@ def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
     top = highest
     for level in reversed(dem.levels):
         elevation = level.elevation
-        infinite = _first_infinite(elevation)
-        if infinite >= 0:
-            row, col = divmod(infinite, elevation.shape[1])
+        if (infinite := np.isinf(elevation)).any():
+            row, col = divmod(int(infinite.argmax()), elevation.shape[1])
             raise RasterError(f"the DEM is infinite at row {row}, column {col}; mark unknown heights as nodata (NaN)")
         rise = possible.steepest * level.geometry.resolution
         holes = find_holes(elevation, rise, highest)
@@ -133,11 +131,3 @@ def _window(dem: Dem, position: Float64Array) -> _CellWindow:
 
 def _is_inside(window: _CellWindow) -> bool:
     return window.west <= 0.0 <= window.east and window.north <= 0.0 <= window.south
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _first_infinite(elevation: Float32Array) -> int:
-    for at, height in enumerate(elevation.ravel()):
-        if np.isinf(height):
-            return at
-    return -1

@@ -63,11 +63,8 @@ def load_picture_config(path: Path | str) -> PictureConfig:
 
 
 def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
-    """Place the camera of `config` on `dem`, which is in a CRS.
-
-    Raises PoseError for a camera under the ground, and where the ground under one that is given above it is not known;
-    ConfigError for a CRS that is none.
-    """
+    """Place the camera of `config` on `dem`. Raises PoseError for a camera under the ground, or above unknown ground;
+    ConfigError for an invalid CRS."""
     frame, local = near_frame(config, dem)
     pose = config.pose.pose(local, frame)
     x, y, z = (float(v) for v in pose.position)
@@ -201,10 +198,8 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
 
 
 class GuessConfig(PoseFile):
-    """Known values of a camera before its pose is found: a pose file whose angles are optional.
-
-    The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
-    """
+    """Known values of a camera before its pose is found: a pose file with optional angles. The position is held, or
+    starts the search; without `azimuth_deg` all directions are searched."""
 
 
 def write_pose_file(

@@ -1,18 +1,13 @@
 """Trace the ray of each pixel to the terrain; cache horizon profiles and ranges between frames.
 
-The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
-
-Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: instead of sampling the nearest
-DEM cell at fixed steps, each ray is intersected with the bilinear surface, and earth curvature and refraction bend
-it.
+Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: each ray is intersected with the
+bilinear surface, and earth curvature and refraction bend it (docs/how/tracing.md).
 
 **The ray.** Horizontal range r (metres along the map), height z(r) = z0 + s r + bend r^2, where s is the ray's slope
 at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
 
 **The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
-hole, of unknown ground. Unknown ground, in holes and beyond the raster, is no steeper than `steepest` from known ground
-and outside the DEM no higher than `highest` (`possible_ground`); in a hole that known ground surrounds, it is no higher
-than that (see `holes`). In a hole's cell it is as high as the highest of the four corners may be.
+hole of unknown ground, which is bounded (`possible_ground`, `holes`).
 
 **The answer** for a ray is
 
@@ -23,11 +18,8 @@ than that (see `holes`). In a hole's cell it is as high as the highest of the fo
   and is there above `highest`, or climbs by `steepest` or more, so that no ground ahead can reach it. Else NaN. A ray
   that has never been over known ground is judged at the camera.
 
-A camera may stand outside the DEM: space between it and the first known ground counts as free.
-
-**The ways.** `trace` goes by the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is
-kept: a tower pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum
-pyramid (`pyramid_traversal`). Both give the same answer for every ray.
+`trace` uses the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is kept; rays where
+a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 """
 
 from __future__ import annotations
@@ -60,11 +52,8 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True)
 class TracerStatistics:
-    """Counts since the tracer was created, and the size of its caches.
-
-    A frame is a hit of `frame_hits` where camera and pose were as before, so that nothing was traced; a hit of
-    `profile_hits` where all of the position's profile that it needs was there.
-    """
+    """Counts since the tracer was created, and the bytes of its caches. `frame_hits`: camera and pose were as before,
+    so nothing was traced; `profile_hits`: the position's profile was complete."""
 
     frames: int = 0
     frame_hits: int = 0
@@ -123,13 +112,9 @@ Profile = tuple[Wedges, ...]
 class TerrainTracer:
     """Traces images over one DEM.
 
-    Args:
-        dem: the terrain, in the frame of the poses. Adds a twelfth of its elevations' memory, once for all its tracers.
-        curvature: bend rays for the earth's curvature and refraction.
-        refraction: coefficient k; 0.13 is the surveyors' daytime mean.
-        possible: how high the ground may be where the DEM does not know it.
-
-    Raises RasterError for a DEM with infinite heights.
+    `dem`: the terrain, in the frame of the poses; adds a twelfth of its memory, once for all its tracers. `curvature`:
+    bend rays for the earth's curvature and refraction. `refraction`: coefficient k; 0.13 is the surveyors' daytime
+    mean. `possible`: maximum height of unknown ground. Raises RasterError for a DEM with infinite heights.
     """
 
     def __init__(
@@ -155,14 +140,10 @@ class TerrainTracer:
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
         """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
-        pose.
+        pose. `way`: "profile" or "pyramid" forces one, if possible, and keeps no frame.
 
-        Args:
-            way: "profile" or "pyramid" forces one and keeps no frame; where a profile cannot serve (a camera that is
-                not over known ground of the finest raster), all go by the pyramid.
-
-        Raises PoseError when the pose is not finite, the camera is not above the ground, or it is in an
-        enclosed hole of the DEM, below the ground around it.
+        Raises PoseError if the pose is not finite, the camera is not above the ground, or it is in an enclosed hole of
+        the DEM, below the ground around it.
         """
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
@@ -215,14 +196,8 @@ class TerrainTracer:
         return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
-        """Return the slant range in metres of rays from one origin, (N,) float32.
-
-        Args:
-            origin: (3,) x, y, z in the map frame.
-            directions: (N, 3) x, y, z, of any length; a zero or non-finite one gives NaN.
-
-        Raises PoseError as `trace` does.
-        """
+        """Return the slant range in metres of rays from one origin (3,), (N,) float32. `directions`: (N, 3) x, y, z of
+        any length; a zero or non-finite one gives NaN. Raises PoseError as `trace`."""
         rays = np.ascontiguousarray(directions, np.float64)
         if rays.ndim != 2 or rays.shape[1] != 3:
             raise PoseError(f"ray directions must be (N, 3), got {rays.shape}")

@@ -1,16 +1,7 @@
-"""Store the votes that a tower has not yet delivered, and thin the oldest when the store is full.
+"""Store the votes that a tower has not yet delivered in SQLite, and thin the oldest when the store is full.
 
-Chooses which frames leave an outbox that is full: the oldest are thinned, so that no view is lost while one can be
-kept.
-
-Frames of one view of one camera, taken shortly after each other, say nearly the same. So every other one of the older
-half goes, then of what is left again: the longer ago, the fewer frames, and the first of each view stays.
-
-SQLite file of the votes whose delivery to the region's map is not confirmed yet.
-
-A frame that `put` has returned from is in the file, also after a power cut, and stays until it is given to
-`acknowledge`, or until there is no room: then the oldest evidence is thinned (`thinning`), and frames older than
-`max_age_s` are dropped.
+A frame that `put` has returned from is in the file, also after a power cut, and stays until it is acknowledged, is too
+old, or is thinned: every other frame of each view in the older half goes, so that the first of each view stays.
 """
 
 from __future__ import annotations
@@ -32,11 +23,8 @@ from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_s
 
 
 def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array, spare: int) -> BoolArray:
-    """Return which of N frames to drop to free at least `spare` bytes; all if they hold less.
-
-    `stamps_ns`, `sizes`: (N,) int64, bytes. `views`: (N,) a number for each view of each camera. The result is a mask
-    in the order given.
-    """
+    """Return a mask of the frames (N,) to drop to free at least `spare` bytes; all if they hold less. `stamps_ns`,
+    `sizes` (bytes): (N,) int64. `views`: (N,) a number for each view of each camera."""
     order = np.argsort(stamps_ns, kind="stable")
     gone = np.zeros(len(order), np.bool_)
     while int(sizes[gone].sum()) < spare:
@@ -111,14 +99,10 @@ class Removed:
 
 
 class Outbox:
-    """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors: the call then
-    has no effect and may be repeated; ConfigError if the file is damaged, which the next process that opens it moves
-    away.
+    """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors (the call had no
+    effect and may be repeated); ConfigError if the file is damaged: the next process that opens it moves it away.
 
-    Args:
-        path: of the file; made where there is none, its folder must exist.
-        max_bytes: of all frames' messages together.
-        max_age_s: seconds from a frame's stamp on.
+    `path`: its folder must exist. `max_bytes`: of all messages together. `max_age_s`: seconds from a frame's stamp on.
     """
 
     def __init__(self, path: Path | str, max_bytes: int, max_age_s: float) -> None:

@@ -21,19 +21,12 @@ MOST_CELLS: Final = 4_000_000
 
 
 class VoteTransfer:
-    """Transfer by nearest cell, as `GridTransfer`; exact if both grids have one CRS and coinciding cells.
+    """Transfer by nearest cell, as `GridTransfer`; exact if both grids have one CRS and coinciding cells, else evidence
+    moves by half a cell at most. Bearings are turned from one grid north to the other.
 
-    The evidence of a cell goes to each cell of the region whose centre lies in it, so between two CRSs a cell
-    may count twice or not at all: evidence moves by half a cell at most. Bearings are turned from one grid north to the
-    other.
-
-    Args:
-        source: the tower's fuel grid, in its CRS.
-        target: the region's, in its CRS.
-        in_map: the same grid in the map frame of the region, which the votes are on afterwards.
-
-    Raises MessageError where the cells are of another size, the tower's grid is too large, or PROJ knows no way between
-    the two CRSs; ConfigError for a CRS that is not known or not in metres.
+    `source`: the tower's fuel grid, `target`: the region's, in their CRSs. `in_map`: the latter in the map frame of the
+    region, on which the votes are afterwards. Raises MessageError for another cell size, a grid that is too large, or
+    no transformation; ConfigError for an invalid CRS.
     """
 
     def __init__(self, source: GridGeometry, target: GridGeometry, in_map: GridGeometry) -> None:
@@ -59,10 +52,8 @@ class VoteTransfer:
         self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:
-        """Return the votes on the region's grid, in row-major order; votes outside it are dropped.
-
-        `votes`: on `source`.
-        """
+        """Return the votes, which are on `source`, on the region's grid, in row-major order; votes outside it are
+        dropped."""
         if votes.geometry.shape != self.source.shape:
             raise MessageError(f"votes of {votes.source} are on {votes.geometry}, not on {self.source}")
         if self._same_cells:
@@ -82,10 +73,7 @@ class VoteTransfer:
 
     def _turn(self, votes: CellVotes) -> Float64Array:
         """Return (N,) radians from a bearing of the tower's grid to that of the region's: the difference of
-        convergences.
-
-        Raises MessageError where the tower's CRS has none there.
-        """
+        convergences. Raises MessageError if the tower's CRS has none there."""
         if not len(votes):
             return np.zeros(0)
         # Over what a camera sees the difference changes by less than a hundredth of a degree.

@@ -16,8 +16,7 @@ from ltm_core.raster.dem import Dem
 @dataclass(frozen=True, eq=False)
 class Footprints:
     """`along`, `across`: (N,) metres, extents of a pixel's parallelogram on the ground, away from the camera and
-    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres.
-    """
+    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres."""
 
     along: Float64Array
     across: Float64Array
@@ -62,10 +61,8 @@ def sideways(directions: Float64Array) -> Float64Array:
 def ground_footprints(
     camera: Camera, pose: Pose, points: Float64Array, normals: Float64Array, bend: float
 ) -> Footprints:
-    """Return the footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3).
-
-    To first order: the inverse of the projection's Jacobian over the plane at each point, distortion included.
-    """
+    """Return the footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3), by the inverse
+    of the projection's Jacobian over the plane at each point."""
     arriving = arrival_directions(pose.position, points, bend)
     # Axes in the ground's plane: b sideways, a away from the camera.
     b = sideways(arriving)
@@ -91,16 +88,10 @@ def ground_footprints(
 
 
 def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:
-    """Return the directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
+    """Return the directions, at the camera `origin` (3,), of the rays that meet the points: (..., 3), metres, map axes.
 
-    A ray of slope s stands at z0 + s r + bend r^2 over horizontal range r (`geodesy.ray_bend`), so a point seems lower
-    than it is by bend r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant
-    range.
-
-    Args:
-        origin: (3,) the camera's position.
-        points: (..., 3) map coordinates.
-        bend: curvature coefficient, 1/m.
+    A ray of slope s has the height z0 + s r + bend r^2 (`geodesy.ray_bend`), so a point seems lower than it is by bend
+    r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant range.
     """
     vectors = np.array(points, np.float64) - np.asarray(origin, np.float64)
     vectors[..., 2] -= bend * (vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
@@ -108,10 +99,8 @@ def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> 
 
 
 def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
-    """Return the unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
-
-    NaN where the distortion cannot be inverted, as in `Camera.rays`.
-    """
+    """Return the unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2); NaN where
+    the distortion cannot be inverted."""
     rays = np.empty((len(np.asarray(pixels)), 3))
     for ray, (u, v) in zip(rays, np.asarray(pixels, np.float64), strict=True):
         # A camera of one pixel, shifted so that this pixel is the place asked for, shares the one inversion there is.

@@ -57,14 +57,8 @@ class Visibility:
 
 
 class PointVisibility:
-    """Lines of sight over one DEM. Surface, rays and holes are those of `tracing.TerrainTracer`.
-
-    Args:
-        dem: the terrain, in the frame of the points. Adds a twelfth of its elevations' memory.
-        curvature, refraction, possible: as for the tracer.
-
-    Raises RasterError for a DEM with infinite heights.
-    """
+    """Lines of sight over one DEM, in the frame of the points. Surface, rays, holes and arguments are those of
+    `tracing.TerrainTracer`; so is the memory. Raises RasterError for a DEM with infinite heights."""
 
     def __init__(
         self,
@@ -80,10 +74,8 @@ class PointVisibility:
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
         """Return the lift that makes points visible from `origin`, (N,) metres, 0 if they are visible; and whether it
-        depends on unknown ground: a hole's ceiling is in the way, or the way leaves the DEM.
-
-        Raises PoseError where the origin is under the ground or not finite.
-        """
+        depends on unknown ground: a hole's ceiling, or beyond the DEM. Raises PoseError if the origin is under the
+        ground or not finite."""
         position, targets = np.asarray(origin, np.float64), np.asarray(points, np.float64)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise PoseError(f"camera position must be three finite metres, got {position.tolist()}")

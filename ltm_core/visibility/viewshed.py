@@ -65,20 +65,13 @@ def viewshed(
     all_round: bool = False,
     ground: Dem | None = None,
 ) -> Coverage:
-    """Return the coverage of the whole DEM.
+    """Return the coverage of the whole DEM by cameras, in the frame of the poses.
 
-    Args:
-        sight: lines of sight over the DEM, or over a surface with trees, in the frame of the poses.
-        views: the cameras.
-        resolution: of the result, metres; a cell is judged at its centre and takes 10 bytes. Default: the DEM's, or,
-            where that would make more than 16 million cells, the least multiple of it that does not.
-        target_height: metres above the ground that is to be seen (smoke, a person); 0 is the ground.
-        max_range: metres along the map beyond which a camera counts as blind.
-        all_round: each camera turns to wherever it is needed: its angles and image edges do not matter.
-        ground: bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen
-            where their tops are.
-
-    Raises PoseError: no camera, or one under the ground; RasterError for a resolution that is none.
+    `resolution`: of the result, metres; a cell is judged at its centre. Default: the DEM's, or the least multiple of it
+    with at most 16 million cells. `target_height`: metres above the ground of the target (smoke, a person).
+    `ground`: bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen
+    where their tops are. `max_range`: horizontal range of a camera in metres. `all_round`: cameras turn wherever needed. Raises
+    PoseError: no camera, or one under the ground; RasterError for an invalid resolution.
     """
     if not views:
         raise PoseError("a viewshed needs at least one camera with calibration and pose")

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 from scipy.optimize import minimize
 from scipy.special import expit
 
@@ -48,7 +53,7 @@ def fit_fusion(folders: Sequence[Sequence[FrameSamples]], config: FusionConfig) 
     counts, loss = {}, {}
     for choice, names in (("standing", STANDING), ("outline", OUTLINE), ("canopy", CANOPY)):
         sets = [[getattr(frame, choice) for frame in folder] for folder in folders]
-        start = np.array([dict(_values(config))[name] for name in names])
+        start = np.array([reduce(getattr, name.split("."), config) for name in names])
         everything = [samples for folder in sets for samples in folder if len(samples.right)]
         counts[choice] = sum(len(samples.right) for samples in everything)
         if counts[choice] < LEAST:
@@ -60,11 +65,48 @@ def fit_fusion(folders: Sequence[Sequence[FrameSamples]], config: FusionConfig) 
         raise ModelError(
             f"the frames hold too few pixels to choose on: {counts}; at least {LEAST} of a kind are needed"
         )
-    return FusionFit(config.updated(changes), counts, loss)
+    return FusionFit(updated(config, changes), counts, loss)
 
 
-def _values(config: FusionConfig) -> list[tuple[str, Any]]:
-    return [(name, value) for name, value, _, _ in config.constants()]
+def updated(config: FusionConfig, changes: Mapping[str, Any]) -> FusionConfig:
+    """Return a copy with other values by dotted name; all types and bounds are checked. Raises ValueError."""
+    content = config.model_dump()
+    for name, value in changes.items():
+        *path, last = name.split(".")
+        place = content
+        for part in path:
+            place = place[part]
+        place[last] = value
+    return FusionConfig.model_validate(content)
+
+
+def constants(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any, str, str]]:
+    """Iterate over dotted name, value, origin and meaning of every constant."""
+    for name, info in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from constants(value, f"{prefix}{name}.")
+        else:
+            extra = info.json_schema_extra
+            assert isinstance(extra, dict)
+            yield f"{prefix}{name}", value, str(extra["origin"]), info.description or ""
+
+
+def write_fusion_config(path: Path, config: FusionConfig, source: str) -> None:
+    """Write every constant, each with its origin and meaning. `source`: how the fitted ones were found, in words."""
+    lines = [f"# Constants of depth fusion (ltm_core/depth/fusion_config.py). Fitted ones by: {source}"]
+    before: list[str] = []
+    for group, members in groupby(constants(config), key=lambda c: c[0].rpartition(".")[0]):
+        parts = group.split(".")
+        shared = sum(1 for a, b in zip(before, parts, strict=False) if a == b)
+        lines += [f"{'  ' * depth}{parts[depth]}:" for depth in range(shared, len(parts))]
+        before = parts
+        for name, value, origin, meaning in members:
+            text = f"{'  ' * len(parts)}{name.rpartition('.')[2]}: {json.dumps(value)}"
+            lines.append(f"{text:<28} # {origin}; {meaning}")
+    if path.is_symlink():  # to another network's: that one keeps its own
+        path.unlink()
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _regress(frames: Sequence[Samples], start: Float64Array, names: Sequence[str]) -> Float64Array:

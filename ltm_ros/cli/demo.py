@@ -16,32 +16,29 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Output folder. Default: out/demo, or out/demo-real with --real.")
-    ] = None,
-    real: Annotated[
-        bool, typer.Option("--real", help="Use a real photo with control points, if its data is present.")
-    ] = False,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
 ) -> None:
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
-    import shutil
-
     from rich.console import Console
+
+    console = Console()
+    clear_demo(out)
+    _simulated(out, domain, console)
+
+
+def clear_demo(out: Path) -> None:
+    """Remove the results of an earlier demo from a folder. Raises ConfigError if it contains anything else."""
+    import shutil
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_folder
 
-    console = Console()
-    target = out or Path("out/demo-real" if real else "out/demo")
-    require_folder(target)
-    if target.exists() and any(target.iterdir()):
-        if not (target / "report.html").is_file() and not (target / "log").is_dir():
-            raise ConfigError(
-                f"{target} contains files that are not from an earlier demo; give another folder with --out"
-            )
-        shutil.rmtree(target)
-    (_real if real else _simulated)(target, domain, console)
+    require_folder(out)
+    if out.exists() and any(out.iterdir()):
+        if not (out / "report.html").is_file() and not (out / "log").is_dir():
+            raise ConfigError(f"{out} contains files that are not from an earlier demo; give another folder with --out")
+        shutil.rmtree(out)
 
 
 def _simulated(out: Path, domain: int, console: Console) -> None:
@@ -92,22 +89,3 @@ def _print_walk(console: Console, walk: Walk) -> None:
     print_table(console, "a simulated walk with a phone, by poses", columns, rows)
     found = f"{walk.accepted} of {walk.photos} poses were found in the photos"
     console.print(f"{found}; they give the compass error of the other photos", highlight=False)
-
-
-def _real(out: Path, domain: int, console: Console) -> None:
-    from ltm_core.base.resources import config_path
-    from ltm_ros.cli.output import message_bar, print_nodes
-    from ltm_ros.demo.real import medians, run_real_demo
-
-    site, poses = config_path("sites/engabreen.yaml"), config_path("sites/engabreen_poses.csv")
-    with message_bar(console, "demo") as progress:
-        points, nodes = run_real_demo(
-            site, poses, out, domain, progress, lambda line: console.print(line, markup=False)
-        )
-    print_nodes(console, nodes)
-    columns = (">point", ">range m", ">distance m", ">hidden by the DEM")
-    rows = ((p.name, f"{p.range:.0f}", f"{p.distance:.2f}", "yes" if p.hidden else "") for p in points)
-    print_table(console, "control points: traced and surveyed positions", columns, rows)
-    over_all, over_clear = medians(points)
-    console.print(f"median {over_all:.2f} m over all points, {over_clear:.2f} m over points not hidden by the DEM")
-    console.print(f"report: {out / 'report.html'}")

@@ -1,1 +1,1 @@
-"""Run `make demo` and `make demo-real`: replay a recording live, score it and write a report."""
+"""Run `make demo`: replay a recording live, score it and write a report."""

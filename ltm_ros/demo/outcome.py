@@ -18,7 +18,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
 from ltm_core.pictures.fuel_maps import CameraMark, change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.pictures.legend import label_legend, with_legend
+from ltm_core.pictures.legend import Palette, label_legend, with_legend
 from ltm_core.pictures.maps import furnished, relief, scale_bar, view_of
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import score_fuel
@@ -162,8 +162,9 @@ def _depth_span(frame: RecordedFrame) -> float:
     return float(np.log2(high / low))
 
 
-def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str, width: int = 640) -> RgbImage:
+def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str) -> RgbImage:
     """Return the images of a frame in a column, beside the map at the same height."""
+    width = 640
     left = panel(sheet, columns=1, width=width)
     titled = panel([(title, fuel_map)], columns=1, width=width)
     margin = titled.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
@@ -204,11 +205,8 @@ _SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 @dataclass(frozen=True, eq=False)
 class WalkMap:
-    """Result of the walk with poses of one kind.
-
-    `errors`: of these poses. `cells`: cells with labels. `known`: of those, with truth; `right`: with the correct most
-    frequent label.
-    """
+    """Result of the walk with poses of one kind. `errors`: of these poses. `cells`: with labels. `known`: of those,
+    with truth; `right`: with the correct most frequent label."""
 
     poses: str
     errors: RecordedPoseErrors
@@ -223,9 +221,8 @@ class WalkMap:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that
-    were found.
-    """
+    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that were
+    found."""
 
     photos: int
     accepted: int
@@ -234,9 +231,8 @@ class Walk:
 
 
 def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Walk:
-    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline,
-    with the phone's poses, the pictures', and the true ones. Raises LtmError.
-    """
+    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline, with
+    the phone's poses, the photos', and the true ones. Raises LtmError."""
     site_path = walk / "site.yaml"
     site = load_site(site_path)
     log = [walk / "sensor_logger.zip"]
@@ -290,18 +286,9 @@ def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
     return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)
 
 
-@dataclass(frozen=True)
-class _Kinds:
-    names: tuple[str, ...]
-    colors: tuple[tuple[int, int, int], ...]
-
-
 def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
-    """Draw arrows over relief, (H, W, 3).
-
-    `directions`: by the name of their kind, (N, 3): x, y in the map frame (m) and azimuth (degrees), at most four
-    kinds; later ones are drawn over earlier ones.
-    """
+    """Draw arrows over relief, (H, W, 3). `directions`: by the name of their kind (at most four), (N, 3): x, y in the
+    map frame (m) and azimuth (degrees)."""
     view = _view(np.concatenate(list(directions.values())))
     picture = relief(dem, view)
     reach = _SHARE * view.width * view.resolution
@@ -310,7 +297,7 @@ def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
         tips = poses[:, :2] + reach * np.column_stack([np.sin(azimuth), np.cos(azimuth)])
         for begin, end in zip(_pixels(view, poses[:, :2]), _pixels(view, tips), strict=True):
             cv2.arrowedLine(picture, begin, end, color, 2, cv2.LINE_AA, _SHIFT, 0.12)
-    kinds = _Kinds(tuple(directions), _COLORS[: len(directions)])
+    kinds = Palette(tuple(directions), _COLORS[: len(directions)])
     furniture = furnished(picture, view, [], None)
     return with_legend(furniture, scale_bar(view), label_legend(_WIDTH, kinds, range(len(kinds.names))))
 

@@ -75,9 +75,8 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it, the last over all ranges.
-    `label_set`, `scale`: of the images, for their legends; the confusions are of these classes. `recording`: the .rrd
-    file's name, `files`: (name, description).
+    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it. `label_set`, `scale`: for
+    the legends of the images. `recording`: the .rrd file's name. `files`: (name, description).
     """
 
     title: str
@@ -111,13 +110,13 @@ def render_report(data: ReportData) -> str:
     colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
     return render_page(
         "run_report.html",
-        {"picture": _picture, "number": _number, "count": _count, "percent": _percent},
+        {"picture": _picture, "number": _number, "count": _count, "percent": percent},
         data=data,
         classes=list(zip(names, colors, strict=True)),
         range_legend=range_legend(900, data.scale),
         tiles=_tiles(data),
         worst=max((score.median for score in data.depth if score.pixels), default=1.0) or 1.0,
-        bins=[(_bin_name(score), score) for score in data.depth],
+        bins=[(bin_name(score), score) for score in data.depth],
         fuel=_confusion(data.fuel.confusion, names) if data.fuel is not None else None,
         labels=_confusion(data.labels.confusion, names) if data.labels is not None else None,
     )
@@ -137,19 +136,17 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
         overall = data.depth[-1]
         tiles.append(("Depth error", f"{_number(overall.median)} m", f"median of {_count(overall.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
-        tiles.append(("Correct labels", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
+        tiles.append(("Correct labels", percent(data.labels.accuracy), f"mean IoU {percent(data.labels.mean_iou)}"))
     if data.fuel is not None:
         share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
         tiles.append(
-            ("Correct fuel cells", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
+            ("Correct fuel cells", percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
         )
     return tiles
 
 
 def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
-    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct); an additional
-    column holds unlabelled pixels.
-    """
+    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct)."""
     classes, predicted = counts.shape
     names = [*names, *map(str, range(len(names), classes))]
     heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]
@@ -161,12 +158,6 @@ def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
         cells = [(int(counts[i, j]), counts[i, j] / total if total else 0.0, i == j) for j in shown]
         rows.append((heads[i], cells, counts[i, i] / total if total else math.nan))
     return {"heads": [heads[i] for i in shown], "rows": rows}
-
-
-def _bin_name(score: DepthScore) -> str:
-    if score.near == 0 and math.isinf(score.far):
-        return "all"
-    return f"over {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f} to {score.far:,.0f} m"
 
 
 def _picture(picture: RgbImage) -> str:
@@ -182,10 +173,6 @@ def _number(value: object, digits: int = 2) -> str:
 
 def _count(value: int) -> str:
     return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %" if math.isfinite(value) else NOTHING
 
 
 _AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}

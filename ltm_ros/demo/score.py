@@ -33,8 +33,7 @@ PARTS = ("east, m", "north, m", "up, m", "azimuth, deg", "pitch, deg", "roll, de
 @dataclass(frozen=True, eq=False)
 class RecordedPoseErrors:
     """`errors`: (N, 6) stated minus true, metres and degrees in the order of PARTS. `sigmas`: (N, 6) as stated, NaN if
-    not; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a true pose of their stamp.
-    """
+    not; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a true pose of their stamp."""
 
     errors: Float64Array
     sigmas: Float64Array
@@ -48,9 +47,8 @@ class RecordedPoseErrors:
 
 
 def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseErrors:
-    """Return the errors of all cameras, joined by camera and stamp. Raises RecordingError if no frame has a
-    true pose.
-    """
+    """Return the errors of all cameras, joined by camera and stamp. Raises RecordingError if no frame has a true
+    pose."""
     told, truth = recorded_poses(bag, site), recorded_poses(true, site)
     errors, sigmas = [], []
     for key in sorted(told.keys() & truth.keys()):
@@ -185,10 +183,8 @@ class RunTally:
 
 @dataclass(frozen=True)
 class FuelScores:
-    """Scores over the cells with votes in a recorded run; None if the bag or the site lacks the data.
-
-    `vote`: the majority vote of the same votes. `prior`: the map at the start. `changes`: changes of that map.
-    """
+    """Scores over the cells with votes in a recorded run; None without data. `vote`: the majority vote of the same
+    votes. `prior`: the map at the start. `changes`: changes of that map."""
 
     fuel: FuelScore | None = None
     vote: FuelScore | None = None

@@ -42,8 +42,7 @@ from ltm_ros.pages.render import render_page, write_figures
 @dataclass(frozen=True, eq=False)
 class MapPair:
     """The previous and the updated map. `draw`: makes a random landscape; None: no probabilities are known. `made`: the
-    map's provenance; None: a file without any.
-    """
+    map's provenance; None: a file without any."""
 
     name: str
     was: str
@@ -63,10 +62,8 @@ class FireResult:
 
 
 def open_pair(source: Path, site: Path | None, before: Path | None, since: str | None) -> MapPair:
-    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files.
-
-    Raises LtmError: a store without site, a landscape without `before`, two of different grids.
-    """
+    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files. Raises LtmError: a store
+    without site, a landscape without `before`, two of different grids."""
     if source.suffix == ".ltm":
         if site is None:
             raise ConfigError(
@@ -118,8 +115,7 @@ def run_fires(
     pair: MapPair, scenario: FireScenario, ensemble: int, seed: int, progress: Callable[[str], None]
 ) -> FireResult:
     """Run the fires. Raises ConfigError for an ensemble of maps without probabilities, and if no fire model is
-    installed.
-    """
+    installed."""
     if ensemble and pair.draw is None:
         raise ConfigError(
             "an ensemble needs the cell probabilities of a store (.ltm), which a landscape file lacks: give the "

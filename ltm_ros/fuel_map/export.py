@@ -35,10 +35,8 @@ def sidecars(out: Path, kind: str) -> list[Path]:
 def export_site(
     map_: FuelSource, out: Path, crs: str | None, kind: str, system: str, as_of: str | None, since: str | None
 ) -> tuple[GridGeometry, list[str]]:
-    """Export everything that needs more than the label map; return the written grid and notes for the user.
-
-    `kind`: of `ltm export --format`. Raises LtmError.
-    """
+    """Export everything that needs more than the label map; return the written grid and notes for the user. `kind`: of
+    `ltm export --format`. Raises LtmError."""
     if kind in PICTURES:
         _draw(map_, out, kind, as_of, since)
         return map_.geometry, []

@@ -56,17 +56,13 @@ class ShownLayers:
         return [change for window in _merged(windows) for change in self._refresh(window)]
 
     def refresh_all(self) -> list[CellChanges]:
-        """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows
-        back on burns.
-        """
+        """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows back on
+        burns."""
         return self.refresh([(0, 0, *self._evidence.geometry.shape)])
 
     def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
-        """Return how the layers differ from the `initial` ones (without evidence) with the journal applied.
-
-        The differences are stamped one nanosecond after the latest frame, so that the map as of that frame stays as it
-        was shown.
-        """
+        """Return how the layers differ from the `initial` ones (without evidence) with the journal applied, stamped one
+        nanosecond after the latest frame, so that the map as of that frame stays as shown."""
         found = []
         for name in JOURNALED:
             recorded = journal.as_of(name, initial[name], 2**63 - 1)
@@ -127,13 +123,11 @@ def canvas_of(
     geometry: GridGeometry,
     places: Sequence[CameraMark] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
-    width: int = 760,
 ) -> FuelCanvas:
     """Return a canvas for layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's
-    CRS.
-    """
+    CRS."""
     shown = places_of(site, dem) if places is None else places
-    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin, width)
+    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin)
 
 
 def when(text: str) -> int:
@@ -148,10 +142,8 @@ def when(text: str) -> int:
 
 
 def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLayers:
-    """Return codes and life forms of the map as of a past time; confidences of past times are not stored.
-
-    `empty`: the layers without any evidence.
-    """
+    """Return codes and life forms of the map as of a past time, without confidences. `empty`: the layers without
+    evidence."""
     found = {name: store.as_of(name, getattr(empty, name), until_ns) for name in JOURNALED}
     unknown: Float32Array = np.full(empty.code.shape, np.nan, np.float32)
     return replace(empty, **found, p_max=unknown, entropy=unknown.copy())
@@ -161,10 +153,7 @@ def seen_window(
     geometry: GridGeometry, cells: BoolArray, places: Sequence[CameraMark]
 ) -> tuple[float, float, float, float]:
     """Return the bounds of the marked cells (H, W) and the cameras, with a margin of five cells; of all cells if none
-    is marked.
-
-    Raises RasterError if shapes differ.
-    """
+    is marked. Raises RasterError if shapes differ."""
     if cells.shape != geometry.shape:
         raise RasterError(f"cells of {cells.shape} do not fit a fuel grid of {geometry.shape}")
     rows, cols = np.nonzero(cells)

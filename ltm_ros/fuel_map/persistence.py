@@ -1,6 +1,5 @@
-"""Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they
-are on disk.
-"""
+"""Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they are on
+disk."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ LOGGED_FRAMES = 1000
 LOGGED_BYTES = 64 << 20
 UNSAVED_FRAMES = 500_000
 """Maximum number of frames counted only in memory, while the disk fails, before more are rejected: three hours of 40
-per second.
-"""
+per second."""
 UNSAVED_BYTES = 256 << 20
 """The same in bytes, if the store has not been opened yet, so that the frames must be counted again."""
 SLOW_S = 1.0
@@ -59,10 +57,8 @@ class FuelMapPersistence:
     `settle` writes what was counted since the last call, in one transaction, and returns the frames to acknowledge.
     While the disk fails, the map continues in memory and nothing is acknowledged; afterwards everything is written.
 
-    Args: make_map: returns the site's map without evidence. open_store: returns the store. After a StoreError (disk
-    full, folder not writable) it starts in memory, tries again, and adds the frames counted meanwhile to the stored
-    map. A ConfigError ends it. durable: whether the store outlives the process; if not, frames and tiles need not be in
-    it.
+    `make_map`: returns the site's map without evidence. `open_store`: returns the store; after a StoreError it is tried
+    again, and a ConfigError ends it. `durable`: whether the store outlives the process.
     """
 
     def __init__(
@@ -83,8 +79,7 @@ class FuelMapPersistence:
         self._in_batch: set[tuple[str, int]] = set()
         self._unseen: tuple[str, int] | None = None
         """The last frame that `seen` found neither in the batch nor in the store, so that `count` need not query the
-        disk again.
-        """
+        disk again."""
         self._batch_bytes = 0
         self._unshown: list[Window] = []
         self._aged_ns = 0
@@ -144,11 +139,8 @@ class FuelMapPersistence:
         window: Window | None = None,
         changes: Sequence[CellChanges] = (),
     ) -> None:
-        """Replace the state of tiles, such as when a region is cleared; the next `settle` writes it.
-
-        `source`, `stamp_ns`: origin of the change, for the record. `window`: the changed cells. `changes`: further
-        entries of the journal.
-        """
+        """Replace the state of tiles, such as when a region is cleared; the next `settle` writes it. `source`,
+        `stamp_ns`: origin of the change. `window`: the changed cells. `changes`: further entries of the journal."""
         for key, tile in tiles.items():
             self.map.load_tile(key, tile)
         self._dirty.update(tiles)
@@ -179,11 +171,8 @@ class FuelMapPersistence:
         return windows
 
     def settle(self, write_tiles: bool = False, last: bool = False, show: bool = True) -> list[CountedFrame]:
-        """Recompute `shown` and write what was counted; return the frames to acknowledge.
-
-        `write_tiles`: write the whole map, at once even after an outage. `last`: nothing follows. `show`: False if the
-        caller calls `show` itself, less often; this does not affect counting.
-        """
+        """Recompute `shown` (unless the caller calls `show` itself) and write what was counted; return the frames to
+        acknowledge. `write_tiles`: write the whole map, at once even after an outage. `last`: nothing follows."""
         if show:
             self.show()
         if self.store is None or (self._failed and not self._pace.due and not write_tiles):
@@ -214,9 +203,7 @@ class FuelMapPersistence:
 
     def close(self) -> list[CountedFrame]:
         """Write everything, trying for `LAST_TRIES_S`, and close the store; return the frames to acknowledge.
-
-        `unsaved_frames` are lost then; they were not acknowledged, so they may be sent again.
-        """
+        `unsaved_frames` are lost, but were not acknowledged."""
         self._changes += self.shown.refresh_all()
         until = time.monotonic() + LAST_TRIES_S
         saved = self.settle(write_tiles=True, last=True)

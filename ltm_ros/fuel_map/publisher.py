@@ -21,8 +21,7 @@ CELLS_EVERY_S = 2.0
 
 class FuelPublisher:
     """Publishes only what the persistence has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map
-    frame.
-    """
+    frame."""
 
     publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
 

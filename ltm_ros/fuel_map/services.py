@@ -35,9 +35,7 @@ MOST_CORNERS = 1000
 
 def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x: float, y: float) -> dict[str, Any]:
     """Return everything known of the cell at map coordinates (x, y), and the sources of its tile, ready for JSON.
-
-    Raises MessageError for a point outside the map.
-    """
+    Raises MessageError for a point outside the map."""
     geometry = evidence.geometry
     if not (math.isfinite(x) and math.isfinite(y)):
         raise MessageError(f"query at ({x}, {y}): give finite coordinates")
@@ -75,9 +73,8 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRegion:
-    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp,
-    0 for none.
-    """
+    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp, 0 for
+    none."""
 
     cells: BoolArray
     stamp_ns: int
@@ -92,8 +89,7 @@ class DrawnRegion:
 
 def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
     """Return the cells in a PolygonStamped. Raises MessageError for another frame, an invalid polygon, or one without
-    cells.
-    """
+    cells."""
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
         raise MessageError(f"region is in frame {message.header.frame_id!r}, expected 'map'")
@@ -144,11 +140,8 @@ def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
 
 
 def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
-    """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. Raises ConfigError,
-    RasterError, StoreError.
-
-    `state`: folder of its store, and of the confirmed surface if the site uses it.
-    """
+    """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. `state`: folder of
+    its store, and of the confirmed surface if used. Raises ConfigError, RasterError, StoreError."""
     system = system_of(evidence.prior)
     layers, terrain = evidence.layers(), exported_terrain(site, state)
     canopy = site_canopy(site, evidence.geometry, layers, evidence.prior, evidence.climate, terrain, evidence, state)

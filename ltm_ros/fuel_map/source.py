@@ -35,8 +35,7 @@ from ltm_core.vision.labels import LabelSet
 @dataclass(frozen=True, eq=False)
 class FuelSource:
     """A context manager. `geometry`: in the site's CRS. `empty`: the layers without evidence. `evidence`, `store`,
-    `folder`: only for a store; `folder` contains it. `bag`: only for a bag.
-    """
+    `folder`: only for a store; `folder` contains it. `bag`: only for a bag."""
 
     site: Site
     labels: LabelSet
@@ -92,8 +91,7 @@ class FuelSource:
 
     def terrain(self, moment: str | None = None) -> ConfirmedTerrain:
         """Return the terrain: the surface in use at that time, if the site uses the confirmed one and keeps it beside
-        the store. Raises ConfigError as `at`, StoreError.
-        """
+        the store. Raises ConfigError as `at`, StoreError."""
         from ltm_ros.fuel_map.layers import when
 
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
@@ -121,8 +119,7 @@ class FuelSource:
         landscape: Landscape | None = None,
     ) -> Provenance:
         """Return the provenance of an export; `layers`: as `at` returns them; `surface`: version of the heights, if
-        any.
-        """
+        any."""
         from ltm_ros.fuel_map.layers import when
 
         as_of = None if moment is None else when(moment)

@@ -38,11 +38,9 @@ class _Heard:
 class SurfaceListener:
     """Applies `terrain/update` (how far cells moved) and `terrain/change` (the state of all) to the fuel map.
 
-    `terrain/change` is a latched state: it is compared with the recorded state of the fuel cells in the store's
-    journal, so that a repeated message changes nothing.
-
-    Args: grid: of the terrain node, in the map frame. refuse_future: raises or counts a stamp that is ahead; True if
-    the message must be rejected.
+    `terrain/change` is compared with the recorded state of the fuel cells, so that a repeated message changes nothing.
+    `grid`: of the terrain node, in the map frame. `refuse_future`: raises or counts a stamp that is ahead; True if the
+    message must be rejected.
     """
 
     def __init__(
@@ -91,8 +89,7 @@ class SurfaceListener:
 
     def on_change(self, message: Any) -> int:
         """Apply the kinds of change of a window; return the number of changed fuel cells. Raises MessageError,
-        StoreError.
-        """
+        StoreError."""
         cells = self._grid.width * self._grid.height
         if int(message.info.width) * int(message.info.height) > cells or len(message.data) > cells:
             raise MessageError(
@@ -130,10 +127,8 @@ class SurfaceListener:
         return len(news)
 
     def forget(self, cells: BoolArray) -> None:
-        """Handle the deletion of these fuel cells' evidence, (H, W). A change that the evidence had shown before the
-        terrain is recorded again: now, or with the terrain's next message. Any other is in the code that the cell
-        starts from.
-        """
+        """Handle the deletion of these fuel cells' evidence, (H, W): a change that the evidence had shown before the
+        terrain is recorded again, now or with the terrain's next message."""
         evidence = self._persistence.map
         again = cells & evidence.already_shown
         if not again.any():

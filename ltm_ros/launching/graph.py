@@ -22,44 +22,21 @@ PACKAGE = "ltm"
 NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
-SOURCE_NODES = ("source",)
-"""Additional node types of a camera with a section `source` in the site file, outside a replay."""
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
-"""Node types that every camera has, in `/<site>/<camera>`."""
+"""Node types that every camera has, in `/<site>/<camera>`; others depend on the sections of the site file."""
 FUSION_NODES = ("topodepth",)
 """Additional node types of every camera if the site has a depth network."""
-POSE_NODES = ("pose",)
-"""Additional node types of every camera if the site file has a section `refine_poses`."""
-SITE_NODES = ("fuel_map",)
-"""Node types that every site has, in `/<site>`."""
 SURFACE_NODES = ("terrain", "depth", "topodepth")
 """Node types that make or follow the confirmed surface, if the site uses it."""
-TERRAIN_NODES = ("terrain",)
-"""Additional node types of a site with a section `terrain`."""
-LOCATING_NODES = ("locate",)
-"""Additional node types of a site with a section `locating`."""
-REGION_NODES = ("uplink",)
-"""Additional node types of a site with a section `region`, outside a replay; the graph works without them."""
-OPTIONAL_NODES = ("viewer", "recorder", "health")
-"""Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = (
-    *SOURCE_NODES,
-    *CAMERA_NODES,
-    *FUSION_NODES,
-    *POSE_NODES,
-    *SITE_NODES,
-    *TERRAIN_NODES,
-    *LOCATING_NODES,
-    *REGION_NODES,
-    *OPTIONAL_NODES,
-)
+OPTIONAL_NODES = ("uplink", "viewer", "recorder", "health")
+"""Node types without which the graph works."""
+NODE_TYPES = ("source", *CAMERA_NODES, *FUSION_NODES, "pose", "fuel_map", "terrain", "locate", *OPTIONAL_NODES)
 
 CAMERAS_PROCESS = "cameras"
 """Label of the process that runs the nodes of all cameras, if the site has one."""
 SOURCES_PROCESS = "sources"
 """Label of the process that receives the images of all cameras, if the site has one. It is separate, so that what a
-camera sends, and the libraries that read it, cannot affect the processing of frames.
-"""
+camera sends, and the libraries that read it, cannot affect the processing of frames."""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; others get one thread."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
@@ -129,8 +106,7 @@ class ProcessSpec:
     @property
     def busy(self) -> bool:
         """Return whether numerical libraries may use several threads; a shared process has one thread per core for
-        frames.
-        """
+        frames."""
         return not self.shared and self.nodes[0].busy
 
 
@@ -192,15 +168,11 @@ def describe(
 ) -> Graph:
     """Return the graph of `site`, which was read from `path`.
 
-    `cameras`: use only these (empty: all). `view`, `record`: also run the viewer or the recorder, with these
-    parameters. `health`: also run the health node, if the site file has a section for it. `parameters`: by node type,
-    override those of the site file. Raises ConfigError for an unknown camera or node type, a parameter that the graph
-    sets itself, and a value without a ROS parameter type.
-
-    `sources`: whether images are requested from cameras; None: only without `sim_time`, because a recording has its
-    own.
-
-    With `sim_time` no frames are shed unless a parameter enables it: a replay waits and processes every frame.
+    `cameras`: use only these (empty: all). `view`, `record`, `health` (if the site has that section): also run this
+    node, with these parameters. `parameters`: by node type, override those of the site file. `sources`: whether images
+    are requested from cameras; None: unless `sim_time`. With `sim_time` no frames are shed unless a parameter enables
+    it. Raises ConfigError for an unknown camera or node type, a parameter that the graph sets itself, and a value
+    without a ROS type.
     """
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
@@ -221,7 +193,7 @@ def describe(
             namespace=namespace,
             module=f"{NODES_MODULE}.{kind}",
             parameters=common | dict(own) | given.get(kind, {}),
-            required=kind not in OPTIONAL_NODES + REGION_NODES,
+            required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
             process=process_of(kind),
         )
@@ -229,27 +201,24 @@ def describe(
     def process_of(kind: str) -> str:
         if not together:
             return ""
-        if kind in SOURCE_NODES:
+        if kind == "source":
             return SOURCES_PROCESS
-        return CAMERAS_PROCESS if kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else ""
+        return CAMERAS_PROCESS if kind in (*CAMERA_NODES, *FUSION_NODES, "pose") else ""
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:
         site.camera(camera)
-    of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
-    of_site += LOCATING_NODES if site.locating is not None else ()
-    of_site += REGION_NODES if site.region is not None and not sim_time else ()
+    sections = {"terrain": site.terrain, "locate": site.locating, "uplink": None if sim_time else site.region}
+    of_site = ["fuel_map", *(kind for kind, section in sections.items() if section is not None)]
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
-    kinds += POSE_NODES if site.refine_poses is not None else ()
+    kinds += ("pose",) if site.refine_poses is not None else ()
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
     if not sim_time if sources is None else sources:
         asked = [camera for camera in chosen if site.camera(camera).source is not None]
-        nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in asked for kind in SOURCE_NODES]
-    if view is not None:
-        nodes.append(spec("viewer", f"/{site.name}", {}))
-    if record is not None:
-        nodes.append(spec("recorder", f"/{site.name}", {}))
+        nodes += [spec("source", f"/{site.name}/{camera}", {"camera": camera}) for camera in asked]
+    shown = (("viewer", view), ("recorder", record))
+    nodes += [spec(kind, f"/{site.name}", {}) for kind, values in shown if values is not None]
     if health is not None and site.health is not None:
         expected = [node.full_name for node in nodes]
         nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
@@ -269,8 +238,7 @@ def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
     """Return a ROS parameters file for a node of any name. Strings are quoted, or bare `y` and `on` would become
-    booleans.
-    """
+    booleans."""
     lines = ["/**:", "  ros__parameters:"]
     for name, value in parameters.items():
         lines.append(f"    {name}: {_scalar_or_list(value)}")
@@ -329,9 +297,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _ros_value(value: object, place: str) -> ParameterValue:
-    """Return a ROS parameter value: boolean, integer, float, string or non-empty list of one type. Raises
-    ConfigError.
-    """
+    """Return a ROS parameter: boolean, integer, float, string or non-empty list of one type. Raises ConfigError."""
     if isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list | tuple) and value:

@@ -17,10 +17,8 @@ KEPT_RUNS = 10
 
 
 def new_log_folder(site: str) -> Path:
-    """Create a folder for a run's logs under `$XDG_STATE_HOME/ltm`, and remove all but the newest earlier ones.
-
-    On a full disk, return a folder that does not exist yet: logs start once there is space.
-    """
+    """Create a folder for a run's logs under `$XDG_STATE_HOME/ltm`, and remove all but the newest earlier ones. On a
+    full disk, return a folder that does not exist yet."""
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
     begun = time.strftime("%Y%m%d-%H%M%S-")
     try:
@@ -40,9 +38,8 @@ LOG_FILES = 3
 class NodeLog:
     """Appends time-stamped lines to `path`, which is rotated at `LOG_BYTES`; `LOG_FILES` files are kept.
 
-    Calls `tell` once when lines cannot be written, and again with the number of lost lines when they can. Raises
-    nothing. `logging`'s handler prints a traceback for every line that a full disk rejects, keeps the line, and raises
-    when it is closed.
+    Calls `tell` once when lines cannot be written, and again with the number of lost lines when they can; raises
+    nothing, unlike `logging`'s handler on a full disk.
     """
 
     def __init__(self, path: Path, tell: Callable[[str], None]) -> None:

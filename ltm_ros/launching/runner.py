@@ -18,8 +18,7 @@ from typing import TextIO
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.cleanup_process import CleanupProcess, process_command
-from ltm_ros.launching.graph import Graph, ProcessSpec
+from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_json, parameters_yaml
 from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
@@ -27,6 +26,8 @@ from ltm_ros.launching.watchdog import GraphTraffic
 from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
+_QUIET = ("--disable-external-lib-logs",)
+"""We keep a node's output; ROS's own log files in ~/.ros would grow without limit."""
 ASKED_AGAIN_S = 1.0
 """Delay in seconds before readiness is queried again after a failed query."""
 
@@ -36,24 +37,36 @@ class GraphError(LtmError):
 
 
 def print_line(line: str) -> None:
-    """Print a line to the terminal in one write, so that lines of several nodes do not mix.
-
-    If the console cannot be written (full disk, closed terminal), the line is lost and the graph goes on.
-    """
+    """Print a line to the terminal in one write, so that lines of several nodes do not mix. If the console cannot be
+    written (full disk, closed terminal), the line is lost."""
     with contextlib.suppress(OSError):
         # Unbuffered: a buffer that cannot be flushed makes the process exit with an error.
         sys.stdout.flush()
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
 
 
+def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
+    """Return the command of a supervised process, and write the description of its nodes into `folder`."""
+    file = folder / spec.label.replace("/", ".")
+    if spec.shared:
+        nodes = file.with_name(f"{file.name}.json")
+        nodes.write_text(nodes_json(spec.nodes), encoding="utf-8")
+        return supervised_command(CAMERAS_MODULE, str(nodes), "--ros-args", *_QUIET)
+    node = spec.nodes[0]
+    parameters = file.with_name(f"{file.name}.yaml")
+    parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
+    remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
+    command = supervised_command(node.module, "--ros-args")
+    command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
+    return [*command, "--params-file", str(parameters), *_QUIET]
+
+
 class Runner:
-    """Starts, watches and stops the processes of `graph`.
+    """Starts, watches and stops the processes of `graph`; as a context manager it stops them at the end. Thread-safe.
 
     `domain_id`: ROS domain (None: from the environment). `log_folder`: receives each process's output as
-    `<camera>.<node>.log`. `console` gets every line of output, prefixed with the process's label. `stop_s`: time to
-    finish after SIGTERM, before SIGKILL. `environment`: additional variables.
-
-    As a context manager it stops the graph at the end. `start` and `stop` may be called from any thread.
+    `<camera>.<node>.log`. `console` gets every line of output, prefixed with the process's label. `stop_s`: time from
+    SIGTERM to SIGKILL. `environment`: additional variables.
     """
 
     def __init__(
@@ -80,7 +93,6 @@ class Runner:
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
-        self._cleanup = CleanupProcess(lambda: self._environment(busy=False), self._say)
         self._changed = threading.Event()
         self._stopping = threading.Event()
 
@@ -111,25 +123,19 @@ class Runner:
             shared_memory.remove_stale()
             self._warn_of_small_shm()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
-            self._cleanup.folder(self._folder, exists=True)
-            self._cleanup.start()
             for spec in self.graph.processes:
                 self.processes[spec.label] = self._process(spec)
             for process in self.processes.values():
                 process.start()
 
     def wait_until_ready(self, timeout_s: float = 60.0, *, discovered_suffices: bool = False) -> None:
-        """Wait until each node has sent a diagnostic (or was discovered by DDS, with `discovered_suffices`).
-
-        Ignores optional nodes that were given up. Raises GraphError with the missing nodes and their last output after
-        `timeout_s`, or at once if a required node was given up.
-        """
+        """Wait until each node has sent a diagnostic (or was discovered by DDS, with `discovered_suffices`), except
+        optional ones that were given up. Raises GraphError with the missing nodes and their last output."""
         names = {node.full_name: node.label for node in self.graph}
         process_of = {node.label: process.label for process in self.graph.processes for node in process.nodes}
         command = supervised_command("ltm_ros.launching.readiness", "--timeout", str(timeout_s))
         command += ["--discovered"] if discovered_suffices else []
         watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
-        self._cleanup.group(watch.pid, alive=True)
         missing = dict(names)
 
         def awaited() -> list[str]:
@@ -162,7 +168,6 @@ class Runner:
             reader.join(2.0)
             watch.stdout.close()
             os.close(heartbeat)
-            self._cleanup.group(watch.pid, alive=False)
         lost = self._lost_for_good or awaited()
         if lost:
             processes = dict.fromkeys(process_of.get(label, label) for label in lost)
@@ -174,10 +179,8 @@ class Runner:
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
-        """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent.
-
-        SIGINT is not used: Python turns it into an exception, which can get lost during imports.
-        """
+        """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent. SIGINT is not used, because
+        Python's exception can get lost during imports."""
         self._stopping.set()
         with self._lock:
             processes = list(self.processes.values())
@@ -195,16 +198,11 @@ class Runner:
             if self._folder is not None:
                 self._remove_shared_memory()
                 shutil.rmtree(self._folder, ignore_errors=True)
-                self._cleanup.folder(self._folder, exists=False)
                 self._folder = None
-            self._cleanup.stop()
 
     def run(self, manager: ServiceManager | None = None) -> int:
-        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`). Call it from the main thread.
-
-        `manager` is notified when every node is ready, once a second while all processes are supervised, and at the
-        end. Returns 0, or 1 if a required node was given up. Ends by itself if no required node is left.
-        """
+        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`), from the main thread; also end if no required node
+        is left. `manager` is notified. Returns 0, or 1 if a required node was given up."""
         manager = manager or ServiceManager()
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -273,15 +271,9 @@ class Runner:
             policy=self._policy,
             watchdog=self.graph.watchdog,
             traffic=self._traffic,
-            on_group=self._on_group,
+            on_end=shared_memory.remove_stale,
             on_given_up=self._changed.set,
         )
-
-    def _on_group(self, group: int, alive: bool) -> None:
-        self._cleanup.group(group, alive)
-        if not alive:
-            # Each crash leaves a segment of 70 MB: a node that crashes repeatedly would fill the memory.
-            shared_memory.remove_stale()
 
     def _environment(self, busy: bool) -> dict[str, str]:
         base = os.environ | self._extra_environment

@@ -31,9 +31,7 @@ def in_words(processes: Iterable[NodeProcess]) -> str:
 
 def all_watched(processes: Iterable[NodeProcess]) -> bool:
     """Return whether each process is supervised, restarting, or given up, so that restarting the runner would not help.
-
-    Camera data does not count: an offline camera must not restart the tower.
-    """
+    Camera data does not count."""
     return all(process.watched for process in processes)
 
 
@@ -46,18 +44,15 @@ def _one(process: NodeProcess) -> str:
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 START_EXTENSION_S = 120.0
 """Seconds by which the runner extends its start timeout, repeatedly: compiling kernels can take minutes, and a hung
-runner stops extending it.
-"""
+runner stops extending it."""
 SIGNS_A_LIMIT = 3
 """Number of watchdog messages within the manager's watchdog interval."""
 
 
 class ServiceManager:
-    """The service manager that started this process; thread-safe.
-
-    Args: address: socket address; a leading `@` means Linux's abstract namespace. None: no manager. watchdog_s: seconds
-    without a message after which it restarts the service; None: never.
-    """
+    """The service manager that started this process; thread-safe. `address`: socket address; a leading `@` means
+    Linux's abstract namespace; None: no manager. `watchdog_s`: seconds without a message after which it restarts the
+    service."""
 
     def __init__(self, address: str | None = None, watchdog_s: float | None = None) -> None:
         self._lock = threading.Lock()
@@ -72,11 +67,8 @@ class ServiceManager:
 
     @classmethod
     def of_environment(cls, environ: MutableMapping[str, str], *, required: bool = False) -> ServiceManager:
-        """Return the manager that `environ` names, and remove its variables, so that no child process sends for this
-        one.
-
-        Raises ConfigError if the variables are invalid or, when `required`, if there is no manager.
-        """
+        """Return the manager that `environ` names, and remove its variables, so that no child process uses them. Raises
+        ConfigError if they are invalid or, when `required`, missing."""
         given = {name: environ.pop(name, "") for name in VARIABLES}
         address, interval, pid = (given[name] for name in VARIABLES)
         if not address:

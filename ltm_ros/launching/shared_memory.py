@@ -3,8 +3,6 @@
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared), on which its owner
 holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only
 objects without a living owner are removed, so other graphs on the machine are safe.
-
-Uses only the standard library: `orphan_cleanup` runs this after the graph's own process has ended.
 """
 
 from __future__ import annotations
@@ -24,8 +22,7 @@ MIN_AGE_S = 1.0
 
 BYTES_PER_PARTICIPANT = 72 << 20
 """Space in bytes that a node takes in /dev/shm with config/fastdds.xml (Fast DDS allocates its segment in full at the
-start).
-"""
+start)."""
 
 _OBJECT = re.compile(r"^(?:sem\.)?(?P<base>fastrtps_(?:port\d{1,5}|[0-9a-f]{16}))(?:_el|_sl|_mutex)?$")
 
@@ -49,8 +46,7 @@ class SharedMemory:
 
 def survey(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
     """List every Fast DDS object in `folder`. Changes nothing and takes no locks, so it cannot disturb a starting
-    participant or a cleanup. Objects of another PID namespace count as stale, because their locks are invisible.
-    """
+    participant or a cleanup. Objects of another PID namespace count as stale, because their locks are invisible."""
     return _walk(folder, min_age_s, remove=False)
 
 
@@ -118,9 +114,8 @@ def _is_lock(path: Path) -> bool:
 
 
 def _held_locks() -> frozenset[tuple[int, int, int]] | None:
-    """Return the files locked by processes of this PID namespace, by device numbers and inode; None if the kernel does
-    not list them (proc(5), /proc/locks).
-    """
+    """Return the files locked by processes of this PID namespace, by device numbers and inode; None if unknown
+    (proc(5))."""
     try:
         content = Path("/proc/locks").read_text()
     except OSError:
@@ -161,9 +156,7 @@ def _take_locks(paths: list[Path]) -> list[int] | None:
 
 
 def _mapped_names(folder: Path) -> set[str]:
-    """Return the base names of the objects that visible processes have mapped (a sender maps a port without locking
-    it).
-    """
+    """Return the base names of the objects that visible processes have mapped; senders map ports without a lock."""
     names: set[str] = set()
     prefix = f"{folder}/fastrtps_"
     for maps in Path("/proc").glob("[0-9]*/maps"):

@@ -84,8 +84,7 @@ def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Si
 
 def examined_apart(path: Path, wanted: Wanted) -> list[SiteFinding]:
     """Return the findings of `examine`, made in a separate process, so that the long-running parent does not keep the
-    memory of the DEM. If that process is killed, this is the finding.
-    """
+    memory of the DEM. If that process is killed, this is the finding."""
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(_findings, path, wanted).result()
@@ -96,8 +95,7 @@ def examined_apart(path: Path, wanted: Wanted) -> list[SiteFinding]:
 
 def exit_status(findings: Sequence[SiteFinding]) -> int:
     """Return 0 without errors, EX_CONFIG if the site file must be corrected, so that systemd does not retry
-    (`RestartPreventExitStatus=78`), or 1 if only this machine is not ready.
-    """
+    (`RestartPreventExitStatus=78`), or 1 if only this machine is not ready."""
     areas = {finding.area for finding in findings if finding.verdict is SiteVerdict.WRONG}
     return EX_CONFIG if areas - {MACHINE} else 1 if areas else 0
 

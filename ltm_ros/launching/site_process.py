@@ -33,8 +33,7 @@ CLOSE_S = 5.0
 
 class JobNode(OutletNode):
     """A node whose handler is a job of its camera's pipeline. Messages for other jobs of the pipeline are passed
-    directly, others go over DDS.
-    """
+    directly, others go over DDS."""
 
     def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
@@ -138,11 +137,8 @@ class _CameraNodes:
 
 
 class SiteProcess:
-    """All nodes of `specs`; the nodes of one namespace belong to one camera.
-
-    A camera whose nodes cannot be created is skipped, reported, and tried again later (`LateStart`). Raises the first
-    LtmError if no camera works.
-    """
+    """All nodes of `specs`; the nodes of one namespace belong to one camera. A camera whose nodes cannot be created is
+    reported, and tried again later (`LateStart`). Raises the first LtmError if no camera works."""
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
         self._members: list[JobNode] = []

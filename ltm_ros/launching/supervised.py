@@ -38,9 +38,8 @@ def supervised_command(module: str, *arguments: str) -> list[str]:
 def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> tuple[subprocess.Popen[str], int]:
     """Start a process with both outputs in one pipe; return it with its heartbeat descriptor, which the caller closes.
 
-    The calling thread must live as long as the process, because Linux regards it as the parent. The process has a
-    session of its own: Ctrl-C in a terminal reaches only the runner, which stops the nodes in order, and everything
-    that a node has started can be ended with it. Raises OSError.
+    The calling thread must live as long as the process, because Linux regards it as the parent. The process has its own
+    session, so that Ctrl-C reaches only the runner. Raises OSError.
     """
     heard, told = os.pipe()
     try:
@@ -70,8 +69,7 @@ def signal_at_parents_death(number: int) -> None:
 
 def die_with_parent() -> None:
     """End this process within `GRACE_S` of its parent's end, even in a call that holds the interpreter's lock. Call it
-    from the main thread; `_end` requests an orderly end.
-    """
+    from the main thread; `_end` requests an orderly end."""
     libc = ctypes.CDLL(None)
     libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
     # alarm(2) serves directly as the signal handler: it takes an integer and needs no interpreter, and SIGALRM then
@@ -98,9 +96,7 @@ def _end() -> None:
 
 
 def _leave(status: list[int]) -> None:
-    """End the process after the module has finished, without the interpreter's teardown, which takes 0.2 to 0.3 s of
-    processor time.
-    """
+    """End the process without the interpreter's teardown, which takes 0.2 to 0.3 s of processor time."""
     if status:
         for output in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):

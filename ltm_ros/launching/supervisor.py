@@ -16,7 +16,6 @@ from typing import IO
 
 from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.node_log import NodeLog
-from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
 from ltm_ros.runtime.handler import EX_CONFIG
@@ -78,13 +77,24 @@ def describe_exit(status: int) -> str:
     return "ended normally (exit code 0)" if status == 0 else f"exit code {status}"
 
 
+def _end_group(group: int) -> None:
+    """End what a process has started and left: SIGTERM, SIGKILL a second later; return when all have ended, or after
+    another second."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        deadline = time.monotonic() + 1.0
+        try:
+            os.killpg(group, number)
+            while time.monotonic() < deadline:
+                time.sleep(0.02)
+                os.killpg(group, 0)
+        except (ProcessLookupError, PermissionError):
+            return
+
+
 @dataclass
 class NodeProcess:
-    """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
-
-    With a `watchdog`, a hung process is killed with all its children and restarted. `command` must then be a
-    `supervised_command`: a process without heartbeats counts as hung.
-    """
+    """Runs `command` until `stop`; one thread follows the process, another its output. With a `watchdog`, a hung
+    process is killed with all its children and restarted; `command` must then be a `supervised_command`."""
 
     label: str
     command: Sequence[str]
@@ -96,8 +106,8 @@ class NodeProcess:
     """Limits after which it counts as hung; None: only its death is detected."""
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
     """Traffic of all processes of the graph, to detect a process that receives nothing."""
-    on_group: Callable[[int, bool], None] = lambda group, alive: None
-    """Called for every process group that is created (True) or has ended (False)."""
+    on_end: Callable[[], object] = lambda: None
+    """Called when a process of it has ended: each crash leaves 70 MB of shared memory."""
     on_given_up: Callable[[], None] = lambda: None
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
@@ -134,8 +144,7 @@ class NodeProcess:
     @property
     def watched(self) -> bool:
         """Return whether its supervisor works or has given the process up. False if the supervisor hangs (blocked
-        console) or has died.
-        """
+        console) or has died."""
         if self.state in (ProcessState.GIVEN_UP, ProcessState.STOPPED):
             return True
         return self._thread.is_alive() and time.monotonic() - self._look_due < UNWATCHED_S
@@ -159,8 +168,7 @@ class NodeProcess:
 
     def wait_stopped(self, timeout_s: float) -> bool:
         """Return whether it has stopped for good within `timeout_s`; call it after `request_stop`, or if it was given
-        up.
-        """
+        up."""
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -201,7 +209,6 @@ class NodeProcess:
             self._tell(f"cannot be started: {error}")
             return 127
         group = process.pid
-        self.on_group(group, True)
         with self._lock:
             self.pid = process.pid
             self.starts += 1
@@ -216,17 +223,14 @@ class NodeProcess:
             self.pid = None
             self.state = ProcessState.WAITING
             status = process.wait()
-        if group_alive(group):
-            end_groups([group], grace_s=1.0)
-        self.on_group(group, False)
+        _end_group(group)
+        self.on_end()
         reader.join(timeout=2.0)
         return status
 
     def _follow(self, pid: int, heartbeat: int) -> str:
-        """Wait until the process has ended; return why it was killed, if it hung.
-
-        It is not reaped here: while it is a zombie, its process id cannot be reused.
-        """
+        """Wait until the process has ended; return why it was killed, if it hung. It is not reaped here, so that its
+        process id cannot be reused."""
         hearing, watch = None, None
         if self.watchdog:
             self.traffic.begin(self.label)

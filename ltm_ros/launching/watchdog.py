@@ -49,11 +49,8 @@ class GraphTraffic:
 
 
 class HearingWatch:
-    """Detects that one run of a process receives nothing from the others on any topic. A message from any sender counts
-    as received.
-
-    Args: patience_s: seconds without any message, from the first missed message on.
-    """
+    """Detects that one run of a process receives nothing from the others on any topic. `patience_s`: seconds without
+    any message, from the first missed message on."""
 
     def __init__(self, process: str, traffic: GraphTraffic, patience_s: float) -> None:
         self._process, self._traffic, self._patience_s = process, traffic, patience_s
@@ -109,11 +106,8 @@ class ProcessUse:
 
 
 def process_use(pid: int) -> ProcessUse:
-    """Read it from /proc; a dead process has used nothing.
-
-    Uses bytes for names: pathlib interns each part of a path, and the table of interned strings would grow, because
-    this runs every second for every process, for months.
-    """
+    """Read it from /proc; a dead process has used nothing. Uses bytes for names, because pathlib interns each part of a
+    path, every second for months."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123 # as above
             fields = file.read().rpartition(b")")[2].split()
@@ -123,11 +117,8 @@ def process_use(pid: int) -> ProcessUse:
 
 
 class HangWatch:
-    """Detects that one run of a process hangs. Time is what passed between calls, so clock changes have no effect.
-
-    Args: limits: of the site. slow_starts: consecutive starts that were ended as too slow; each doubles this run's
-    limit. hearing: of this run; None: received messages are not checked.
-    """
+    """Detects that one run of a process hangs. `slow_starts`: consecutive starts that were ended as too slow; each
+    doubles this run's limit. `hearing`: of this run; None: received messages are not checked."""
 
     def __init__(self, limits: WatchdogConfig, slow_starts: int = 0, hearing: HearingWatch | None = None) -> None:
         self._limits, self._hearing = limits, hearing

@@ -49,11 +49,7 @@ FrameId = tuple[str, str, int]
 
 
 class Aggregator:
-    """Knows no transport: `take` is given what came on a tower's topic, `settle` gives what is to be answered.
-
-    Args:
-        now_ns: the time.
-    """
+    """Knows no transport: `take` receives a tower's message, `settle` returns the answers. `now_ns`: the time."""
 
     def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
         """Open the region's map. Raises LtmError for an invalid site, store or certificate."""
@@ -77,8 +73,7 @@ class Aggregator:
 
     def take(self, tower: str, content: bytes) -> None:
         """Take a message of a tower. Invalid ones are counted by cause and, if they name their frame, answered with the
-        reason.
-        """
+        reason."""
         try:
             if tower not in self._config.towers:
                 raise MessageError(f"{tower!r} is not a tower of {self._config.name}: add it to towers in region.yaml")

@@ -34,20 +34,15 @@ _BACKDATED: Final = timedelta(minutes=5)
 
 @dataclass(frozen=True)
 class TrialAuthority:
-    """The authority in `folder`, created if missing, with its key: whoever has the key can impersonate any tower.
-
-    `days`: validity of new certificates.
-    """
+    """The authority in `folder`, created if missing; whoever has its key can impersonate any tower. `days`: validity of
+    new certificates."""
 
     folder: Path
     days: int
 
     def make(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
-        """Write missing files and keep existing ones; return the new files.
-
-        `clients`: towers, and followers of the map. `hosts`: names and addresses of the broker for clients. `address`,
-        `port`: where it listens. Raises ConfigError for an invalid name, and if files cannot be written.
-        """
+        """Write missing files and keep existing ones; return the new files. `clients`: towers, and followers of the
+        map. `hosts`: names of the broker for clients. `address`, `port`: where it listens. Raises ConfigError."""
         for name in (region, *clients):
             if not re.fullmatch(NAME, name) or name in _RESERVED:
                 raise ConfigError(
@@ -149,9 +144,8 @@ class TrialAuthority:
     def _write(
         self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
     ) -> None:
-        """Write the key first, readable only by its owner: a certificate without its key would count as complete. Each
-        file is written completely or not at all.
-        """
+        """Write the key first, readable only by its owner, because a certificate would count as complete; each file
+        completely or not at all."""
         secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )

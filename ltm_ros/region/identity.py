@@ -1,6 +1,4 @@
-"""Hold the identity of one side of the link: its certificate for TLS and signatures, and the authorities that it
-trusts.
-"""
+"""Hold the identity of one side of the link: its certificate, and the authorities that it trusts."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 @dataclass(frozen=True)
 class _Believed:
-    """Contents of a certificate, read once, because each message needs them. `key`: None for another kind of key; valid
-    from `begin` to `end`.
-    """
+    """Contents of a certificate, read once. `key`: None for another kind of key; valid from `begin` to `end`."""
 
     name: str
     key: ec.EllipticCurvePublicKey | None
@@ -51,10 +47,8 @@ class _Believed:
 
 
 class Identity:
-    """Signs envelopes, and checks those of others. Raises ConfigError for invalid files.
-
-    `name`: the common name that the certificate must have.
-    """
+    """Signs envelopes, and checks those of others. `name`: the common name of its certificate. Raises ConfigError for
+    invalid files."""
 
     def __init__(self, config: BrokerConfig, name: str) -> None:
         self._config = config

@@ -51,8 +51,7 @@ def tell_what_waits(health: Health, frames: int, size: int, oldest_ns: int | Non
 
 WAITING_BYTES: Final = 64 << 20
 """Maximum bytes of all queued messages; above it, the newest message of the tower with most data is dropped, and sent
-again by it.
-"""
+again by it."""
 KEPT_BYTES: Final = 1000
 """Overhead in bytes of a queued message, so that empty messages cannot fill the memory."""
 LONGEST_NAME: Final = 100
@@ -62,10 +61,8 @@ LONGEST_NAME: Final = 100
 class Inbox:
     """`put` is called from the connection's thread, `get` from the counting one.
 
-    Towers take turns, and if the queue is full, the tower with most data loses a message: a tower that floods, even
-    with a valid certificate, cannot delay or displace other towers' frames.
-
-    Args: towers: each has a turn; all other names share one. most: maximum bytes in the queue.
+    Towers take turns, and if the queue is full, the tower with most data loses a message, so that none can delay
+    others. `towers`: each has a turn; all other names share one. `most`: maximum bytes in the queue.
     """
 
     def __init__(self, towers: Sequence[str], health: Health, most: int = WAITING_BYTES) -> None:

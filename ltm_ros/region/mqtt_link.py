@@ -20,8 +20,7 @@ from ltm_ros.runtime.health import Health
 ROOT: Final = "ltm"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 2
 """First and longest pause in seconds between attempts to connect. A rejected attempt costs about 5 kB, a tenth of what
-one camera sends meanwhile.
-"""
+one camera sends meanwhile."""
 LARGEST_PACKET: Final = LARGEST + 1024
 """Maximum bytes of a packet with its topic, which is announced to the broker."""
 
@@ -51,9 +50,7 @@ def tile_topic(region: str, row: int, col: int) -> str:
 
 
 def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
-    """Pass on a received message. A topic that is not UTF-8 comes from a malicious broker: it is counted, because an
-    exception would end the connection's thread.
-    """
+    """Pass on a received message. A topic that is not UTF-8 is counted; it would end the connection's thread."""
     try:
         topic = message.topic
     except UnicodeDecodeError as error:
@@ -65,11 +62,9 @@ def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
 class MqttLink:
     """Connects in the background after `start`, and again after each loss.
 
-    Votes and acknowledgements use QoS 0, because senders repeat them until the other side answers. Tiles use QoS 1 and
-    may queue; presence messages use QoS 0 to overtake them.
-
-    Args: client_id: unique among the broker's clients. topics: subscriptions. take: receives their messages. will:
-    topic and payload that the broker publishes, retained, when this connection is lost.
+    Votes and acknowledgements use QoS 0, because senders repeat them; tiles use QoS 1. `client_id`: unique among the
+    broker's clients. `topics`: subscriptions, whose messages `take` receives. `will`: topic and payload that the broker
+    publishes, retained, when this connection is lost.
     """
 
     def __init__(
@@ -114,8 +109,7 @@ class MqttLink:
 
     def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
         """Send a message; return whether it was handed over. It may still get lost; with QoS 1 only together with the
-        connection.
-        """
+        connection."""
         if not self.connected.is_set():
             return False
         return self._client.publish(topic, payload, qos=qos, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS

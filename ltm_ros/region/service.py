@@ -41,12 +41,8 @@ LATE_S: Final = 2.0
 
 
 class RegionService:
-    """Raises LtmError for an invalid site, store or certificate.
-
-    `run` repeats `step` until it is stopped.
-
-    Args: now_ns: the time. `make_link`: makes the connection; replaced in tests.
-    """
+    """Counts, stores and sends until stopped. Raises LtmError for an invalid site, store or certificate. `make_link`:
+    makes the connection; replaced in tests."""
 
     def __init__(
         self,
@@ -93,8 +89,7 @@ class RegionService:
 
     def step(self, patience_s: float) -> None:
         """Run one turn: count frames, for `SETTLE_S` at most, until none has come for `patience_s`; then store and
-        acknowledge them.
-        """
+        acknowledge them."""
         self._count_for(patience_s)
         now = time.monotonic()
         self.aggregator.persistence.wait(now - self._last)
@@ -159,8 +154,7 @@ def _prepare(aggregator: Aggregator) -> None:
 SAID_EVERY_S: Final = 60.0
 SWITCH_S: Final = 0.0005
 """Seconds after which the counting thread yields to the connection's. A message takes several reads, each of which may
-wait as long: with Python's 5 ms, tens of milliseconds per message.
-"""
+wait as long: with Python's 5 ms, tens of milliseconds per message."""
 
 
 def run_region(config: RegionConfig) -> None:

@@ -46,8 +46,7 @@ class TilePublisher:
 
     def note(self, windows: Sequence[Window]) -> None:
         """Record that parts of the map may have changed. Tiles without evidence, most of a region, are not
-        published.
-        """
+        published."""
         persistence = self._aggregator.persistence
         keys = {key for window in windows for key in persistence.map.tiles_of(window)}
         for row, col in keys:
@@ -93,10 +92,8 @@ class TilePublisher:
 
 
 def opened_tile(identity: Identity, content: bytes) -> tuple[TileHeader, UInt8Array, GridGeometry]:
-    """Return a received tile: the header, class indices (h, w) with 255 unknown, and their place in the CRS.
-
-    Raises MessageError unless the region's aggregator has signed it.
-    """
+    """Return a received tile: the header, class indices (h, w) with 255 unknown, and their place in the CRS. Raises
+    MessageError unless the region's aggregator has signed it."""
     envelope = identity.opened(content, AGGREGATOR)
     header = header_of(TileHeader, envelope)
     try:
@@ -110,10 +107,7 @@ def opened_tile(identity: Identity, content: bytes) -> tuple[TileHeader, UInt8Ar
 
 
 class RegionExports:
-    """Exports the current map, one export at a time, on a separate thread.
-
-    Failures are reported and tried again: the map does not depend on its exports.
-    """
+    """Exports the current map, one export at a time, on a separate thread; failures are reported and tried again."""
 
     def __init__(self, config: ExportConfig, aggregator: Aggregator, health: Health) -> None:
         self._config, self._aggregator, self._health = config, aggregator, health
@@ -175,9 +169,7 @@ class RegionExports:
 
 def _copy(folder: Path, url: str) -> None:
     """Copy the files of a folder to a store by fsspec; the STAC item last, so that everything that it names exists.
-
-    Raises StoreError.
-    """
+    Raises StoreError."""
     from ltm_ros.archive.results import ResultFolder  # needs the extra `archive`, only for copies
 
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))

@@ -1,8 +1,6 @@
 """Run a tower's side of the link: votes of its cameras go into the outbox, and from there to the region's map.
 
-A frame leaves the outbox only after the aggregator's signed acknowledgement. So neither the broker nor this process
-needs to remember frames in flight: after any failure, unacknowledged frames are sent again, and the aggregator counts
-them once.
+A frame leaves the outbox only after the aggregator's signed acknowledgement, and is sent again after any failure.
 """
 
 from __future__ import annotations
@@ -36,13 +34,11 @@ WINDOW_BYTES: Final = 1 << 20
 """their maximum bytes."""
 RESEND_S: Final = 30.0
 """Seconds after which an unacknowledged frame is sent again although the aggregator seems present; doubled each time,
-up to
-"""
+up to"""
 LONGEST_RESEND_S: Final = 480.0
 REFUSED_PAUSE_S: Final = 600.0
 """Seconds until a frame that the aggregator rejected is sent again: a version, a clock or a list of towers may be
-corrected.
-"""
+corrected."""
 OPEN_S: Final = 5.0
 """Seconds between two attempts to open an outbox whose disk fails."""
 SLOW_S: Final = 1.0
@@ -58,11 +54,8 @@ Clock = Callable[[], int | None]
 
 
 class TowerLink:
-    """`offer` takes frames from any thread; a separate thread stores and sends them.
-
-    Args: grid: the fuel grid of the votes. outbox: its file. clock: for the age of frames. make_link: makes the
-    connection; replaced in tests.
-    """
+    """`offer` takes frames from any thread; a separate thread stores and sends them. `grid`: the fuel grid of the
+    votes. `clock`: for the age of frames. `make_link`: replaced in tests."""
 
     def __init__(
         self,
@@ -74,8 +67,7 @@ class TowerLink:
         make_link: type[MqttLink] = MqttLink,
     ) -> None:
         """Open the link. Raises ConfigError for an invalid certificate, key or outbox. If its disk fails, frames wait
-        in memory, and it is tried again.
-        """
+        in memory, and it is tried again."""
         self._config, self._grid, self._health, self._clock = config, grid, health, clock
         self._identity = Identity(config.broker, config.tower)
         self._file = outbox
@@ -148,8 +140,7 @@ class TowerLink:
 
     def step(self, now_s: float) -> None:
         """Run one turn of the thread's work. Raises StoreError if the disk fails; frames in the outbox are still sent,
-        because deleting them frees space on a full disk.
-        """
+        because deleting them frees space on a full disk."""
         if self._outbox is None and (now_s >= self._open_due or self._stopping.is_set()):
             self._open_due = now_s + OPEN_S
             try:

@@ -69,8 +69,8 @@ class TerrainPublisher:
 class Confirmation:
     """Makes versions of the confirmed surface in `folder`, if the site uses them.
 
-    The frames' stamps alone decide when a version is due, so that a replay makes the same versions. A version's content
-    is in the map's store before. If it cannot be written, the previous version stays in use, and it is tried again.
+    The frames' stamps alone decide when a version is due, so that a replay makes the same versions. If one cannot be
+    written, the previous version stays in use, and it is tried again.
     """
 
     def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
@@ -119,9 +119,7 @@ class Confirmation:
         return f"{now} is in use again, until terrain/confirm is called"
 
     def _read(self) -> None:
-        """Read the version in use from the folder. If that fails, none is in use until one is made; the
-        node continues.
-        """
+        """Read the version in use from the folder; if that fails, none is in use until one is made."""
         try:
             self._manifest, told = self._versions.manifest_of_writer()
         except StoreError as error:

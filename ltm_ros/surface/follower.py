@@ -18,11 +18,8 @@ from ltm_ros.runtime.health import Health, cause_of
 class SurfaceFollower:
     """Passes each new terrain to `take` once it is loaded; until then, or if that fails, the previous one stays.
 
-    The manifest in the folder names the version in use. A message only announces a change, so no sender can choose
-    which file is read.
-
-    Args: folder: of the site's surfaces, from the graph; empty: the site does not use them. take: called with each new
-    terrain; a tracer starts with the original terrain, and keeps its terrain if this raises.
+    The manifest in `folder` (empty: not used) names the version in use; a message only announces a change, so no sender
+    can choose the file.
     """
 
     def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:

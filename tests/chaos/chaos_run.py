@@ -17,7 +17,7 @@ from chaos.cameras import CAMERAS
 from chaos.faults import Arena, Fault, draw_fault
 from chaos.heartbeats import Heartbeats
 from chaos.resources import waited_s
-from chaos.running_site import CLEANUP, RUNNER
+from chaos.running_site import RUNNER
 from ltm_lab.bench.process_usage import usage_of
 
 BACK_S = 15.0
@@ -144,7 +144,7 @@ class ChaosRun:
                 outcome.missed.append(f"{camera}, which is not touched, paused for {gap:.1f} s")
         if not fault.whole_start:
             now = self._arena.site.processes()
-            lasting = former.keys() & {*self._arena.site.nodes, CLEANUP, RUNNER} - {*fault.restarts}
+            lasting = former.keys() & {*self._arena.site.nodes, RUNNER} - {*fault.restarts}
             ended = [label for label in sorted(lasting) if now.get(label) != former[label]]
             outcome.missed += [f"{label} was ended by it" for label in ended]
         outcome.load = os.getloadavg()[0]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from chaos.cameras import CAMERAS, Cameras
-from chaos.running_site import CLEANUP, RUNNER, RunningSite
+from chaos.running_site import RUNNER, RunningSite
 from chaos.stranger import ATTACKS, FLOODS
 from ltm_ros.launching.graph import CAMERAS_PROCESS
 
@@ -78,18 +78,10 @@ def hesitate(arena: Arena, rng: random.Random) -> Fault:
     return Fault(f"hesitate {label} {seconds:.1f} s", act, _touched(label))
 
 
-def kill_cleanup(arena: Arena, rng: random.Random) -> Fault:
-    """SIGKILL to the process that cleans up after the runner; no camera is touched."""
-    return Fault("kill orphan_cleanup", lambda: _signal(arena, CLEANUP, signal.SIGKILL), (), (CLEANUP,))
-
-
 def kill_runner(arena: Arena, rng: random.Random) -> Fault:
-    """SIGKILL to the runner, perhaps to its cleanup process first: all nodes must go, then somebody starts it again."""
-    both = rng.random() < 0.5
+    """SIGKILL to the runner: all nodes must end, then it is started again."""
 
     def act() -> list[str]:
-        if both:
-            _signal(arena, CLEANUP, signal.SIGKILL)
         arena.site.kill_runner()
         left = arena.site.wait_gone(ORPHANS_S)
         for pid in arena.site.processes().values():
@@ -98,7 +90,7 @@ def kill_runner(arena: Arena, rng: random.Random) -> Fault:
         arena.site.start()
         return [f"{len(left)} orphans after {ORPHANS_S:.0f} s: {', '.join(left)}"] if left else []
 
-    return Fault("kill runner" + (" and orphan_cleanup" if both else ""), act, whole_start=True)
+    return Fault("kill runner", act, whole_start=True)
 
 
 def fill_disk(arena: Arena, rng: random.Random) -> Fault:
@@ -189,7 +181,7 @@ def attack(arena: Arena, rng: random.Random) -> Fault:
 FAULTS: dict[str, Draw] = {
     draw.__name__.replace("_", "-"): draw
     for draw in (
-        *(kill, terminate, hang, hesitate, kill_cleanup, kill_runner, fill_disk, step_clock, unknown_covariance),
+        *(kill, terminate, hang, hesitate, kill_runner, fill_disk, step_clock, unknown_covariance),
         *(repeat_frames, flood_frames, flood, attack),
     )
 }

@@ -11,7 +11,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from chaos.running_site import CLEANUP
 from ltm_ros.launching.graph import CAMERAS_PROCESS
 from ltm_ros.runtime.process_memory import MemoryInUse
 
@@ -32,13 +31,12 @@ class Heartbeats:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 200)
 
     def since(self, label: str, at: float) -> bool:
-        """Whether it has reported after that moment: all nodes, of the process that those of cameras share; the cleanup
-        process has no report to make."""
+        """Whether it has reported after that moment: all nodes, of the process that those of cameras share."""
         with self._lock:
             if label == CAMERAS_PROCESS:
                 times = [then for name, then in self._at.items() if "/" in name]
                 return bool(times) and min(times) > at
-            return label == CLEANUP or self._at.get(label, 0.0) > at
+            return self._at.get(label, 0.0) > at
 
     def counted(self) -> Counter[str]:
         """What living nodes have dropped and noted by now: a restarted node begins at zero."""

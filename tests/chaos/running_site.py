@@ -16,7 +16,7 @@ from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import CAMERAS_MODULE, CAMERAS_PROCESS, Graph, describe
 from ltm_ros.runtime.ros_environment import ros_environment
 
-RUNNER, CLEANUP = "runner", "orphan_cleanup"
+RUNNER = "runner"
 LAST_MOMENTS_S = 2.0
 """That a process has, which ends with the runner and is not waited for by it: Python's own resource tracker."""
 _MARK = "LTM_CHAOS_RUN"
@@ -81,7 +81,7 @@ class RunningSite:
         self._process.wait()
 
     def processes(self) -> dict[str, int]:
-        """Process ids by label: `tower/depth`, `fuel_map`, `runner`, `orphan_cleanup`; others by their module."""
+        """Process ids by label: `tower/depth`, `fuel_map`, `runner`; others by their module."""
         found: dict[str, int] = {}
         for folder in Path("/proc").glob("[0-9]*"):
             try:

@@ -27,11 +27,6 @@ HERE = Path(__file__).parent
 QUICK = RestartPolicy(initial_s=0.1, maximum_s=0.4, config_tries=2)
 
 
-def part_of(domain: int, module: str) -> list[int]:
-    """Process ids of what runs `module` in this domain."""
-    return [int(line.partition(":")[0]) for line in processes_of_domain(domain) if module in line]
-
-
 def spec(name: str, camera: str = "north", behaviour: str = "well") -> NodeSpec:
     return NodeSpec(name, f"/ridge/{camera}", "nodes_for_tests", {"behaviour": behaviour, "title": "on"})
 
@@ -237,53 +232,16 @@ def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int, tmp_pa
     assert processes_of_domain(ros_domain) == []
 
 
-def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    temporary = tmp_path / "tmp"
-    temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
-    pids: dict[str, int] = {}
-    runner = _run_in_process(tmp_path, 3, pids)
-    owned = segments(set().union(*map(owned_by_process, pids.values())))
-    assert len(owned) >= 3
-    assert list(temporary.glob("ltm-run-*/*.yaml"))
-    (cleanup,) = part_of(ros_domain, "orphan_cleanup")
-    os.kill(cleanup, signal.SIGSTOP)  # it goes on when the runner ends
-    runner.kill()
-    runner.communicate()
-    left = wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0)
-    assert left == []
-    assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
-    assert list(temporary.glob("ltm-run-*")) == []
-    # A runner elsewhere on this machine may be about to remove them just now.
-    assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
-
-
-def test_runner_and_cleanup_killed_at_once_leave_no_process(ros_domain: int, tmp_path: Path) -> None:
+def test_killed_runner_leaves_no_process_and_the_next_one_removes_its_shared_memory(
+    ros_domain: int, tmp_path: Path
+) -> None:
     pids: dict[str, int] = {}
     runner = _run_in_process(tmp_path, 2, pids)
-    (cleanup,) = part_of(ros_domain, "orphan_cleanup")
-    os.kill(pids["/ridge/north/depth"], signal.SIGSTOP)
-    os.kill(cleanup, signal.SIGKILL)
+    owned = segments(set().union(*map(owned_by_process, pids.values())))
+    assert len(owned) >= 2
+    os.kill(pids["/ridge/north/depth"], signal.SIGSTOP)  # it goes on when the runner ends
     runner.kill()
     runner.communicate()
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
-    # What those that were just starting have left in shared memory, the next runner removes.
     wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
-
-
-def test_a_cleanup_process_that_dies_is_started_again_and_told_of_all(
-    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    temporary = tmp_path / "tmp"
-    temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
-    runner = _run_in_process(tmp_path, 2, {})
-    (first,) = part_of(ros_domain, "orphan_cleanup")
-    os.kill(first, signal.SIGKILL)
-    assert runner.stdout is not None
-    assert any("the cleanup process died" in line for line in runner.stdout)
-    wait_for(lambda: part_of(ros_domain, "orphan_cleanup") not in ([], [first]), "another")
-    runner.kill()
-    runner.communicate()
-    assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
-    assert list(temporary.glob("ltm-run-*")) == [], "only the cleanup process removes it"
+    assert [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)] == []

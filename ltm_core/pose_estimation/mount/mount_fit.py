@@ -40,8 +40,7 @@ class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the images, with it, where it is accepted,
     else as stated. `gap`: by which the next best correction costs more. `cost`: by the images and by what is stated.
-    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held.
-    """
+    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held."""
 
     rotation: Float64Array
     tilt_zero: float
@@ -127,11 +126,8 @@ def fit_ptz_mount(
     config: PicturePoseConfig,
     tilt_zero_sigma_deg: float,
 ) -> MountFit:
-    """Fit a PTZ mount: with the zero of its tilt axis if images in several directions need one, else without.
-
-    A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
-    three sigmas from none; no image is then surer of its direction than without it.
-    """
+    """Fit a PTZ mount, with the zero of its tilt axis if it lowers the cost by what three sigmas do and is itself
+    significant by three sigmas; no image's direction is then more certain than without it."""
     plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
     if tilt_zero_sigma_deg == 0:
         return plain
@@ -192,9 +188,8 @@ def _apart(states: list[Float64Array]) -> list[int]:
 
 
 def _deviation(state: Float64Array) -> Float64Array:
-    """Return (8,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the
-    vertical about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
-    """
+    """Return (8,) of a state from what is stated, in the terms of its sigmas: of the rotation, by how much it tips the
+    vertical about x and y, and its turn about it."""
     tipped = matrix_of_vector(state[3:6])[:, 2]
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 

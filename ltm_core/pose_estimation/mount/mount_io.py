@@ -1,10 +1,4 @@
-"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts.
-
-Keeps the state of a camera's mount, estimated from its images, in a file across restarts.
-
-It holds for the place, mount and calibration that the site states, and for the DEM that the images were compared
-with: where any of these has changed since, it is not used, and the mount's error is found anew.
-"""
+"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts."""
 
 from __future__ import annotations
 
@@ -141,10 +135,8 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
-    """Give a watch what is kept of its mount; False where nothing is, or where it was learnt under other terms.
-
-    Raises StoreError for a file that cannot be read, or that is none of these.
-    """
+    """Restore the state of a mount; return False if none is kept, or if it is of other terms. Raises StoreError for an
+    invalid file."""
     if not path.exists():
         return False
     try:

@@ -1,10 +1,7 @@
 """Model a pan-tilt head on a mount, and the correction that all its poses share.
 
-A PTZ head on a mount that leans: from what its encoders say to the pose of its camera.
-
 R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the PTZ head as a whole, pan turns about
-the PTZ head's own upright axis, tilt about the camera's right. With a PTZ head that leans by a degree, an azimuth alone
-puts directions off by more than a degree on one side (`docs/cameras.md`).
+the PTZ head's own upright axis, tilt about the camera's right.
 """
 
 from __future__ import annotations
@@ -73,13 +70,9 @@ Sign = Literal[1, -1]
 
 @dataclass(frozen=True, eq=False)
 class MountModel:
-    """Mount of a PTZ head. `base`: the camera's pose where pan is 0 and the tilt axis reads level.
-
-    `tilt_zero` (rad): what is added to each tilt. `covariance`: (7, 7) of place (m), rotation about the map's axes
-    (rad), tilt zero (rad), as in `MountFit`. `pan_sign`: 1 where pan grows clockwise as seen from above; `tilt_sign`: 1
-    where tilt grows upwards. `encoder_sigma` (rad): of each of pan and tilt, how well the PTZ head comes back to a
-    reading.
-    """
+    """Mount of a PTZ head. `base`: the camera's pose at pan 0 and level tilt. `tilt_zero` (rad): added to each tilt.
+    `covariance`: (7, 7) as in `MountFit`. `pan_sign`: 1 if pan grows clockwise as seen from above; `tilt_sign`: 1 if
+    tilt grows upwards. `encoder_sigma` (rad): repeatability of pan and of tilt."""
 
     base: Pose
     tilt_zero: float
@@ -97,10 +90,7 @@ class MountModel:
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Pose, Float64Array]:
         """Return the camera's pose for encoder readings, and its (6, 6) covariance as in `pose_covariance`.
-
-        The covariance holds the calibration's, the encoders' and that of motion: `moved_deg` is by how much pan and
-        tilt changed while the image was taken, which lies somewhere between.
-        """
+        `moved_deg`: change of pan and tilt during the exposure."""
         rotation = self.rotation(pan_deg, tilt_deg)
         to_pose = np.zeros((6, 9))
         to_pose[:, :6] = np.eye(6)
@@ -141,11 +131,11 @@ class MountModel:
         to_angles[:3, :3] = angle_slopes(self.base)
         return to_angles
 
-    def direction_sigma_deg(self, pan_deg: float, tilt_deg: float = 0.0) -> float:
+    def direction_sigma_deg(self, pan_deg: float) -> float:
         """Return the standard deviation of the viewing direction by the calibration alone, across the worse
         direction."""
         still = replace(self, encoder_sigma=0.0)
-        pose, covariance = still.pose(pan_deg, tilt_deg)
+        pose, covariance = still.pose(pan_deg, 0.0)
         across = pose.rotation[:, :2]
         return math.degrees(math.sqrt(float(np.linalg.eigvalsh(across.T @ covariance[3:, 3:] @ across)[-1])))
 

@@ -41,8 +41,7 @@ class MountResection:
     """`residuals`: (N, 2) pixels, marked minus projected; `used`: (N,) those that were not outliers; `sigma_px`: of a
     measured coordinate. `worst`: pan (deg) at which the calibration leaves the direction most open, and its standard
     deviation (deg). `focal_factors`: by zoom, with which the stated lens was multiplied, and `focal_sigmas` theirs.
-    `notes`: what a user must know.
-    """
+    `notes`: what a user must know."""
 
     points: PtzPoints
     model: MountModel
@@ -65,18 +64,11 @@ def resect_mount(
     free_position: bool = False,
     sigma_px: float = 1.0,
 ) -> MountResection:
-    """Fit the mount to landmarks.
+    """Fit the mount to landmarks. Raises PoseError that names the points.
 
-    Args:
-        points: at least four different landmarks, spread in pan.
-        start: its place, lean, signs and sigmas of place and encoders; of its azimuth nothing is used.
-        lens: the table to begin with.
-        bend: curvature coefficient of the rays, `geodesy.ray_bend`.
-        free_focal: fit the lens at each zoom, within some 5 percent of the table.
-        free_position: fit the place too, within the sigmas that `start` states.
-        sigma_px: what a mark is worth at best, pixels.
-
-    Raises PoseError that names the points: too few, outside the image, or so wrong that no mount explains them.
+    `points`: at least four landmarks, spread in pan. `start`: its place, lean, signs and sigmas; its azimuth is not
+    used. `bend`: `geodesy.ray_bend`. `free_focal`: fit the lens at each zoom, within some 5 percent. `free_position`:
+    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels.
     """
     _check(points, lens)
     problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px)

@@ -1,7 +1,5 @@
 """Decide whether a correction that several photos of a mount share is accepted.
 
-Images of one mount, and where a correction that all share puts them.
-
 A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
 the focal length.
 """

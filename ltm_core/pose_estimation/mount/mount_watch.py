@@ -1,10 +1,8 @@
 """Maintain the pose of a mounted camera: correct the stated pose by its images, and detect slips.
 
-A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
-zero. It is found in several clear images together (`mount_fit`), so that one wrong skyline moves nothing, and fog
-only delays it. From then on each clear image is laid on the terrain from the corrected pose; where most of the last
-ones show another viewing direction, the mount is reported as slipped, its poses are not used, and the error is
-estimated again.
+The mount's error is found in several clear images together (`mount_fit`). From then on each clear image is laid on the
+terrain from the corrected pose; if most of the last ones show another viewing direction, the mount is reported as
+slipped, its poses are not used, and the error is estimated again.
 """
 
 from __future__ import annotations
@@ -62,14 +60,8 @@ class MountState(Enum):
 
 
 class MountWatch:
-    """Monitor the mount of one camera by its images; give them in time order.
-
-    Args:
-        terrain: what its skylines are compared with.
-        config: how many images it takes.
-        picture_config: constants of the search in a single image.
-        tilt_zero_sigma_deg: of a PTZ head, how far the zero of its tilt axis may be off; 0: none is sought.
-    """
+    """Monitor the mount of one camera by its images; give them in time order. `tilt_zero_sigma_deg`: standard deviation
+    of the zero of a PTZ head's tilt axis; 0: none is estimated."""
 
     def __init__(
         self,
@@ -102,10 +94,7 @@ class MountWatch:
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
         """Process an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; return whether it
-        was clear.
-
-        Raises PoseError for a camera beside the DEM or under its ground.
-        """
+        was clear. Raises PoseError for a camera beside the DEM or under its ground."""
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
         return self._gather(evidence, self._prior(stated, covariance))
@@ -247,10 +236,8 @@ def unknown_angles() -> Float64Array:
 def clearer_turn(
     skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
 ) -> Pose | None:
-    """Return the turned pose that fits the skyline of an undistorted camera clearly better than the known pose, if any.
-
-    A fit that starts at the known pose cannot find it: it ends on the nearest hill of the skyline.
-    """
+    """Return the turned pose that fits the skyline of an undistorted camera clearly better than the known pose, if any;
+    a fit from the known pose ends on the nearest hill."""
     azimuth, pitch, roll = known.pose.angles_deg
     tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)

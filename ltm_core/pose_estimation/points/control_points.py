@@ -1,12 +1,8 @@
 """Hold surveyed control points, and find initial poses from a few of them.
 
-Initial poses of a resection, from few control points at a time.
-
-With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964). Where it is
-free, three points and a focal length give up to four poses, wherever the camera stands (P3P: Ding et al., CVPR 2023, as
-OpenCV has it), so that the stated position does not decide what is found. Pairs, triples and a range of focal lengths
-are tried and scored by how many points they bring near their marks, so that a start is found without angles and in
-spite of gross errors, after the idea of RANSAC (Fischler and Bolles 1981).
+With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964); else three
+points give up to four poses (P3P: Ding et al., CVPR 2023, in OpenCV). Pairs, triples and focal lengths are scored by
+how many points they bring near their marks, after the idea of RANSAC (Fischler and Bolles 1981).
 """
 
 from __future__ import annotations
@@ -26,11 +22,8 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Surveyed points.
-
-    `names`: (N,). `places`: (N, 3) map metres. `pixels`: (N, 2) u, v with (0, 0) the centre of the top-left pixel.
-    Raises PoseError that names points without finite values and points that are given twice.
-    """
+    """Surveyed points. `names`: (N,). `places`: (N, 3) map metres. `pixels`: (N, 2) u, v with (0, 0) the centre of the
+    top-left pixel. Raises PoseError that names points without finite values and points that are given twice."""
 
     names: tuple[str, ...]
     places: Float64Array

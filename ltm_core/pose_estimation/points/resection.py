@@ -1,11 +1,7 @@
-"""Fit a camera's angles, focal length and place to surveyed points, and check the result against the terrain.
+"""Fit a camera's angles, focal length, k1 and place to surveyed points, and check the result against the terrain.
 
-Resection: a camera's angles, focal length, k1 and position from ground control points.
-
-The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
-four steps: a coarse search over pairs of points, and triples where the position is free, that is robust against gross
-errors and needs no angles (`resection_search`); a fit with robust loss; least squares over the points that this fit
-does not call outliers; and a test of which parameters the points can determine. Source: Luhmann et al., Close-Range
+The adjustment minimises the distances in the image: a coarse search (`control_points`), a fit with robust loss, least
+squares without outliers, and a test of which parameters the points determine. Source: Luhmann et al., Close-Range
 Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
 """
 
@@ -42,10 +38,8 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 @dataclass(frozen=True)
 class Rejected:
-    """Parameter that the points determine too poorly, with its estimate.
-
-    `values`, `sigmas`: of fx (pixels), of k1, or of x, y, z (map metres). `median_px`: median residual of the points.
-    """
+    """Parameter that the points determine too poorly, with its estimate. `values`, `sigmas`: of fx (pixels), of k1, or
+    of x, y, z (map metres). `median_px`: median residual of the points."""
 
     values: dict[str, float]
     sigmas: dict[str, float]
@@ -296,7 +290,7 @@ class TracedErrors:
         return np.isfinite(self.errors)
 
 
-def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = HIDDEN_BY) -> TracedErrors:
+def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
     """Trace the marked sub-pixel places of all control points, outliers too."""
     pose, places = result.pose, result.points.places
     directions = pixel_rays(result.camera, result.points.pixels) @ pose.rotation.T
@@ -311,7 +305,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
     settled = places.copy()
     settled[:, 2] = np.where(np.isnan(ground), places[:, 2], ground)
     beyond, settled_beyond = (_beyond(tracer, pose.position, aims).tolist() for aims in (places, settled))
-    states = tuple(_state(*values, hidden_by) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
+    states = tuple(_state(*values) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
     return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), states, above)
 
 
@@ -322,12 +316,12 @@ def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 
 
-def _state(above: float, beyond: float, settled_beyond: float, hidden_by: float) -> SurveyedState:
-    if abs(beyond) < hidden_by:
+def _state(above: float, beyond: float, settled_beyond: float) -> SurveyedState:
+    if abs(beyond) < HIDDEN_BY:
         return SurveyedState.SEEN
     if np.isnan(above):
         return SurveyedState.BESIDE
-    if abs(settled_beyond) < hidden_by:
+    if abs(settled_beyond) < HIDDEN_BY:
         return SurveyedState.ABOVE if above > 0 else SurveyedState.BELOW
     if np.isnan(beyond):
         return SurveyedState.BESIDE

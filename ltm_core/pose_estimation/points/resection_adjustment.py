@@ -1,9 +1,4 @@
-"""Adjust the parameters of a resection; decide which of them the control points determine.
-
-The adjustment of a resection: robust fit, then least squares over the points that it does not call outliers.
-
-Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
-"""
+"""Adjust the parameters of a resection; decide which of them the control points determine. Source: see `resection`."""
 
 from __future__ import annotations
 

@@ -45,10 +45,8 @@ class ResectionSetup:
 
 
 def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> ResectionSetup:
-    """Place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
-
-    Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
-    """
+    """Place the guess in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too. Raises
+    ConfigError if a DEM or a CRS is missing, and as `set_up_picture`."""
     pose = guess.pose
     if dem is not None:
         frame, local = near_frame(guess, dem)
@@ -163,9 +161,7 @@ def _pose_sigmas(result: Resection) -> dict[str, float]:
 
 def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
     """Return a line for each parameter that should be fitted but is fixed: why, its estimate, and the remedy.
-
-    `position`: as it was given, map metres.
-    """
+    `position`: the given one, map metres."""
     notes = []
     median = float(np.median(result.residual_px))
     for name, reason in result.held.items():

@@ -14,6 +14,7 @@ from ltm_lab.cli.eval.depth import depth
 from ltm_lab.cli.eval.fuel import fuel
 from ltm_lab.cli.eval.gallery import gallery
 from ltm_lab.cli.eval.locate import locate
+from ltm_lab.cli.eval.photo import photo
 from ltm_lab.cli.eval.pose import pose
 from ltm_lab.cli.eval.pose_watch import pose_watch
 from ltm_lab.cli.eval.segmentation import segmentation
@@ -39,6 +40,7 @@ evaluate.command(WHOLE)(bag)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
+evaluate.command()(photo)
 evaluate.command()(pose)
 evaluate.command()(pose_watch)
 evaluate.command()(locate)

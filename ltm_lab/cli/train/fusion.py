@@ -30,7 +30,7 @@ def fusion(
     from rich.table import Table
 
     from ltm_core.depth.expected_surface import FusionSettings
-    from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config, write_fusion_config
+    from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.raster.dem import Dem
     from ltm_core.raster.dem_stack import with_surface
@@ -40,7 +40,7 @@ def fusion(
     from ltm_core.vision.manifest import NetworkManifest
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
-    from ltm_lab.training.fusion_fit import fit_fusion
+    from ltm_lab.training.fusion_fit import constants, fit_fusion, write_fusion_config
     from ltm_lab.training.fusion_samples import FrameSamples, frame_samples
 
     console = Console()
@@ -72,10 +72,10 @@ def fusion(
     fit = fit_fusion(folders, config)
     path = fusion_path(manifest) if out is None else out
     table = Table("constant", "default", "in the file", "fitted", title=f"fusion with {manifest.name}")
-    shipped = {n: v for n, v, _, _ in load_fusion_config(manifest).constants()}
-    was = {n: v for n, v, origin, _ in config.constants() if origin == "fitted"}
+    shipped = {n: v for n, v, _, _ in constants(load_fusion_config(manifest))}
+    was = {n: v for n, v, origin, _ in constants(config) if origin == "fitted"}
     off = {}
-    for constant, value, origin, _ in fit.config.constants():
+    for constant, value, origin, _ in constants(fit.config):
         if origin == "fitted":
             table.add_row(constant, f"{was[constant]:g}", f"{shipped[constant]:g}", f"{value:g}")
             off[constant] = abs(value - shipped[constant])

@@ -11,7 +11,7 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.posterior import Posterior
+from ltm_core.locating.posterior import Posterior, reach_in_ellipse
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
@@ -20,6 +20,13 @@ from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.footprint import pixel_rays
+
+
+def credibility(posterior: Posterior, x: float, y: float) -> float:
+    """Return the share of the probability in cells more probable than that of a place; 1 if it is in none."""
+    row, col = (int(v) for v in posterior.geometry.cell_of(x, y))
+    here = np.flatnonzero((posterior.rows == row) & (posterior.cols == col))
+    return float(posterior.probability[: here[0]].sum()) if len(here) else 1.0
 
 
 @dataclass(frozen=True)
@@ -46,9 +53,8 @@ class PlaceScore:
         return PlaceScore(
             math.hypot(posterior.mean[0] - x, posterior.mean[1] - y),
             math.hypot(posterior.likeliest[0] - x, posterior.likeliest[1] - y),
-            posterior.credibility(x, y),
-            posterior.holds(half, x, y),
-            posterior.holds(most, x, y),
+            credibility(posterior, x, y),
+            *(bool(reach_in_ellipse(ellipse, np.array([[x, y]]))[0] <= 1) for ellipse in (half, most)),
             most.major,
             most.minor,
         )

@@ -131,7 +131,7 @@ def run_watch_trial(camera: str, frames: Sequence[PreparedFrame], terrain: Searc
             before, begin = watch.state, time.process_time()
             stated = _turned(frame.frame.pose, by)
             covariance = pose_covariance(stated, 0.0, 0.0, sigma, sigma, sigma)
-            clear = watch.look(frame.evidence.unseen, stated, covariance)
+            clear = watch.look(frame.unseen, stated, covariance)
             yield clear, before, time.process_time() - begin + frame.seconds
 
     clear = alarms = 0

@@ -135,7 +135,7 @@ def run_trial(
     focal_sigma: float = 0.0,
 ) -> PoseTrial:
     """Disturb the pose of a frame, and its focal length by a factor, and search the pose in the image."""
-    frame, evidence = prepared.frame, prepared.evidence.unseen
+    frame, evidence = prepared.frame, prepared.unseen
     prior = disturbed(frame.pose, sensor, terrain.dem, rng)
     if focal_factor != 1.0:
         evidence = replace(evidence, camera=evidence.camera.zoomed(focal_factor))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -43,6 +43,11 @@ class PreparedFrame:
     evidence: PictureEvidence
     open_share: float
     seconds: float
+
+    @property
+    def unseen(self) -> PictureEvidence:
+        """Return the evidence with edges that are not computed yet, to measure the time."""
+        return replace(self.evidence, found=replace(self.evidence.found))
 
 
 @dataclass(frozen=True)

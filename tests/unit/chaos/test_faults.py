@@ -37,8 +37,7 @@ def test_whom_a_fault_touches() -> None:
     assert by_name["hang fuel_map"].touches == CAMERAS
     assert by_name["hang terrain"].touches == CAMERAS, "their frames wait for it to finish others"
     assert by_name["terminate recorder"].touches == ()
-    assert by_name["kill orphan_cleanup"].touches == ()
-    assert by_name["kill runner and orphan_cleanup"].whole_start
+    assert by_name["kill runner"].whole_start
     for name, fault in by_name.items():
         if name.startswith("full disk of state"):
             assert fault.touches == CAMERAS

@@ -74,8 +74,9 @@ def test_less_sure_poses_give_larger_regions(angle_deg: float, more: float) -> N
     plain = Dem(np.zeros((300, 420), np.float32), GridGeometry(-1000.0, 2600.0, 10.0, 420, 300))
     place = np.array([300.0, 1700.0, 0.0])
     locator = Locator(plain, 0.0, LocatingConfig(dem_sigma=0.0))
-    areas = [
-        locator.locate([sighting("a", (0.0, 0.0, 220.0), place, sigma)]).posterior.densest_area(0.95)
+    found = [
+        locator.locate([sighting("a", (0.0, 0.0, 220.0), place, sigma)]).posterior
         for sigma in (angle_deg, more * angle_deg)
     ]
+    areas = [posterior.densest(0.95).sum() * posterior.geometry.resolution**2 for posterior in found]
     assert areas[1] > areas[0]

@@ -11,7 +11,7 @@ import pytest
 
 CODE = """
 import json
-from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.compiled_kernels import compile_kernels
 from scenes.kernel_counts import compiled
 compile_kernels(TerrainConfig())

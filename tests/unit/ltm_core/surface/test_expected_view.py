@@ -12,7 +12,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.config import TerrainConfig
-from ltm_core.surface.expected_view import EXPECTED_PIXEL, ExpectedViews
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap
@@ -46,23 +45,6 @@ def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: p
     thorough = layers(RULES)
     for name in quick:
         np.testing.assert_array_equal(quick[name], thorough[name], err_msg=name)
-
-
-def test_the_views_that_are_kept_are_bounded_and_the_oldest_goes() -> None:
-    room = ExpectedViews(3 * 6 * 5 * EXPECTED_PIXEL.itemsize)
-    for key in "abc":
-        room.put(key, (6, 5))["place"] = ord(key)
-    assert room.get("a") is not None
-    room.put("d", (6, 5))["place"] = ord("d")
-    assert room.get("b") is None
-    for key in "acd":
-        pixels = room.get(key)
-        assert pixels is not None
-        assert (pixels["place"] == ord(key)).all()
-    # One that alone is too large is kept by itself.
-    assert room.put("large", (60, 50)).shape == (60, 50)
-    assert room.get("large") is not None
-    assert room.get("a") is None
 
 
 @pytest.mark.parametrize(("away", "sigma", "grown"), [(60.0, 1.0, True), (93.0, 10.0, False)], ids=["within", "rim"])

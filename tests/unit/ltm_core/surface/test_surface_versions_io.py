@@ -11,8 +11,8 @@ import pytest
 
 from ltm_core.base.errors import StoreError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.surface_versions_io import KEPT, MANIFEST, SurfaceVersions
+from ltm_core.surface.confirmed_surface import KEPT, ConfirmedSurface
+from ltm_core.surface.surface_versions_io import MANIFEST, SurfaceVersions
 
 GRID = GridGeometry(0.0, 60.0, 2.0, 40, 30)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scenes.depth_scene import depth_scene
@@ -10,8 +12,9 @@ from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float64Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.training.fusion_fit import CANOPY, OUTLINE, STANDING, fit_fusion
+from ltm_lab.training.fusion_fit import CANOPY, OUTLINE, STANDING, constants, fit_fusion, updated, write_fusion_config
 from ltm_lab.training.fusion_samples import CLASSES, FrameSamples, Samples, frame_samples
 
 TRUE = {"occlusion.standing.grass": -1.0, "occlusion.standing.tree": 1.5, "occlusion.metre": 0.3, "decision.heard": 0.7}
@@ -33,11 +36,11 @@ def nothing(columns: int) -> Samples:
 
 def test_odds_that_made_the_samples_are_found_again() -> None:
     config = FusionConfig()
-    values = {name: value for name, value, _, _ in config.constants()} | TRUE
+    values = {name: value for name, value, _, _ in constants(config)} | TRUE
     weights = np.array([values[name] for name in STANDING])
     folders = [[FrameSamples(drawn(weights, seed), nothing(len(OUTLINE)), nothing(len(CANOPY)))] for seed in (1, 2, 3)]
     fit = fit_fusion(folders, config)
-    found = {name: value for name, value, _, _ in fit.config.constants()}
+    found = {name: value for name, value, _, _ in constants(fit.config)}
     for name in STANDING:
         # A class has few samples to itself: 18,000 tell its log odds to about 0.3.
         assert found[name] == pytest.approx(values[name], abs=0.7 if "standing" in name else 0.25), name
@@ -46,6 +49,34 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
     assert fit.counts == {"standing": 18_000, "outline": 0, "canopy": 0}
     # What has no samples stays as it was.
     assert found["boundaries.toward"] == config.boundaries.toward
+
+
+def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:
+    found = list(constants(FusionConfig()))
+    assert len(found) > 100
+    assert len({name for name, *_ in found}) == len(found)
+    for name, _, origin, meaning in found:
+        assert origin in ("fitted", "chosen"), name
+        assert len(meaning) > 3, name
+
+
+def test_constants_survive_their_file(tmp_path: Path) -> None:
+    config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "error_model.shrink": (2.0, 9.0)})
+    write_fusion_config(tmp_path / "net_fusion.yaml", config, "a test")
+    text = (tmp_path / "net_fusion.yaml").read_text()
+    assert "a test" in text
+    assert "# fitted; trees" in text
+    assert load_yaml(tmp_path / "net_fusion.yaml", FusionConfig) == config
+
+
+def test_constants_of_one_network_are_not_written_through_a_link_to_anothers(tmp_path: Path) -> None:
+    own, other = tmp_path / "net_fusion.yaml", tmp_path / "longer_fusion.yaml"
+    write_fusion_config(own, FusionConfig(), "a test")
+    other.symlink_to(own.name)
+    write_fusion_config(other, FusionConfig(), "another test")
+    assert not other.is_symlink()
+    assert "another" not in own.read_text()
+    assert "another test" in other.read_text()
 
 
 def test_too_few_samples_are_refused() -> None:

@@ -122,10 +122,10 @@ def test_report_shows_the_figures_it_was_given() -> None:
     depth = score_depth([np.float32([[52.0]])], [np.float32([[50.0]])])
     assert [score.pixels for score in depth] == [1, 0, 0, 0, 1]
     assert [name for name in rows if name.endswith(" m") or name == "all"] == [
-        "0 to 100 m",
-        "100 to 300 m",
-        "300 to 1,000 m",
-        "over 1,000 m",
+        "0-100 m",
+        "100-300 m",
+        "300-1,000 m",
+        "> 1,000 m",
         "all",
     ]
     assert rows["all"][0] == "14\u202f400"

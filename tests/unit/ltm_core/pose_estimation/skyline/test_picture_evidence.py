@@ -55,7 +55,6 @@ def test_the_photo_s_skyline_is_found_to_a_part_of_a_pixel() -> None:
 def test_edges_are_found_once_for_a_picture_with_and_without_its_skyline() -> None:
     evidence = picture_evidence(*view(TRUE), CAMERA)
     assert replace(evidence, skyline=None).edges is evidence.edges
-    assert evidence.unseen.edges is not evidence.edges
 
 
 def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:

@@ -30,12 +30,11 @@ def test_the_horizon_of_two_walls() -> None:
     assert horizon.range[straight] == pytest.approx(995.0, abs=6.0)
     r = horizon.range[straight]
     assert horizon.tangent[straight] == pytest.approx(80.0 / r - BEND * r, abs=1e-4)
-    # The lower wall before it is an occluding contour, and what comes into view behind it is the higher one.
+    # The lower wall before it is an occluding contour.
     contours = horizon.contours
     k = int(np.argmin(np.abs(contours.azimuth)))
     assert contours.range[k] == pytest.approx(395.0, abs=6.0)
     assert contours.tangent[k] == pytest.approx(20.0 / contours.range[k], abs=1e-3)
-    assert contours.behind[k] == pytest.approx(990.0, abs=12.0)
     assert contours.following[k] == k + 1
     assert not horizon.open.any()
 

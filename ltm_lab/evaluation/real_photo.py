@@ -1,4 +1,4 @@
-"""Run `make demo-real`: a real photo with surveyed control points through the live graph.
+"""Run `ltm-lab eval photo`: a real photo with surveyed control points through the live graph.
 
 For each control point, it measures the distance between the surveyed point and the point that the graph traced for its
 pixel.
@@ -40,9 +40,7 @@ OCCLUDED_BEYOND = 5.0
 @dataclass(frozen=True)
 class ControlPoint:
     """A surveyed point: its pixel (counted from 0), and the metres between survey and traced point; NaN: not traced.
-
-    `hidden`: the DEM, which is coarser than the ground, has no surface at the point as seen from the camera.
-    """
+    `hidden`: the DEM has no surface at the point as seen from the camera."""
 
     name: str
     u: float
@@ -61,10 +59,8 @@ def run_real_demo(
     progress: Callable[[int, int], None],
     console: Callable[[str], None],
 ) -> tuple[list[ControlPoint], list[NodeRow]]:
-    """Import the photo, replay it live into `out` (empty or new), and measure.
-
-    Raises LtmError, for example where the data is absent.
-    """
+    """Import the photo, replay it live into `out` (empty or new), and measure. Raises LtmError, for example if the data
+    is absent."""
     site = load_site(site_path)
     folder = site.dem.path.parent
     if not (folder / PHOTO).is_file():
