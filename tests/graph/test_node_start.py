@@ -17,9 +17,7 @@ def test_wrong_parameters_end_a_node_with_their_names(small_site: SmallSite, ros
     site = f"site:={small_site.path}"
     cases = {
         ("depth", "camera:=tower", "speed:=3", site): "speed",
-        ("capture", "camera:=nobody", site): "no camera 'nobody'; it has mast, tower",
         ("fuel_map", "site:=/nowhere/site.yaml"): "/nowhere/site.yaml",
-        ("segmentation", "camera:=tower", "model:=unheard_of", site): "unheard_of",
         ("recorder", "bag:=/nowhere/bag", "topics:=['no topic']", site): "'no topic'",
     }
     started = {

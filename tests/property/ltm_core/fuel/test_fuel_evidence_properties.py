@@ -52,16 +52,6 @@ def test_the_order_of_frames_changes_no_bit(of: list[CellVotes], random: object,
 
 
 @examples(25, in_fuzz=40)
-@given(st.lists(frames(), min_size=2, max_size=8), st.randoms(use_true_random=False))
-def test_the_order_of_frames_changes_no_bit_where_cells_are_judged_by_their_look(
-    of: list[CellVotes], random: object
-) -> None:
-    shuffled = list(of)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
-    assert_same(counted(*shuffled, network=LOOKING), counted(*of, network=LOOKING))
-
-
-@examples(25, in_fuzz=40)
 @given(st.lists(frames(), min_size=1, max_size=6), networks)
 def test_unseen_cells_are_the_priors_bit_for_bit(of: list[CellVotes], network: LabelErrors) -> None:
     unseen = np.ones(GRID.shape, bool)

@@ -88,14 +88,6 @@ def test_a_model_that_all_but_folds_has_all_its_rays() -> None:
     np.testing.assert_allclose(camera.project(rays), np.stack([u, v], axis=-1), atol=1e-6)
 
 
-@pytest.mark.parametrize("step", [1, 3, 4, 100])
-def test_scaled_keeps_pixel_centres(step: int) -> None:
-    sampled = BARREL.scaled(step)
-    rays = BARREL.rays()[::step, ::step]
-    assert (sampled.height, sampled.width) == rays.shape[:2]
-    np.testing.assert_allclose(sampled.rays(), rays, atol=1e-12)
-
-
 def test_resized_shows_the_same_from_edge_to_edge() -> None:
     small = BARREL.resized(31, 17)
     rays = BARREL.rays()[::9, ::7].reshape(-1, 3)

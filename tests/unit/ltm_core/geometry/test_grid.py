@@ -15,20 +15,6 @@ def test_edges_and_shape() -> None:
     assert GRID.bounds == (100.0, 460.0, 170.0, 500.0)
 
 
-def test_cell_centres() -> None:
-    x, y = GRID.to_map([0, 3], [0, 6])
-    assert x.tolist() == [105.0, 165.0]
-    assert y.tolist() == [495.0, 465.0]
-    row, col = GRID.to_grid(x, y)
-    assert row.tolist() == [0.0, 3.0]
-    assert col.tolist() == [0.0, 6.0]
-
-
-def test_fractional_indices() -> None:
-    row, col = GRID.to_grid(107.5, 500.0)
-    assert (float(row), float(col)) == (-0.5, 0.25)
-
-
 @pytest.mark.parametrize(
     ("x", "y", "cell"),
     [

@@ -56,13 +56,6 @@ def test_points_between_frames() -> None:
 
 
 @pytest.mark.parametrize(
-    "angles", [(0, 0, 0), (214.5, -5.8, -0.8), (359.9, 60, 179), (10, -89.999, 30), (123.4, 89.99999, -45)]
-)
-def test_angles_come_back(angles: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(Pose.from_angles((1, 2, 3), *angles).angles_deg, angles, atol=1e-6)
-
-
-@pytest.mark.parametrize(
     ("angles", "expected"),
     [
         ((40, -90, 0), (40, -90, 0)),

@@ -228,24 +228,6 @@ def test_weather_before_the_shipped_network_changes_nothing(
     assert not changed
 
 
-def test_a_network_that_errs_alike_in_each_look_changes_nothing(
-    slope: Slope, watch: Watch, shipped: DepthNetwork
-) -> None:
-    """The same photos twelve times over: errors that repeat are no evidence."""
-    changed, looked = watch.changed(((look, photo(look.radiance)) for _ in range(12) for look in slope.looks), shipped)
-    assert looked > 5000
-    assert not changed
-
-
-@pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
-def test_of_an_unchanged_slope_a_sharp_network_finds_nothing(slope: Slope, watch: Watch, in_smoke: bool) -> None:
-    """Nor of smoke that it sees where that is."""
-    network = SharpEyes()
-    changed, looked = watch.changed(sharply(slope, network, in_smoke), network)
-    assert looked > 5000
-    assert not changed
-
-
 @pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
 @pytest.mark.parametrize("rise", [6.0, -6.0])
 def test_what_has_changed_a_sharp_network_finds(slope: Slope, watch: Watch, in_smoke: bool, rise: float) -> None:

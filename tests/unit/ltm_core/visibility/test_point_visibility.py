@@ -79,21 +79,6 @@ def test_agrees_with_the_tracer(holes: bool) -> None:
     assert judged > 8000
 
 
-def test_agrees_with_a_dense_walk() -> None:
-    dem = rough_terrain(9, (61, 87))
-    origin = standing(dem, 31.0, 40.5, 2.0)
-    x, y = dem.geometry.to_map(*np.random.default_rng(4).uniform(0, [[60], [86]], (2, 200)))
-    points = np.column_stack([x, y, dem.elevation_at(x, y)])
-    sight = PointVisibility(dem)
-    lift, _ = sight.lifts(origin, points)
-    for point, expected in zip(points, lift, strict=True):
-        share = np.linspace(0, 1, 20_001)[1:]
-        way = origin[:2] + share[:, None] * (point[:2] - origin[:2])
-        r = share * np.hypot(*(point[:2] - origin[:2]))
-        slopes = (dem.elevation_at(way[:, 0], way[:, 1]) - origin[2]) / r - sight.bend * r
-        assert (slopes.max() - slopes[-1]) * r[-1] == pytest.approx(expected, abs=2e-3)
-
-
 def test_traced_points_are_visible_at_their_pixels() -> None:
     dem = rough_terrain(5, (181, 263))
     pose = Pose.from_angles(standing(dem, 100.0, 60.0, 12.0), 80.0, -12.0, 5.0)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
@@ -17,7 +16,6 @@ from ltm_ros.launching.graph import (
     describe,
     nodes_json,
     nodes_of_json,
-    parameters_yaml,
 )
 
 
@@ -138,29 +136,6 @@ def test_refuses_names_that_ros_does_not_allow(name: str, namespace: str) -> Non
 def test_refuses_two_nodes_of_one_label() -> None:
     with pytest.raises(ConfigError, match="duplicate nodes north/depth"):
         Graph("ridge", (NodeSpec("depth", "/ridge/north", "a"), NodeSpec("depth", "/cliff/north", "b")))
-
-
-def test_parameters_keep_their_type_through_yaml() -> None:
-    """Checked with YAML 1.1 as PyYAML reads it; tests/graph reads the same through rclpy."""
-    values: dict[str, Any] = {
-        "flag": True,
-        "count": 3,
-        "small": 1e-05,
-        "whole": 2.0,
-        "word": "on",
-        "letter": "y",
-        "number": "12",
-        "text": "a: 'b' \"c\" # é\nnext",
-        "empty": "",
-        "numbers": [1.0, 2.5e-07],
-        "words": ["n", "1"],
-        "a.b": [1, 2],
-    }
-    text = parameters_yaml(values)
-    read = yaml.safe_load(text)["/**"]["ros__parameters"]
-    assert read == values
-    assert [type(value) for value in read.values()] == [type(value) for value in values.values()]
-    assert '"y"' in text, "rcl takes a bare y for true"
 
 
 def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:

@@ -88,18 +88,6 @@ def test_fog_tells_nothing() -> None:
     np.testing.assert_array_equal(unchanged, covariance(STATED))
 
 
-def test_presets_of_one_head_share_its_error() -> None:
-    """Three directions, each stated wrong by the same turn of the mount."""
-    watch = MountWatch(terrain(), CONFIG)
-    for seed, azimuth in enumerate((63.0, 118.0, 250.0)):
-        stated = Pose.from_angles(eye(), azimuth, 2.5, 0.0)
-        watch.look(picture(turned(stated, OFF), seed), stated, covariance(stated))
-    assert watch.state is MountState.HELD
-    for azimuth in (63.0, 190.0):
-        stated = Pose.from_angles(eye(), azimuth, 2.5, 0.0)
-        assert off_deg(watch, turned(stated, OFF), stated) < 0.12
-
-
 def test_poses_that_pictures_contradict_are_told_and_of_no_use() -> None:
     watch, true = MountWatch(terrain(), CONFIG), turned(STATED, np.radians([0.0, 0.0, -6.0]))
     sure = pose_covariance(STATED, 0.0, 0.0, 0.2, 0.2, 0.2)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, mountains, terrain, view
+from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
@@ -134,7 +134,3 @@ def test_sigmas_that_are_none_are_told() -> None:
         PosePrior(TRUE, -1.0)
     with pytest.raises(PoseError, match="metres"):
         PosePrior(TRUE, 1.0, position_sigma=-2.0)
-
-
-def test_the_scene_s_camera_stands_above_its_ground() -> None:
-    assert TRUE.position[2] - mountains().elevation_at(*TRUE.position[:2]) == pytest.approx(12.0)
