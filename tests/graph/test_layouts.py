@@ -16,14 +16,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.launching.graph import CAMERA_NODES, FUSION_NODES
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
-from ltm_ros.runtime.topics import (
-    DEPTH_IMAGE,
-    FUEL_VOTES,
-    FUSED_DEPTH,
-    LABELS_IMAGE,
-    POSED_POSE,
-    camera_topic,
-)
+from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, POSED_POSE, camera_topic
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 

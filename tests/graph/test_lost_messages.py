@@ -28,10 +28,7 @@ SENT_MEANWHILE = 40
 def capture(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> Iterator[tuple[Runner, Bystander]]:
     """The mast's capture node alone, and somebody beside it."""
     node = describe(apart(small_site.site), small_site.path).node("mast/capture")
-    with (
-        Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path) as runner,
-        Bystander() as bystander,
-    ):
+    with Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path) as runner, Bystander() as bystander:
         yield runner, bystander
 
 

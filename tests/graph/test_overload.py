@@ -21,15 +21,7 @@ from ltm_msgs_py.stamp import time_to_ns
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.runtime.topics import (
-    CAMERA_INFO,
-    FINISHED,
-    FUEL_VOTES,
-    IMAGE_COMPRESSED,
-    IMAGE_RAW,
-    POSE,
-    camera_topic,
-)
+from ltm_ros.runtime.topics import CAMERA_INFO, FINISHED, FUEL_VOTES, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 

@@ -197,9 +197,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
     def wait_for_depths(name: str) -> None:
         """On disk, of every camera."""
         wait_for(
-            lambda: len(cameras_recorded(out / name)) == len(CAMERAS),
-            f"depths in {name}",
-            lambda: bystander.summaries,
+            lambda: len(cameras_recorded(out / name)) == len(CAMERAS), f"depths in {name}", lambda: bystander.summaries
         )
 
     # No faster than it takes to see that all work: each frame goes through a dozen processes.

@@ -184,13 +184,7 @@ fields = st.builds(
     st.booleans(),
 )
 def test_any_point_cloud_is_read_or_refused(
-    given_fields: list[PointField],
-    height: int,
-    width: int,
-    point_step: int,
-    row_step: int,
-    content: bytes,
-    big: bool,
+    given_fields: list[PointField], height: int, width: int, point_step: int, row_step: int, content: bytes, big: bool
 ) -> None:
     msg = PointCloud2(height=height, width=width, point_step=point_step, row_step=row_step, is_bigendian=big)
     msg.fields = given_fields

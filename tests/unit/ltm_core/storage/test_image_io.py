@@ -154,8 +154,7 @@ def test_other_formats_that_are_cut_are_rejected_with_the_share(
 
 @pytest.mark.parametrize("kept", [0.3, 0.97])
 @pytest.mark.parametrize(
-    ("form", "options"),
-    [("PNG", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("BMP", {})],
+    ("form", "options"), [("PNG", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("BMP", {})]
 )
 def test_formats_that_state_no_size_are_rejected_when_cut(form: str, options: dict[str, Any], kept: float) -> None:
     whole = encoded(form, **options)

@@ -62,10 +62,7 @@ def test_tilted_plane(curvature: bool, azimuth_deg: float, pitch_deg: float, rol
     # Beyond the outermost cell centres nothing is known: rays that leave descending are unknown, the others sky.
     with np.errstate(invalid="ignore"):
         inside = (x + r * east > -299) & (x + r * east < 299) & (y + r * north > -211) & (y + r * north < 211)
-    rim = np.minimum(
-        (np.copysign(299, east) - x) / east,
-        (np.copysign(211, north) - y) / north,
-    )
+    rim = np.minimum((np.copysign(299, east) - x) / east, (np.copysign(211, north) - y) / north)
     beyond = np.where(slope + 2 * ray_bend(curvature, 0.13) * rim >= 0, np.inf, np.nan)
     expected = np.where(inside, r / across, beyond)
     assert np.isfinite(expected).mean() > 0.2

@@ -189,21 +189,13 @@ def test_the_cache_is_bounded_and_spares_what_is_held(store: Store, at_hand: Arc
         assert held.read_bytes() == b"a" * 40
         assert cached(tmp_path) == [b"a" * 40, b"c" * 40]
     assert (tmp_path / "cache/others.txt").exists()
-    with (
-        pytest.raises(ArchiveError, match=r"101 bytes.*100 .*--cache-gb"),
-        at_hand.at_hand(store("d", b"d" * 101)),
-    ):
+    with pytest.raises(ArchiveError, match=r"101 bytes.*100 .*--cache-gb"), at_hand.at_hand(store("d", b"d" * 101)):
         pass
 
 
 @pytest.mark.parametrize(("failures", "given"), [(2, True), (3, False)])
 def test_a_store_is_asked_again_some_times(
-    store: Store,
-    at_hand: ArchiveFiles,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    failures: int,
-    given: bool,
+    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: int, given: bool
 ) -> None:
     kind = fsspec.get_filesystem_class("memory")
     fetch, left = kind.get_file, [failures]

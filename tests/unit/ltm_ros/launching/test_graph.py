@@ -9,14 +9,7 @@ import pytest
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
-from ltm_ros.launching.graph import (
-    CAMERA_NODES,
-    Graph,
-    NodeSpec,
-    describe,
-    nodes_json,
-    nodes_of_json,
-)
+from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, nodes_json, nodes_of_json
 
 
 def site(**changes: Any) -> Site:
