@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from scenes.networks import write_classifier
 from scenes.small_site import SmallSite
 
 from ltm_ros.runtime.handler import EX_CONFIG
@@ -13,10 +15,15 @@ from ltm_ros.runtime.handler import EX_CONFIG
 pytestmark = pytest.mark.graph
 
 
-def test_wrong_parameters_end_a_node_with_their_names(small_site: SmallSite, ros_domain: int) -> None:
-    site = f"site:={small_site.path}"
+def test_what_a_node_cannot_work_with_ends_it_with_its_name(
+    small_site: SmallSite, ros_domain: int, tmp_path: Path
+) -> None:
+    site, manifest = f"site:={small_site.path}", write_classifier(tmp_path)
+    network = next(tmp_path.glob("*.onnx"))
+    network.write_bytes(network.read_bytes() + b"\0")
     cases = {
         ("depth", "camera:=tower", "speed:=3", site): "speed",
+        ("segmentation", "camera:=tower", f"model:={manifest}", site): "sha256",
         ("fuel_map", "site:=/nowhere/site.yaml"): "/nowhere/site.yaml",
         ("recorder", "bag:=/nowhere/bag", "topics:=['no topic']", site): "'no topic'",
     }

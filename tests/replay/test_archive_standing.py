@@ -74,18 +74,11 @@ def record_spoiled(options: ArchiveOptions) -> ArchiveOptions:
     return options
 
 
-def other_rules(options: ArchiveOptions) -> ArchiveOptions:
-    site = yaml.safe_load(options.site.read_text())
-    site["fuel"] = {"fusion": {"frame_cap": 3.0}}
-    options.site.write_text(yaml.safe_dump(site))
-    return options
-
-
 def one_frame_fewer(options: ArchiveOptions) -> ArchiveOptions:
     return replace(options, since_ns=BEGIN_NS + 1)
 
 
-@pytest.mark.parametrize("change", [layer_gone, map_gone, record_spoiled, other_rules, one_frame_fewer])
+@pytest.mark.parametrize("change", [layer_gone, map_gone, record_spoiled, one_frame_fewer])
 def test_the_map_is_made_again_after(
     options: ArchiveOptions, made: list[int], change: Callable[[ArchiveOptions], ArchiveOptions]
 ) -> None:

@@ -80,7 +80,7 @@ def test_fog_tells_nothing() -> None:
     photo, labels = view(turned(STATED, OFF))
     grey = np.full_like(photo, 200)
     fog = picture_evidence(grey, np.full_like(labels, UNLABELLED), CAMERA)
-    for _ in range(CONFIG.gather + 1):
+    for _ in range(CONFIG.gather):
         assert not watch.look(fog, STATED, covariance(STATED))
     assert watch.state is MountState.STATED
     pose, unchanged = watch.correction.applied(STATED, covariance(STATED))
