@@ -52,28 +52,13 @@ def write(path: Path, dtype: str, nodata: float) -> None:
     rng = np.random.default_rng(0)
     heights[rng.integers(0, SIDE, 4000), rng.integers(0, SIDE, 4000)] = np.nan
     heights[:300, :700] = np.nan
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=SIDE,
-        height=SIDE,
-        count=1,
-        dtype=dtype,
-        nodata=nodata,
-        crs="EPSG:32611",
-        transform=from_origin(3e5, 38e5, 1.0, 1.0),
-        compress="deflate",
-        zlevel=1,
-        tiled=True,
-        blockxsize=256,
-        blockysize=256,
-    ) as sink:
+    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
+    place = {"crs": "EPSG:32611", "transform": from_origin(3e5, 38e5, 1.0, 1.0), "width": SIDE, "height": SIDE}
+    with rasterio.open(path, "w", driver="GTiff", count=1, dtype=dtype, nodata=nodata, **tiles, **place) as sink:
         for row in range(0, SIDE, 512):
             strip = heights[row : row + 512]
-            sink.write(
-                np.where(np.isnan(strip), nodata, strip).astype(dtype), 1, window=Window(0, row, SIDE, len(strip))
-            )
+            known = np.where(np.isnan(strip), nodata, strip).astype(dtype)
+            sink.write(known, 1, window=Window(0, row, SIDE, len(strip)))
 
 
 @pytest.mark.slow

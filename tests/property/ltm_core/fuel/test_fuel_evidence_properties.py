@@ -20,8 +20,6 @@ from ltm_core.fuel.votes import CellVotes
 
 pytestmark = pytest.mark.kernel
 
-pytestmark = pytest.mark.kernel
-
 
 def errors(cell: float, view: float) -> LabelErrors:
     correlation = LabelCorrelation(cell=cell, stand=cell / 4, view=view, network=view / 2)

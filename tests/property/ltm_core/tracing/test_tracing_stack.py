@@ -20,10 +20,6 @@ from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_lab.tracers.reference import trace_reference
 
 
-def sampled_from(dem: Dem, x: Float64Array, y: Float64Array) -> np.ndarray:
-    return dem.elevation_at(x, y).astype(np.float32)
-
-
 def stack(seed: int, offset: float = 0.0, ratio: float = 7.3, shift: tuple[float, float] = (0.37, 0.71)) -> DemStack:
     """A rough fine raster, `offset` metres too high, somewhere in a coarse one whose nodes do not fall on its own."""
     coarse = rough_terrain(seed, (61, 83), resolution=ratio, relief=140.0, x_min=-1000.0, y_max=400.0)
@@ -77,14 +73,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
-def test_rays_against_the_reference(case: str, count: int) -> None:
+def test_rays_against_the_reference(case: str) -> None:
     dem = CASES[case]()
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(len(case))
     kinds = []
-    for position in positions(dem, rng, count):
+    for position in positions(dem, rng, 7):
         rays = directions(rng, 250)
         try:
             fast = tracer.trace_rays(position, rays)
@@ -98,14 +93,13 @@ def test_rays_against_the_reference(case: str, count: int) -> None:
     assert np.isnan(seen).any()
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
-def test_the_profile_sees_what_the_pyramid_sees(case: str, count: int) -> None:
+def test_the_profile_sees_what_the_pyramid_sees(case: str) -> None:
     dem = CASES[case]()
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(7 + len(case))
     beyond = served = 0
-    for position in positions(dem, rng, count):
+    for position in positions(dem, rng, 15):
         camera = Camera.from_fov(83, 61, float(rng.uniform(5, 90)))
         pose = Pose.from_angles(position, rng.uniform(0, 360), rng.uniform(-30, 8), rng.uniform(-30, 30))
         try:

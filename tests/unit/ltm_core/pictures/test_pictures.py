@@ -32,7 +32,7 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, scale_colors
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, error_colors, error_legend, scale_colors
 from ltm_core.pictures.maps import draw_north
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import LabelSet
@@ -308,3 +308,13 @@ def test_encoded_pictures_keep_channels(tmp_path: Path) -> None:
         to_png(np.zeros((4, 4, 3)))  # type: ignore[arg-type]
     with pytest.raises(ImageError, match=r"\(4, 4\)"):
         to_jpeg(np.zeros((4, 4), np.uint8))
+
+
+def test_error_colors() -> None:
+    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
+    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
+    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
+    assert small.sum() < 60 < 400 < large.sum()
+    assert tuple(sky) == SKY_COLOR
+    assert tuple(missed) == tuple(unknown) == (190, 192, 196)
+    assert error_legend(400).shape[1] == 400

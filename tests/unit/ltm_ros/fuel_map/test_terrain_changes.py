@@ -207,22 +207,13 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
 
     forged = sent()
     forged.info.width = 2**31
-    short = sent()
-    short.data = array("b", [1, 1, 1])
-    nowhere = sent()
-    nowhere.info.origin.position.x = float("nan")
     five = kinds.copy()
     five[3, 4] = 5
-    wide = GridGeometry(t.x_min, t.y_max, t.resolution, t.width + 1, t.height)
     cases = {
         "expected 'map'": sent(frame_id="odom"),
         "the terrain of this site has": forged,
-        "needs width": short,
-        "finite origin": nowhere,
         "is outside the grid": sent(grid=t.translated(5000.0, 0.0)),
         "is not aligned with": sent(grid=t.translated(3.0, 0.0)),
-        "is not aligned with the": sent(kinds[::2, ::2].copy(), GridGeometry(t.x_min, t.y_max, 20.0, 135, 105)),
-        "cells with": sent(np.ones(wide.shape, np.uint8), wide),
         "kind 5": sent(five),
     }
     for complaint, bad in cases.items():
@@ -237,14 +228,9 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     far = update(t, *cells, ChangeKind.GROWN, 4.0)
     far.data[0:4] = array("B", np.float32(9e5).tobytes())
     beyond = update(t, cells[0] + t.height, cells[1], ChangeKind.GROWN, 4.0)
-    many = update(t, *cells, ChangeKind.GROWN, 4.0)
-    many.height = 2**31
-    elsewhere = update(t.translated(500.0, 0.0), *cells, ChangeKind.GROWN, 4.0)
     for complaint, bad in {
         "not a change on": far,
         "outside the terrain's": beyond,
-        "there are": many,
-        "not a change": elsewhere,
         "shift nan": update(t, *cells, ChangeKind.GROWN, float("nan")),
         "change is 9": update(t, *cells, 9, 4.0),
     }.items():

@@ -1,11 +1,15 @@
-"""StampCheck: which stamps the graph's time contradicts."""
+"""StampCheck: which stamps the graph's time contradicts; and which were seen of late."""
 
 from __future__ import annotations
 
+from collections import deque
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import CLOCKS_SET_NS, MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_join import CLOCKS_SET_NS, MAX_AHEAD_S, MAX_BEHIND_S, RecentStamps, StampCheck
 
 NOW = 1_800_000_000 * 10**9
 S = 10**9
@@ -66,3 +70,17 @@ def test_what_may_be_old_is_only_asked_whether_it_has_come() -> None:
     assert not check.ahead("a map", NOW - 400 * DAY)
     assert check.ahead("a map", NOW + 11 * S)
     assert health.dropped == {"future": 1}
+
+
+STAMPS = st.one_of(st.integers(-3, 9), st.just(0), st.just(2**63 - 1))
+
+
+@given(st.integers(1, 7), st.lists(STAMPS, max_size=40))
+def test_it_knows_the_last_ones_alone(count: int, stamps: list[int]) -> None:
+    recent, model = RecentStamps(count), deque[int](maxlen=count)
+    for stamp in stamps:
+        recent.add(stamp)
+        model.append(stamp)
+        assert {other: other in recent for other in (*range(-4, 11), 2**63 - 1)} == {
+            other: other in model for other in (*range(-4, 11), 2**63 - 1)
+        }

@@ -489,25 +489,3 @@ def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
     (tmp_path / "guess.yaml").write_text("pose: {x: 1, y: 2, z: 3}\ncalibration: {width: 320, height: 200, fx: 260}\n")
     with pytest.raises(ConfigError, match="--crs"):
         pose_command(points=tmp_path / "no.csv", guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
-
-
-def test_the_command_tells_of_what_is_held_before_its_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    write_points(tmp_path / "points.csv", in_line(), frame=FRAME)
-    x, y, z = np.add(POSE.position, (FRAME.x_origin, FRAME.y_origin, 0.0))
-    (tmp_path / "guess.yaml").write_text(
-        f"pose: {{x: {x}, y: {y}, z: {z}, crs: EPSG:32611}}\n"
-        "calibration: {width: 1600, height: 1100, fx: 1850, cx: 801, cy: 547, k1: -0.12}\ncurvature: true\n"
-    )
-    files = {"points": tmp_path / "points.csv", "guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
-    pose_command(**files, free="position", report=tmp_path / "report.json")
-    said = capsys.readouterr().out
-    assert said.index("position is fixed") < said.index("parameter")
-    assert "--force position" in said
-    rejected = json.loads((tmp_path / "report.json").read_text())["rejected"]["position"]
-    assert rejected["values"]["x"] == pytest.approx(x, abs=500)
-    pose_command(**files, free="none", force="position", overwrite=True)
-    assert "position is fixed" not in capsys.readouterr().out
-    assert ", x " in (tmp_path / "pose.yaml").read_text()  # a sigma of its own
