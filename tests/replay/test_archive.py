@@ -15,7 +15,6 @@ import numpy as np
 import psutil
 import pytest
 import yaml
-from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from scenes.waiting import wait_for
 from typer.testing import CliRunner
@@ -30,8 +29,6 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb
-from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.plan import EVIDENCE
@@ -450,26 +447,6 @@ def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, sm
     again = look_through(options, lambda done, total: None)
     assert again.frames == planned.frames
     assert [file.stat().st_mtime_ns for file in looks] == changed
-
-
-def test_pictures_that_show_nothing_are_passed_over(
-    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
-) -> None:
-    """Each of another grey."""
-    topic, grey = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
-    with BagWriter(tmp_path / "night") as bag:
-        for message in BagReader(small_site.bag).messages():
-            raw = message.raw
-            if message.topic == topic:
-                grey += 20
-                picture = np.full((180, 320, 3), grey, np.uint8)
-                stamp = stamp_of(BagReader(small_site.bag).decode(message))
-                raw = serialize_message(compressed_to_msg(encode_rgb(picture), "jpeg", stamp, "tower_optical"))
-            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
-    sample = Sample.parsed("2/day")
-    planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
-    assert {frame.camera for frame in planned.frames} == {"mast"}
-    assert planned.passed_over == {"blank: the image has one colour": FRAMES, REPEATED: FRAMES - 1}
 
 
 def test_layers_and_their_catalogue_entry_are_written(done: Path) -> None:

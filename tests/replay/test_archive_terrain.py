@@ -22,7 +22,7 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND, SURFACE_LAYER
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.engine import Engine, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.cli.main import cli
@@ -82,14 +82,11 @@ def edited(small: SmallSite, name: str, change: Callable[[dict[str, Any]], None]
     return place
 
 
-@pytest.mark.parametrize("frames_per_task", [1, pytest.param(1500, marks=pytest.mark.slow)])
-def test_both_maps_are_those_of_the_offline_replay(
-    options: ArchiveOptions, expected: tuple[str, str], frames_per_task: int
-) -> None:
-    summary = reprocessed(replace(options, frames_per_task=frames_per_task))
+def test_both_maps_are_those_of_the_offline_replay(options: ArchiveOptions, expected: tuple[str, str]) -> None:
+    summary = reprocessed(replace(options, frames_per_task=1))
     assert (summary.digest, summary.terrain_digest) == expected
     assert (summary.worked, summary.terrain_frames, summary.failed) == (FRAMES, FRAMES, 0)
-    again = reprocessed(options if frames_per_task == 1500 else replace(options, frames_per_task=frames_per_task))
+    again = reprocessed(replace(options, frames_per_task=1))
     assert (again.worked, again.digest, again.terrain_digest) == (0, *expected)
 
 
@@ -169,12 +166,6 @@ def test_live_nodes_go_on_from_both_stores(
     assert digests(out) == expected
     with pytest.raises(ArchiveError, match="a node may have continued from it"):
         reprocessed(options)
-
-
-@pytest.mark.slow
-def test_workers_give_them_too(options: ArchiveOptions, expected: tuple[str, str]) -> None:
-    summary = reprocessed(replace(options, frames_per_task=2), on_workers(2))
-    assert (summary.digest, summary.terrain_digest, summary.worked) == (*expected, FRAMES)
 
 
 @pytest.mark.parametrize(

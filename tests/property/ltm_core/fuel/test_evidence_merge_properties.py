@@ -90,54 +90,6 @@ def test_what_two_parts_hold_is_refused_and_never_doubled(of: list[CellVotes], m
         reduce(PartialEvidence.merged, [fresh, whole, part(of[:1]) if part(of[:1]).stamps else whole])
 
 
-@examples(12, in_fuzz=25)
-@given(distinct_frames(), st.data())
-def test_days_that_know_of_their_own_burns_alone_give_the_map_that_was_told_of_all(
-    of: list[CellVotes], data: st.DataObject
-) -> None:
-    """Against a live map, which is told of each burn when it comes."""
-    day_ns = 86_400 * 10**9
-    moments = st.integers(0, 4 * 86_400 - 1)
-    begin = of[0].stamp_ns // day_ns * day_ns
-    seconds = data.draw(st.lists(moments, min_size=len(of), max_size=len(of)))
-    of = [
-        replace(frame, stamp_ns=begin + second * 10**9 + n)
-        for n, (frame, second) in enumerate(zip(of, sorted(seconds), strict=True))
-    ]
-    near = st.sampled_from([begin + second * 10**9 for second in seconds])
-    burns = sorted(data.draw(st.lists(near | moments.map(lambda second: begin + second * 10**9), max_size=3)))
-    cells = [np.indices(GRID.shape).sum(axis=0) % (2 + number) == 0 for number in range(len(burns))]
-    live, by_day = EvidenceMap(GRID, None, LABELS), EvidenceMap(GRID, None, LABELS)
-    for stamp, _, what in sorted(
-        (
-            *((frame.stamp_ns // 10**9, 1, frame) for frame in of),
-            *((stamp // 10**9, 0, number) for number, stamp in enumerate(burns)),
-        ),
-        key=lambda event: event[:2],
-    ):
-        if isinstance(what, int):
-            live.burn(cells[what], stamp * 10**9)
-        else:
-            live.add(what)
-    for day in range(begin // day_ns, begin // day_ns + 4):
-        told = [(mask, stamp) for mask, stamp in zip(cells, burns, strict=True) if stamp // day_ns == day]
-        parts = []
-        for camera in {frame.source for frame in of}:
-            evidence = EvidenceMap(GRID, None, LABELS)
-            for mask, stamp in told:
-                evidence.burn(mask, stamp)
-            for frame in of:
-                if frame.source == camera and frame.stamp_ns // day_ns == day:
-                    evidence.add(frame)
-            parts.append(PartialEvidence({}, {(0, 0): evidence.tile_state((0, 0))}))
-        for mask, stamp in told:
-            by_day.burn(mask, stamp)
-        reduce(PartialEvidence.merged, parts).after(by_day).merge_into(by_day)
-    assert_same(
-        PartialEvidence({}, {(0, 0): by_day.tile_state((0, 0))}), PartialEvidence({}, {(0, 0): live.tile_state((0, 0))})
-    )
-
-
 def merged_tile(one: Tile, other: Tile) -> Tile:
     first, second = (PartialEvidence({}, {(0, 0): tile}) for tile in (one, other))
     return dict(first.merged(second).tiles[0, 0])

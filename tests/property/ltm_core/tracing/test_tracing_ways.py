@@ -92,7 +92,7 @@ def test_on_node_lines_and_at_the_rim() -> None:
     rows, cols = dem.elevation.shape
     for row, col in [(0, 0), (rows - 1, cols - 1), (0, 77.0), (55.0, cols - 1), (90.0, 130.0), (90.5, 131.0)]:
         x, y = (float(v) for v in dem.geometry.to_map(row, col))
-        for azimuth in (0.0, 45.0, 90.0, 180.0, 270.0, 225.0):
+        for azimuth in (0.0, 90.0, 225.0):
             for pitch in (-10.0, -90.0, 30.0):
                 pose = Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + 6.0), azimuth, pitch, 0.0)
                 camera = Camera(81, 61, 50.0, 50.0, 40.0, 30.0)

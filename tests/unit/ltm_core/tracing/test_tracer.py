@@ -200,7 +200,6 @@ def with_nodata(box: tuple[slice, slice]) -> Dem:
 
 
 LAKE = (slice(20, 40), slice(40, 60))
-MARGIN = (slice(0, 60), slice(40, 60))
 
 
 def test_an_enclosed_hole_blocks_only_below_its_rim() -> None:

@@ -122,20 +122,6 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
-def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A skyline whose azimuth is too unsure for an open view, and ridges that are surer but have a twin."""
-    best = found_clear().hypotheses[0]
-    sigma = float(np.degrees(np.sqrt(best.refined.covariance[5, 5])))
-    surer = replace(best.refined, covariance=best.refined.covariance / 16)
-    twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(4.0)]))
-    ridges = [replace(best, refined=surer), replace(best, refined=replace(surer, pose=twin))]
-    monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    strict = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.6 * sigma})
-    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
-    assert found.verdict.word == "accepted", found.verdict.reason
-    assert found.verdict.sigma_deg[0] == pytest.approx(sigma * np.sqrt(2 / 17), rel=0.05)
-
-
 @pytest.mark.parametrize(("apart_deg", "word"), [(0.2, "accepted"), (0.5, "ambiguous")])
 def test_ridges_must_be_of_the_same_azimuth(apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
     best = found_clear().hypotheses[0]
