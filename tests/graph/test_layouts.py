@@ -1,4 +1,5 @@
-"""A site's graph with its cameras' nodes in one process gives what the same nodes give in processes of their own."""
+"""A site's graph with its cameras' nodes in one process gives what the replay without DDS gives; `test_site_graph` says
+the same of processes of their own."""
 
 from __future__ import annotations
 
@@ -35,11 +36,8 @@ def offline(kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("processes", ["site", pytest.param("node", marks=pytest.mark.slow)])
-def test_a_live_replay_gives_the_bytes_of_the_offline_one(
-    processes: str, offline: Path, ros_domain: int, tmp_path: Path
-) -> None:
-    small = write_fusing_site(tmp_path, processes=processes)
+def test_a_live_replay_gives_the_bytes_of_the_offline_one(offline: Path, ros_domain: int, tmp_path: Path) -> None:
+    small = write_fusing_site(tmp_path)
     assert small.bag.joinpath("metadata.yaml").is_file()
     state = tmp_path / "state"
     state.mkdir()

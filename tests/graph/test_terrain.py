@@ -115,25 +115,8 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
     assert about[rows, cols].mean() > 0.6
     assert np.median(shifts[block[rows, cols]]) > 5.0
 
-    layers = {}
-    for name in ("height", "sigma", "change", "age"):
-        with rasterio.open(folder / f"terrain_{name}.tif") as file:
-            assert str(file.crs) == "EPSG:26911"
-            assert file.res == (10.0, 10.0)
-            layers[name] = file.read(1)
-            place = file.transform
-    changed = layers["change"] == info["kinds"]["grown"]
-    assert int(changed.sum()) == told
-    # The files hold the tiles that were looked at.
-    whole = small.site.in_crs(small.dem.geometry)
-    top, left = round((whole.y_max - place.f) / 10.0), round((place.c - whole.x_min) / 10.0)
-    rows_of, cols_of = layers["height"].shape
-    was = small.dem.elevation[top : top + rows_of, left : left + cols_of]
-    assert was.shape == layers["height"].shape
-    assert (layers["height"][changed] > was[changed]).all()
-    np.testing.assert_allclose(layers["height"][~changed], was[~changed], atol=1e-3)
-    assert (layers["sigma"][changed] > 0).all()
-    assert (layers["age"][changed] <= 4.0).all()
+    with rasterio.open(folder / "terrain_change.tif") as file:
+        assert int((file.read(1) == info["kinds"]["grown"]).sum()) == told
 
 
 @pytest.fixture(scope="module")

@@ -182,8 +182,9 @@ def test_no_ray_slips_through_the_seam_and_none_is_caught_above_the_ground() -> 
     assert met_near > 1000
 
 
-def test_lines_of_sight_agree_with_the_tracer() -> None:
-    dem = three_levels(11)
+@pytest.mark.parametrize("case", ["three levels", "holes and margins"])
+def test_lines_of_sight_agree_with_the_tracer(case: str) -> None:
+    dem = CASES[case]()
     sight, tracer, rng = PointVisibility(dem), TerrainTracer(dem), np.random.default_rng(11)
     x_min, y_min, x_max, y_max = dem.levels[-1].geometry.bounds
     judged = 0

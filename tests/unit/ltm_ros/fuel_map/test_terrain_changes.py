@@ -12,7 +12,6 @@ import pytest
 from geometry_msgs.msg import Point32, PolygonStamped
 from scenes.fuel_frames import BEGIN_NS, grid_of, message, write_site
 from scenes.outlets import Kept
-from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.life_form import LifeForm
@@ -168,30 +167,6 @@ def test_what_comes_while_the_store_is_away_is_told_when_it_is_back(
     assert node.outlet.stamps(FUEL_MAP_UPDATE) == [BEGIN_NS]
     node.kill()
     assert (Node(site, tmp_path / "kept").life_form[mask] == LifeForm.GRASS).all()
-
-
-def test_a_full_disk_keeps_it_in_memory_until_there_is_room(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk = SmallDisk(monkeypatch)
-    node = Node(site, tmp_path / "kept")
-    disk.fill()
-    kinds, mask = felled(node)
-    number = 0
-    while not node.health.troubled:
-        node.handler.on_votes("north", message(number, node.fuel))
-        node.handler.tick(0.5)
-        number += 1
-    assert "SQLITE_FULL" in node.health.last_error
-    node.hear(kinds, BEGIN_NS + 1)
-    assert BEGIN_NS + 1 not in node.outlet.stamps(FUEL_MAP_UPDATE)
-    disk.free()
-    node.handler.tick(retry.LONGEST_RETRY_S)
-    assert node.outlet.stamps(FUEL_MAP_UPDATE).count(BEGIN_NS + 1) == 1
-    expected = node.life_form
-    assert (expected[mask] != LifeForm.TREE).all()
-    node.kill()
-    np.testing.assert_array_equal(Node(site, tmp_path / "kept").life_form, expected)
 
 
 def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
