@@ -38,6 +38,7 @@ def _stream() -> list[list[str]]:
     return received
 
 
+@pytest.mark.slow
 def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> None:
     whole = [[str(number) for number in range(FRAMES)]] * 3
     for _ in range(3):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,6 @@ import psutil
 import pytest
 import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
-from scenes.waiting import wait_for
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
@@ -31,7 +28,6 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
-from ltm_ros.archive.plan import EVIDENCE
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
@@ -103,20 +99,6 @@ def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected:
     planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
     assert run(planned, on_workers(2), kill_a_worker).digest == expected
     assert len(killed) == 2
-
-
-@pytest.mark.slow
-def test_a_command_that_is_killed_with_its_scheduler_goes_on(
-    options: ArchiveOptions, small_site: SmallSite, expected: str
-) -> None:
-    command = [sys.executable, "-m", "ltm_ros.cli.main", "reprocess", str(small_site.bag), "--out", options.out]
-    command += ["--site", str(small_site.path), "--frames-per-task", "1", "--workers", "2"]
-    with subprocess.Popen(command) as process:
-        wait_for(lambda: ResultFolder(options.out).names(EVIDENCE), "a result")
-        process.kill()
-    summary = reprocessed(replace(options, frames_per_task=1))
-    assert summary.digest == expected
-    assert summary.worked < 2 * FRAMES
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
@@ -219,7 +201,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
 
     bag = rewritten(small_site.bag, tmp_path / "spoiled", spoiled)
     options = replace(options, archives=(bag,))
-    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 recording\)"):
+    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
         reprocessed(options)
     assert not (Path(options.out) / STORE_FILE).exists()
     record = json.loads((Path(options.out) / "run.json").read_text())
@@ -228,7 +210,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
     summary = reprocessed(replace(options, max_failed=0.1))
     assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
     assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)
-    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 recording\)"):
+    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
         reprocessed(options)  # though a map is there that was made with more patience
 
 

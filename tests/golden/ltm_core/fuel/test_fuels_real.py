@@ -141,29 +141,6 @@ def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, regio
             assert np.isin(codes, list(group_of_13))[cells].sum() >= 0.99 * cells.sum()
 
 
-@pytest.mark.parametrize(
-    ("name", "region_name", "contradicting", "by_table", "by_export"),
-    [
-        ("fuels_vermont_landfire/LC22_F40_230.tif", "humid", 593, 0.976, 0.997),
-        ("fuels_tubbs_pair/" + LATER, "dry", 47_498, 0.901, 0.925),
-    ],
-)
-def test_agreement_with_landfires_own_fbfm13(
-    shared_data: Path, name: str, region_name: str, contradicting: int, by_table: float, by_export: float
-) -> None:
-    """The dry region's table loses what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is
-    brush in the other."""
-    path, region = shared_data / name, FuelClimate.named(region_name)
-    prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), raster(path)[1])
-    assert prior.contradicting == contradicting
-    assert prior.fbfm13 is not None
-    both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
-    cover = None if prior.canopy is None else prior.canopy[0]
-    table = region.as_crosswalk().to_fbfm13(prior.codes, cover)
-    assert (table == prior.fbfm13)[both].mean() > by_table
-    assert (exported(prior, region, within_fuel_type(prior)) == prior.fbfm13)[both].mean() > by_export
-
-
 def attribute_table(path: Path) -> list[dict[str, str]]:
     """The rows of a dBASE file."""
     data = path.read_bytes()

@@ -15,25 +15,6 @@ def test_edges_and_shape() -> None:
     assert GRID.bounds == (100.0, 460.0, 170.0, 500.0)
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "cell"),
-    [
-        (105.0, 495.0, (0, 0)),
-        (110.0, 495.0, (0, 1)),  # a vertical edge belongs to the cell to its east
-        (105.0, 490.0, (1, 0)),  # a horizontal edge to the cell to its south
-        (110.0, 490.0, (1, 1)),
-        (100.0, 500.0, (0, 0)),  # the north-western corner is inside
-        (170.0, 480.0, (2, 7)),  # the eastern and southern edges are not
-        (120.0, 460.0, (4, 2)),
-        (99.999, 500.001, (-1, -1)),
-    ],
-)
-def test_cells_partition_the_plane(x: float, y: float, cell: tuple[int, int]) -> None:
-    row, col = GRID.cell_of(x, y)
-    assert (int(row), int(col)) == cell
-    assert bool(GRID.contains(row, col)) == (0 <= cell[0] < 4 and 0 <= cell[1] < 7)
-
-
 def test_translated() -> None:
     moved = GRID.translated(-100.0, 20.0)
     assert (moved.bounds, moved.crs) == ((0.0, 480.0, 70.0, 520.0), None)
@@ -44,21 +25,6 @@ def test_window() -> None:
     window = GRID.window(1, 3, 2, 4)
     assert window == GridGeometry(130.0, 490.0, 10.0, 4, 2, "EPSG:32611")
     assert [float(v) for v in window.to_map(0, 0)] == [float(v) for v in GRID.to_map(1, 3)]
-
-
-@pytest.mark.parametrize(
-    ("bounds", "expected"),
-    [
-        ((15.0, 15.0, 105.0, 75.0), (15.0, 15.0, 105.0, 75.0)),  # lies on the grid already
-        ((14.9, 15.1, 105.1, 74.9), (-15.0, 15.0, 135.0, 75.0)),
-        ((-46.0, -16.0, -14.0, 44.0), (-75.0, -45.0, 15.0, 45.0)),  # 15 mod 30 below zero too
-        ((0.0, 0.0, 1.0, 1.0), (-15.0, -15.0, 15.0, 15.0)),
-    ],
-)
-def test_snapped(bounds: tuple[float, float, float, float], expected: tuple[float, float, float, float]) -> None:
-    snapped = GridGeometry.snapped(bounds, 30.0, crs="EPSG:5070")
-    assert snapped.bounds == expected
-    assert snapped.crs == "EPSG:5070"
 
 
 def test_snapped_to_another_phase() -> None:

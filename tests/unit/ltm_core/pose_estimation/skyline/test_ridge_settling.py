@@ -108,21 +108,6 @@ def test_a_pose_is_less_sure_by_what_is_doubted() -> None:
     assert np.array_equal(once.pose.rotation, thrice.pose.rotation)
 
 
-def test_ridges_that_bend_tell_more_than_how_high_they_stand() -> None:
-    """Of a ridge that plants lift as a whole the azimuth is found by its shape: independent errors would be as sure of
-    its height."""
-    x = np.linspace(-200.0, 200.0, 41)
-    ground = np.column_stack([x, np.full(41, 1000.0)])
-    error = np.full(41, 2.0)
-    rows = places(ground, error, shared=3.0, own=0.5)
-    bend = np.sin(x / 30.0)
-    design = np.column_stack([np.ones(41), bend])
-    covariance = shared_covariance(rows, np.ones(41), CONFIG.settling)
-    information = design.T @ np.linalg.solve(covariance, design)
-    sigma = np.sqrt(np.diag(np.linalg.inv(information)))
-    assert sigma[1] < 0.5 * sigma[0]
-
-
 def test_without_ridges_the_stated_pose_stays() -> None:
     none = CONFIG.model_copy(update={"contours": CONFIG.contours.model_copy(update={"nearest": 1e6})})
     away = np.degrees(np.abs(angles_between(PRIOR.pose, settled_from(TRUE, none).pose)))
