@@ -178,19 +178,6 @@ def test_straight_down_and_straight_up() -> None:
     assert np.isposinf(outside[1])
 
 
-def test_camera_outside_the_raster_sees_in() -> None:
-    scene = tilted_plane(east=0.0, north=0.0, base=100.0)
-    tracer = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND)
-    towards, away_down, away_up, below_the_edge, over = tracer.trace_rays(
-        (-400.0, 0.0, 130.0), [(1, 0, -0.1), (-1, 0, -0.1), (-1, 0, 0.1), (1, 0, -0.5), (1, 0, 0.01)]
-    )
-    assert towards == pytest.approx(300 * np.hypot(1, 0.1), rel=1e-6)
-    assert np.isnan(away_down)
-    assert np.isposinf(away_up)
-    assert np.isnan(below_the_edge)  # it reached the ground before the raster begins
-    assert np.isposinf(over)
-
-
 def with_nodata(box: tuple[slice, slice]) -> Dem:
     """A level plain at 50 m, 60 x 100 cells of 1 m, higher (80 m) east of column 80, with nodata in `box`."""
     z = np.full((60, 100), 50.0, np.float32)
@@ -215,25 +202,6 @@ def test_an_enclosed_hole_blocks_only_below_its_rim() -> None:
     assert np.isfinite(climbing_over)
 
 
-@pytest.mark.parametrize("first", [40, 41])
-def test_a_ray_goes_on_over_an_outer_hole_while_it_is_above_possible_ground(first: int) -> None:
-    """Whether its edges fall between the pyramid's blocks (41) or into them (40)."""
-    dem = with_nodata((slice(0, 60), slice(first, 60)))
-    origin = (10.5, 29.5, 60.0)
-    rays = [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
-    # Between its edges, 50 m high, the ground may rise by `steepest` for ten metres: the second ray is there at 58 m.
-    for steepest, passes in ((0.7, True), (0.9, False)):
-        tracer = TerrainTracer(dem, curvature=False, possible=PossibleGround(steepest=steepest, margin=0.0))
-        before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(origin, rays)
-        assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
-        if passes:
-            assert across_to_the_step == pytest.approx((69 + (57 - 0.45 - 50) / 30) * np.hypot(1, 0.05), rel=1e-3)
-        else:
-            assert np.isnan(across_to_the_step)
-        assert np.isposinf(across_to_the_sky)
-        assert np.isnan(into)
-
-
 def plateau(edge: float) -> Dem:
     """100 x 60 m: 50 m high, with a tower of 80 m in the north-west, behind a camera, and `edge` in the east."""
     z = np.full((60, 100), 50.0, np.float32)
@@ -255,14 +223,6 @@ def test_sky_is_above_all_that_may_lie_beyond_the_end(highest: float | None, ris
     assert np.isposinf(above)
     assert np.isnan(down)
     assert np.isposinf(steep)  # no ground ahead climbs like that
-
-
-def test_where_nothing_is_stated_ground_beyond_may_be_higher_than_the_dem() -> None:
-    (stated,) = TerrainTracer(plateau(50.0)).trace_rays((10.5, 29.5, 80.5), [(1, 0, 0)])
-    assert np.isnan(stated)
-    tracer = TerrainTracer(plateau(50.0))
-    (level,) = tracer.trace_rays((10.5, 29.5, 80.0 + tracer.possible.margin + 0.5), [(1, 0, 0)])
-    assert np.isposinf(level)
 
 
 def test_a_camera_in_a_lake_below_its_rim_is_refused() -> None:
