@@ -286,15 +286,6 @@ def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
             FusionConfig().updated(wrong)
 
 
-def test_a_range_image_of_sky_alone_has_no_samples() -> None:
-    sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
-    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy, CONFIG)
-    assert len(samples) == 0
-    fit = fit_scale(depth_scene().network(), samples, sky.shape, CONFIG)
-    assert "0 pixels of trustworthy ground" in fit.trouble
-    assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)
-
-
 def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:
     constants = list(FusionConfig().constants())
     assert len(constants) > 100

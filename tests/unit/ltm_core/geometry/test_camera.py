@@ -58,13 +58,6 @@ def test_distortion_by_hand() -> None:
     np.testing.assert_allclose(camera.project(np.array([x, y, 1.0]) * 7), [100 * xd + 30, 200 * yd + 20], rtol=1e-14)
 
 
-def test_a_barrel_pulls_content_inwards() -> None:
-    pinhole = Camera(64, 40, 40.0, 42.0, 30.0, 21.0)
-    point = np.array([0.4, 0.0, 1.0])
-    assert BARREL.project(point)[0] < pinhole.project(point)[0]
-    assert BARREL.rays()[21, 50, 0] > pinhole.rays()[21, 50, 0]
-
-
 def test_no_ray_beyond_the_fold() -> None:
     # r (1 - 0.3 r^2) grows up to r = sqrt(1 / 0.9), where it is two thirds of that.
     fold = math.sqrt(1 / 0.9)

@@ -82,10 +82,6 @@ def test_fitted_scale_holds_the_ranges_between_round_ends(ranges: list[float]) -
     assert f"{scale.far:e}"[0] in "125"
 
 
-def test_fitted_scale_of_nothing_is_the_default() -> None:
-    assert RangeScale.of([np.nan, np.inf, -2.0]) == RangeScale()
-
-
 def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
     ranges = np.array([[30.0, 30_000.0, np.inf], [np.nan, -np.inf, 948.0]], np.float32)
     colors = depth_colors(ranges)

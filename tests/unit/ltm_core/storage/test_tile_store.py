@@ -179,13 +179,6 @@ def test_what_an_interrupted_creation_left_is_no_store(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["map.ltm", "map.ltm.lock"]
 
 
-def test_in_memory_store_behaves_alike() -> None:
-    with TileStore.in_memory(SCHEMA) as store:
-        store.commit({(1, 1): tile(4)}, [FrameRecord("a", 1, payload=b"x")])
-        assert_same(store.read((1, 1)), tile(4))
-        assert store.counted("a", 1)
-
-
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -135,13 +135,6 @@ def test_of_a_day_with_any_clear_picture_one_is_taken() -> None:
     assert sampled((), FOUR, clear, 1, DAY_NS) == Sampled((), Counter())
 
 
-def test_one_an_hour_is_one_an_hour() -> None:
-    hourly = Sample.parsed("1/hour")
-    for turn in TURNS:
-        for count in (60, 1):
-            assert len(sampled(by_the_minute(7, count), hourly, clear, turn, HOUR_NS).frames) == 1
-
-
 def test_the_sun_s_hours_of_a_day_are_counted(tmp_path: Path) -> None:
     """In California: 9.6 h in early January. A day of the site begins in its night, an hour is an hour of UTC."""
     site = write_small_site(tmp_path, recording=False).site

@@ -122,19 +122,6 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
-@pytest.mark.parametrize(("apart_deg", "word"), [(0.2, "accepted"), (0.5, "ambiguous")])
-def test_ridges_must_be_of_the_same_azimuth(apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    best = found_clear().hypotheses[0]
-    aside = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg)]))
-    # As good as another: by themselves these ridges decide nothing.
-    twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg + 4.0)]))
-    ridges = [replace(best, refined=replace(best.refined, pose=pose)) for pose in (aside, twin)]
-    monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    asked = CONFIG.verdict.model_copy(update={"open_gap": 1e9})
-    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
-    assert found.verdict.word == word, found.verdict.reason
-
-
 def test_an_open_azimuth_must_be_surer() -> None:
     wide = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.001})
     config = CONFIG.model_copy(update={"verdict": wide})
