@@ -55,7 +55,7 @@ def assert_same(found: PartialEvidence, expected: PartialEvidence) -> None:
     assert {c: s.tolist() for c, s in found.stamps.items()} == {c: s.tolist() for c, s in expected.stamps.items()}
 
 
-@examples(40, in_fuzz=80)
+@examples(20, in_fuzz=80)
 @given(distinct_frames(), st.data())
 def test_any_tree_over_any_chunks_gives_the_map_of_all_frames(of: list[CellVotes], data: st.DataObject) -> None:
     """Which is that it is commutative and associative, and that nothing is lost or doubled on the way."""
@@ -69,7 +69,7 @@ def test_any_tree_over_any_chunks_gives_the_map_of_all_frames(of: list[CellVotes
     assert_same(parts[0], part(of, burned_at))
 
 
-@examples(20, in_fuzz=30)
+@examples(12, in_fuzz=30)
 @given(distinct_frames())
 def test_nothing_is_the_neutral_element(of: list[CellVotes]) -> None:
     whole, empty = part(of), EvidenceMap(GRID, None, LABELS)
@@ -79,7 +79,7 @@ def test_nothing_is_the_neutral_element(of: list[CellVotes]) -> None:
     assert_same(whole.merged(PartialEvidence()), whole)
 
 
-@examples(20, in_fuzz=30)
+@examples(12, in_fuzz=30)
 @given(distinct_frames(), distinct_frames())
 def test_what_two_parts_hold_is_refused_and_never_doubled(of: list[CellVotes], more: list[CellVotes]) -> None:
     whole, alike = part(of), {(frame.source, frame.stamp_ns) for frame in of}

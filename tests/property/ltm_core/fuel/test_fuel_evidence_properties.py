@@ -50,7 +50,7 @@ def assert_same(found: EvidenceMap, expected: EvidenceMap) -> None:
         np.testing.assert_array_equal(state(found)[name], values, err_msg=name)
 
 
-@examples(30, in_fuzz=60)
+@examples(15, in_fuzz=60)
 @given(st.lists(frames(), min_size=2, max_size=8), st.randoms(use_true_random=False), networks)
 def test_the_order_of_frames_changes_no_bit(of: list[CellVotes], random: object, network: LabelErrors) -> None:
     shuffled = list(of)
@@ -58,7 +58,7 @@ def test_the_order_of_frames_changes_no_bit(of: list[CellVotes], random: object,
     assert_same(counted(*shuffled, network=network), counted(*of, network=network))
 
 
-@examples(25, in_fuzz=40)
+@examples(12, in_fuzz=40)
 @given(st.lists(frames(), min_size=1, max_size=6), networks)
 def test_unseen_cells_are_the_priors_bit_for_bit(of: list[CellVotes], network: LabelErrors) -> None:
     unseen = np.ones(GRID.shape, bool)
@@ -70,7 +70,7 @@ def test_unseen_cells_are_the_priors_bit_for_bit(of: list[CellVotes], network: L
     assert not any(values[: GRID.height, : GRID.width][unseen].any() for values in state(counted(*of)).values())
 
 
-@examples(30, in_fuzz=60)
+@examples(15, in_fuzz=60)
 @given(st.lists(frames(), max_size=8), networks)
 def test_the_code_is_the_priors_where_its_life_form_holds(of: list[CellVotes], network: LabelErrors) -> None:
     layers = counted(*of, network=network).layers()
@@ -82,7 +82,7 @@ def test_the_code_is_the_priors_where_its_life_form_holds(of: list[CellVotes], n
     np.testing.assert_array_equal(layers.code[masked], layers.prior[masked])
 
 
-@examples(30, in_fuzz=60)
+@examples(15, in_fuzz=60)
 @given(frames(), networks)
 def test_one_frame_changes_nothing(frame: CellVotes, network: LabelErrors) -> None:
     layers = counted(frame, network=network).layers()
@@ -91,7 +91,7 @@ def test_one_frame_changes_nothing(frame: CellVotes, network: LabelErrors) -> No
     np.testing.assert_array_equal(layers.code[known], layers.prior[known])
 
 
-@examples(25, in_fuzz=40)
+@examples(12, in_fuzz=40)
 @given(frames(), st.integers(2, 200), st.integers(0, 3599))
 def test_frames_of_an_hour_are_one_look(frame: CellVotes, repeats: int, seconds: int) -> None:
     """However many come, they are worth no more than two looks of that view; of a network that errs in every frame
@@ -108,7 +108,7 @@ def test_frames_of_an_hour_are_one_look(frame: CellVotes, repeats: int, seconds:
     assert (often.evidence <= 2 / 1.2 * once.evidence + 1e-4).all()
 
 
-@examples(30, in_fuzz=60)
+@examples(15, in_fuzz=60)
 @given(st.lists(frames(), max_size=12), networks)
 def test_evidence_is_bounded_and_never_negative(of: list[CellVotes], network: LabelErrors) -> None:
     fuel_map = counted(*of, network=network)
@@ -123,7 +123,7 @@ def test_evidence_is_bounded_and_never_negative(of: list[CellVotes], network: La
         assert np.nan_to_num(layer, nan=0.5).max() <= 1 + 1e-6
 
 
-@examples(25, in_fuzz=40)
+@examples(12, in_fuzz=40)
 @given(st.lists(frames(), min_size=1, max_size=5), frames())
 def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile: CellVotes) -> None:
     elsewhere = np.ones(GRID.shape, bool)
@@ -138,7 +138,7 @@ def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile:
         np.testing.assert_array_equal(vars(other)[name][elsewhere], vars(one)[name][elsewhere], err_msg=name)
 
 
-@examples(25, in_fuzz=40)
+@examples(12, in_fuzz=40)
 @given(st.lists(frames(), min_size=1, max_size=6))
 def test_evidence_only_fades(of: list[CellVotes]) -> None:
     fuel_map = counted(*of)

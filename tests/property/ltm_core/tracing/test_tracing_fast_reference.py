@@ -96,10 +96,10 @@ def test_far_ridges_stand_where_there_was_sky(shared_data: Path) -> None:
     camera = Camera.from_fov(640, 100, 90.0)
     alone, around = TerrainTracer(fine), TerrainTracer(stack)
     gained = 0
-    for azimuth in (0.0, 90.0, 180.0, 270.0):
+    for azimuth in (0.0, 180.0):
         pose = Pose.from_angles((x, y, float(stack.elevation_at(x, y)) + 15.0), azimuth, -4.0)
         near, far = alone.trace(camera, pose, "profile").range, around.trace(camera, pose, "profile").range
         assert not (np.isfinite(near) & ~np.isfinite(far)).any()
         gained += int((np.isfinite(far) & ~np.isfinite(near)).sum())
         assert np.nanmax(np.where(np.isfinite(far), far, np.nan)) > 8_000
-    assert gained > 0.1 * 4 * camera.width * camera.height
+    assert gained > 0.1 * 2 * camera.width * camera.height

@@ -79,7 +79,7 @@ def test_rays_against_the_reference(case: str) -> None:
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(len(case))
     kinds = []
-    for position in positions(dem, rng, 7):
+    for position in positions(dem, rng, 10):
         rays = directions(rng, 250)
         try:
             fast = tracer.trace_rays(position, rays)
@@ -206,4 +206,4 @@ def test_lines_of_sight_agree_with_the_tracer(case: str) -> None:
             else:
                 assert (met[said & hidden] <= distance[said & hidden] + 5e-3).all()
             judged += int(said.sum())
-    assert judged > 5000
+    assert judged > 1000
