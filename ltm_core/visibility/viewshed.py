@@ -68,9 +68,9 @@ def viewshed(
     """Return the coverage of the whole DEM by cameras, in the frame of the poses.
 
     `resolution`: of the result, metres; a cell is judged at its centre. Default: the DEM's, or the least multiple of it
-    with at most 16 million cells. `target_height`: metres above the ground of the target (smoke, a person).
-    `ground`: bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen
-    where their tops are. `max_range`: horizontal range of a camera in metres. `all_round`: cameras turn wherever needed. Raises
+    with at most 16 million cells. `target_height`: metres above the ground of the target (smoke, a person). `ground`:
+    bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen where their
+    tops are. `max_range`: horizontal range of a camera in metres. `all_round`: cameras turn wherever needed. Raises
     PoseError: no camera, or one under the ground; RasterError for an invalid resolution.
     """
     if not views:

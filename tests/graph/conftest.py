@@ -27,7 +27,6 @@ DOMAINS = range(100, 201)
 GRAPHS = (os.cpu_count() or 1) + 2
 """That are up at a time on this machine, of all runs: much of a graph's time is waiting."""
 LONGEST_FIRST = (
-    "test_confirmed_surface_fused.py",
     "test_site_graph.py",
     "test_runner_processes.py",
     "test_terrain.py",

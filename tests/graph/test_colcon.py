@@ -50,8 +50,7 @@ def _executable(path: Path) -> bool:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [pytest.param([], id="copied"), pytest.param(["--symlink-install"], id="linked", marks=pytest.mark.slow)],
+    "options", [pytest.param([], id="copied"), pytest.param(["--symlink-install"], id="linked", marks=pytest.mark.slow)]
 )
 def test_colcon_builds_a_package_that_ros_finds(source: Path, tmp_path: Path, options: list[str]) -> None:
     pytest.importorskip("colcon_ros", reason="colcon comes with the extra `dev`")

@@ -1,8 +1,7 @@
-"""Depth follows the confirmed surface in the living graph, in both layouts, also while its processes are killed."""
+"""Depth follows the confirmed surface in the living graph, also when its process is killed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -11,24 +10,11 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 from scenes.waiting import wait_for
 
-from ltm_core.surface.observation import DepthFrame
-from ltm_lab.evaluation import update_trial
-from ltm_lab.evaluation.terrain.hillside_scenes import trial
-from ltm_lab.evaluation.update_trial import (
-    Depths,
-    TracedDepths,
-    UpdateSite,
-    messages_of,
-    score_update,
-    write_update_site,
-)
 from ltm_msgs_py.json_topics import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import (
-    DEPTH_IMAGE,
     DEPTH_INFO,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
@@ -106,74 +92,3 @@ def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_t
         depth = f"/{NAME}/mast/depth"
         wait_for(lambda: bystander.summaries[depth].get("surface") == "as given", "depth to follow")
         assert look(6) == ""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("layout", ["site", "node"])
-@pytest.mark.parametrize("scene", ["felled", "burn"])
-def test_every_process_may_be_killed_while_the_surface_changes(
-    ros_domain: int, tmp_path: Path, scene: str, layout: str
-) -> None:
-    (tmp_path / "site").mkdir()
-    site = write_update_site(tmp_path / "site", trial(scene, 23), 6, 23, layout)
-    score = score_update(site.scene, site.frames, depths_under_kills(site, tmp_path / "log", ros_domain))
-    assert score.frames_before >= 2
-    assert score.followed == score.frames_after == 6
-    assert score.ratio <= 0.5
-
-
-def depths_under_kills(site: UpdateSite, logs: Path, domain: int) -> Depths:
-    """Return the depth of the site's frames, the later half sent once a surface is confirmed.
-
-    The terrain is killed while it confirms, and each process that traces when it hears of that. Frames are sent again
-    until they are traced.
-    """
-    runner = Runner(
-        site.graph,
-        domain_id=domain,
-        log_folder=logs,
-        console=lambda line: None,
-        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
-    )
-    half, found = len(site.frames) // 2, TracedDepths()
-    with runner, Bystander() as bystander:
-        runner.wait_until_ready(300.0)
-        for topic, take in found.takes.items():
-            kind = next((one for one in (DEPTH_IMAGE, DEPTH_INFO) if topic.endswith(one.name)), TERRAIN_SURFACE)
-            bystander.node.create_subscription(kind.type, topic, take, stream_qos(kind.latched, kind.depth))
-        for camera in {frame.source for frame in site.frames}:
-            for part in PARTS:
-                both = part in (POSED_CAMERA_INFO, POSED_POSE)
-                bystander.open(camera_topic(update_trial.NAME, camera, part), part.type, listeners=1 + both)
-
-        def send(frames: Sequence[DepthFrame]) -> None:
-            for frame in frames:
-                for part, message in messages_of(frame):
-                    bystander.send(camera_topic(update_trial.NAME, frame.source, part), message)
-
-        def trace(frame: DepthFrame) -> None:
-            key = frame.source, frame.stamp_ns
-            bystander.send_until(lambda: send([frame]), lambda: key in found.depths(), f"depth of {key}")
-
-        def kill(labels: list[str]) -> None:
-            starts = {label: runner.processes[label].starts for label in labels}
-            for label in labels:
-                runner.kill(label)
-            processes = runner.processes
-            wait_for(
-                lambda: all(processes[one].starts > starts[one] and processes[one].running for one in labels),
-                "the processes again",
-            )
-
-        for frame in site.frames[: half - 1]:
-            trace(frame)
-        before = found.depths()
-        send([site.frames[half - 1]])
-        kill(["terrain"])
-        bystander.send_until(
-            lambda: send(site.frames[:half]), lambda: found.versions and found.versions[-1], "a confirmed surface"
-        )
-        kill([label for label in runner.processes if label != "terrain"])
-        for frame in site.frames[half:]:
-            trace(frame)
-        return found.depths() | before

@@ -48,10 +48,7 @@ def test_cyclone_takes_the_depth_that_ros_sees(
     monkeypatch.setenv("CYCLONEDDS_URI", CYCLONE)
     with Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lambda line: None), Bystander() as bystander:
         listener = subprocess.Popen(
-            [sys.executable, str(LISTENER), DEPTH],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+            [sys.executable, str(LISTENER), DEPTH], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         try:
             bystander.listen(DEPTH, DEPTH_IMAGE.type)

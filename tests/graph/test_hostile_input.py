@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,7 +13,7 @@ from living_graph import INPUTS, MAP_UPDATE, MAST_DEPTH, NODES, Living
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
-from scenes.small_site import MAST, NAME, SmallSite, apart
+from scenes.small_site import NAME, SmallSite, apart
 from scenes.waiting import wait_for
 
 from ltm_core.fuel.votes import CellVotes
@@ -91,80 +90,34 @@ def survives(living: Living) -> Callable[..., None]:
     return check
 
 
-def test_broken_compressed_images(living: Living, survives: Callable[..., None]) -> None:
-    rng = np.random.default_rng(3)
-    other_size = encode_rgb(rng.integers(0, 255, (90, 161, 3), dtype=np.uint8))
-    broken = [
-        rng.bytes(5000),
-        living.jpeg[: len(living.jpeg) // 2],
-        b"",
-        b"\x89PNG\r\n\x1a\n" + rng.bytes(300),
-        living.jpeg[:20] + rng.bytes(2000) + b"\xff\xd9",
-        other_size,
-    ]
-    for data in broken:
+def test_broken_messages_of_a_camera(living: Living, survives: Callable[..., None]) -> None:
+    for data in (living.jpeg[: len(living.jpeg) // 2], encode_rgb(np.zeros((90, 161, 3), np.uint8))):
         stamp = living.stamp()
         living.posed(stamp, living.image(stamp, data))
-    survives({"tower/capture": {"dropped.image": len(broken)}})
-
-
-def test_broken_raw_images(living: Living, survives: Callable[..., None]) -> None:
-    def bayer(message: Any) -> None:
-        message.encoding, message.step = "bayer_rggb8", MAST.width
-        message.data = array("B", bytes(MAST.width * MAST.height))
-
-    def small_step(message: Any) -> None:
-        message.step = 3 * MAST.width - 1
-
-    def short(message: Any) -> None:
-        message.data = message.data[:-1]
-
-    def vast(message: Any) -> None:
-        message.width = message.height = message.step = 2**32 - 1
-
-    def empty(message: Any) -> None:
-        message.width = message.height = message.step = 0
-        message.data = array("B")
-
-    def depths(message: Any) -> None:
-        message.encoding = "32FC1"
-
-    def other_size(message: Any) -> None:
-        message.height -= 1
-        message.data = message.data[: message.height * message.step]
-
-    ways = [bayer, small_step, short, vast, empty, depths, other_size]
-    for spoil in ways:
-        message = living.raw(living.stamp())
-        spoil(message)
-        living.send(IMAGE_RAW, message)
-    survives({"mast/capture": {"dropped.image": len(ways) - 1, "dropped.too_large": 1}})
+    short, vast = living.raw(living.stamp()), living.raw(living.stamp())
+    short.data = short.data[:-1]
+    vast.width = vast.height = vast.step = 2**32 - 1
+    living.send(IMAGE_RAW, short, vast)
+    uncalibrated = living.info(living.stamp())
+    uncalibrated.k = np.zeros(9)
+    living.send(CAMERA_INFO, uncalibrated)
+    for topic, make in ((IMAGE_COMPRESSED, living.image), (POSE, living.pose), (CAMERA_INFO, living.info)):
+        message = make(0)
+        message.header.stamp.sec = -5
+        living.send(topic, message)
+    tower = {"dropped.image": 2, "dropped.camera": 1, "dropped.message": 3}
+    survives({"tower/capture": tower, "mast/capture": {"dropped.image": 1, "dropped.too_large": 1}})
 
 
 def test_no_pose_and_impossible_poses(living: Living, survives: Callable[..., None]) -> None:
-    def nan(message: Any) -> None:
-        message.pose.pose.position.x = float("nan")
-
-    def infinite(message: Any) -> None:
-        message.pose.pose.position.z = float("inf")
-
-    def zero_quaternion(message: Any) -> None:
-        message.pose.pose.orientation.w = 0.0
-        message.pose.pose.orientation.x = message.pose.pose.orientation.y = message.pose.pose.orientation.z = 0.0
-
-    def other_frame(message: Any) -> None:
-        message.header.frame_id = "odom"
-
-    ways = [nan, infinite, zero_quaternion, other_frame]
-    for spoil in ways:
-        stamp = living.stamp()
-        message = living.pose(stamp)
-        spoil(message)
-        living.send(POSE, message)
-        living.send(IMAGE_COMPRESSED, living.image(stamp))
-    living.send(IMAGE_COMPRESSED, living.image(living.stamp()))
+    stamps = [living.stamp() for _ in range(3)]
+    nan, other_frame = (living.pose(stamp) for stamp in stamps[:2])
+    nan.pose.pose.position.x = float("nan")
+    other_frame.header.frame_id = "odom"
+    living.send(POSE, nan, other_frame)
+    living.send(IMAGE_COMPRESSED, *(living.image(stamp) for stamp in stamps))
     # The images wait for a pose in vain.
-    survives({"tower/capture": {"dropped.pose": len(ways), "dropped.no_pose": len(ways) + 1}})
+    survives({"tower/capture": {"dropped.pose": 2, "dropped.no_pose": 3}})
 
 
 def test_camera_under_the_ground(living: Living, survives: Callable[..., None]) -> None:
@@ -180,7 +133,7 @@ def test_camera_under_the_ground(living: Living, survives: Callable[..., None]) 
 
 
 def test_camera_at_the_end_of_the_world(living: Living, survives: Callable[..., None]) -> None:
-    for x, z in ((1e9, 400.0), (1e300, 400.0), (560.0, 1e300), (-1e300, -1e300)):
+    for x, z in ((1e300, 400.0), (-1e300, -1e300)):
         stamp = living.stamp()
         message = living.pose(stamp)
         message.pose.pose.position.x, message.pose.pose.position.z = x, z
@@ -188,37 +141,7 @@ def test_camera_at_the_end_of_the_world(living: Living, survives: Callable[..., 
         living.send(POSE, message)
         living.send(IMAGE_COMPRESSED, living.image(stamp))
     # It sees nothing of the terrain; that is no error.
-    survives({"fuel_map": {"noted.empty_votes": 4}})
-
-
-def test_bad_calibrations(living: Living, survives: Callable[..., None]) -> None:
-    def uncalibrated(message: Any) -> None:
-        message.k = np.zeros(9)
-
-    def nan(message: Any) -> None:
-        message.k[4] = float("nan")
-
-    def behind(message: Any) -> None:
-        message.k[0] = -message.k[0]
-
-    def fisheye(message: Any) -> None:
-        message.distortion_model = "equidistant"
-
-    ways = [uncalibrated, nan, behind, fisheye]
-    for spoil in ways:
-        message = living.info(living.stamp())
-        spoil(message)
-        living.send(CAMERA_INFO, message)
-    survives({"tower/capture": {"dropped.camera": len(ways)}})
-
-
-def test_stamps_that_are_none(living: Living, survives: Callable[..., None]) -> None:
-    for topic, make in ((IMAGE_COMPRESSED, living.image), (POSE, living.pose), (CAMERA_INFO, living.info)):
-        for sec, nanosec in ((-5, 0), (5, 10**9)):
-            message = make(0)
-            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
-            living.send(topic, message)
-    survives({"tower/capture": {"dropped.message": 6}})
+    survives({"fuel_map": {"noted.empty_votes": 2}})
 
 
 def test_stamps_twice_and_in_disorder(living: Living, survives: Callable[..., None]) -> None:
@@ -235,30 +158,17 @@ def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) 
     small, names = living.small, LabelSet.load().names
     geometry = small.site.fuel_geometry(small.dem)
 
-    def votes(stamp: int, shift: float = 0.0, classes: int = len(names)) -> Any:
+    def votes(shift: float = 0.0) -> Any:
         rows, cols = np.array([3, 4], np.int32), np.array([7, 2], np.int32)
-        counts = np.ones((2, classes), np.uint32)
-        other = geometry.translated(shift, 0.0)
-        cells = CellVotes(other, rows, cols, counts, np.zeros(2, np.float32), stamp, "tower")
-        return votes_to_msg(cells, names[:classes])
+        counts, looks = np.ones((2, len(names)), np.uint32), np.zeros(2, np.float32)
+        grid = geometry.translated(shift, 0.0)
+        return votes_to_msg(CellVotes(grid, rows, cols, counts, looks, living.stamp(), "tower"), names)
 
-    outside = votes(living.stamp())
-    points = np.frombuffer(outside.data, np.uint8).reshape(2, outside.point_step).copy()
-    points[1, 4:8] = np.frombuffer(np.float32(-1e6).tobytes(), np.uint8)
-    outside.data = array("B", points.tobytes())
-    cut = votes(living.stamp())
+    cut, vast, good = votes(), votes(), votes()
     cut.data = cut.data[:-3]
-    unknown_class = votes(living.stamp())
-    unknown_class.fields[3].name = "cactus"
-    huge = votes(living.stamp())
-    huge.data = array("B", bytes(30_000_000))
-    huge.width, huge.row_step = 30_000_000 // huge.point_step, 30_000_000
-    vast = votes(living.stamp())
     vast.width = vast.height = vast.row_step = 2**32 - 1
-    strange = [votes(living.stamp(), shift=15.0), unknown_class, outside, cut, huge, vast]
-    good = votes(living.stamp())
-    living.send(FUEL_VOTES, *strange, good, good)
-    survives({"fuel_map": {"dropped.message": len(strange), "dropped.duplicate": 1}})
+    living.send(FUEL_VOTES, votes(shift=15.0), cut, vast, good, good)
+    survives({"fuel_map": {"dropped.message": 3, "dropped.duplicate": 1}})
 
 
 def test_strangers_on_inner_topics(living: Living, survives: Callable[..., None]) -> None:

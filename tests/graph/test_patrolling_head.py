@@ -103,23 +103,9 @@ def test_from_a_patrolling_head_to_a_fuel_map(
         source = f"/{NAME}/tower/source"
         wait_for(lambda: source in bystander.summaries, "the source's own word", lambda: lines)
         said = dict(bystander.summaries[source])
-        table = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "ltm_ros.cli.main",
-                "cameras",
-                "watch",
-                str(small.path),
-                "--once",
-                "--seconds",
-                "60",
-            ],
-            env=os.environ | {"ROS_DOMAIN_ID": str(ros_domain), "COLUMNS": "200"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        command = [sys.executable, "-m", "ltm_ros.cli.main", "cameras", "watch", str(small.path), "--once"]
+        environment = os.environ | {"ROS_DOMAIN_ID": str(ros_domain), "COLUMNS": "200"}
+        table = subprocess.run([*command, "--seconds", "60"], env=environment, capture_output=True, text=True)
         done, answer = bystander.call(f"/{NAME}/fuel_map/save")
         assert done, answer
     assert (said["state"], said["dropped"]) == ("alive", "0"), said

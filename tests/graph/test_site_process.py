@@ -13,8 +13,7 @@ from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 
 from ltm_ros.launching.graph import Graph, NodeSpec, describe
-from ltm_ros.launching.runner import GraphError, Runner
-from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.topics import DEPTH_IMAGE, IMAGE_RAW, camera_topic
 
 pytestmark = pytest.mark.graph
@@ -67,16 +66,3 @@ def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers_until_i
         wait_for(lambda: seen.stamps(late), "the tower's depth", lambda: seen.summaries)
         assert any(f"/{NAME}/tower: started" in line for line in lines)
         assert runner.processes["cameras"].starts == 1
-
-
-def test_where_no_camera_can_be_started_the_process_is_given_up(
-    small_site: SmallSite, ros_domain: int, tmp_path: Path
-) -> None:
-    graph = Graph(NAME, nodes_of(small_site, ["tower", "mast"]))
-    policy = RestartPolicy(initial_s=0.1, config_tries=1)
-    with (
-        Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lambda line: None, policy=policy) as runner,
-        pytest.raises(GraphError, match=r"not ready: cameras\n.*given up") as told,
-    ):
-        runner.wait_until_ready(120.0)
-    assert "nowhere.yaml" in str(told.value)

@@ -68,9 +68,7 @@ def write_sources(small: SmallSite, camera: HttpCamera) -> None:
     small.path.write_text(yaml.safe_dump(site))
 
 
-@pytest.mark.parametrize("processes", ["site", pytest.param("node", marks=pytest.mark.slow)])
 def test_from_a_snapshot_camera_to_a_fuel_map(
-    processes: str,
     small: SmallSite,
     camera: HttpCamera,
     ros_domain: int,
@@ -79,7 +77,7 @@ def test_from_a_snapshot_camera_to_a_fuel_map(
 ) -> None:
     monkeypatch.setenv("MAST_PASSWORD", PASSWORD)
     write_sources(small, camera)
-    site = load_site(small.path).model_copy(update={"processes": processes})
+    site = load_site(small.path)
     lines: list[str] = []
     graph = describe(
         site,

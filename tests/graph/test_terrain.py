@@ -1,9 +1,9 @@
-"""The living surface as processes on real DDS: from photos to maps, killed, and fed with what no camera should send."""
+"""The living surface as processes on real DDS: from photos to maps, and killed."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from ltm_core.pipeline.site_surface import STORE_FILE
 from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.image import depth_to_msg, image_to_msg
+from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
@@ -115,25 +115,8 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
     assert about[rows, cols].mean() > 0.6
     assert np.median(shifts[block[rows, cols]]) > 5.0
 
-    layers = {}
-    for name in ("height", "sigma", "change", "age"):
-        with rasterio.open(folder / f"terrain_{name}.tif") as file:
-            assert str(file.crs) == "EPSG:26911"
-            assert file.res == (10.0, 10.0)
-            layers[name] = file.read(1)
-            place = file.transform
-    changed = layers["change"] == info["kinds"]["grown"]
-    assert int(changed.sum()) == told
-    # The files hold the tiles that were looked at.
-    whole = small.site.in_crs(small.dem.geometry)
-    top, left = round((whole.y_max - place.f) / 10.0), round((place.c - whole.x_min) / 10.0)
-    rows_of, cols_of = layers["height"].shape
-    was = small.dem.elevation[top : top + rows_of, left : left + cols_of]
-    assert was.shape == layers["height"].shape
-    assert (layers["height"][changed] > was[changed]).all()
-    np.testing.assert_allclose(layers["height"][~changed], was[~changed], atol=1e-3)
-    assert (layers["sigma"][changed] > 0).all()
-    assert (layers["age"][changed] <= 4.0).all()
+    with rasterio.open(folder / "terrain_change.tif") as file:
+        assert int((file.read(1) == info["kinds"]["grown"]).sum()) == told
 
 
 @pytest.fixture(scope="module")
@@ -150,29 +133,10 @@ class Living:
         for topic in PARTS:
             bystander.open(camera_topic(NAME, "mast", topic), topic.type)
         bystander.wait_for_wiring(1)
-        self._sent = 0
 
     def send(self, parts: dict[Any, Any]) -> None:
         for topic, message in parts.items():
             self.bystander.send(camera_topic(NAME, "mast", topic), message)
-        self._sent += len(parts)
-
-    def wait_taken(self) -> None:
-        """Until the node has done with all that was sent: DDS holds ten of a topic, the node's inbox a hundred, and a
-        busy machine is slow to read."""
-        wait_for(
-            lambda: (
-                self.bystander.count(NODE, "received") >= self._sent
-                and self.bystander.count(NODE, "queue") <= 1  # a tick
-            ),
-            f"{self._sent} messages",
-            lambda: self.bystander.summaries,
-        )
-
-    def wait_frames(self, frames: int) -> None:
-        wait_for(
-            lambda: self.bystander.count(NODE, "frames") == frames, f"{frames} frames", lambda: self.bystander.summaries
-        )
 
     def counted(self) -> dict[str, int]:
         """Drops and notes, from diagnostics that came after this call; less that stamps jump, as a test's do."""
@@ -229,124 +193,3 @@ def test_what_was_told_of_outlives_kills(living: Living, tmp_path: Path) -> None
         assert store.frame_count() == 4
         stored = {key: tile["kind"] for key, tile in store.tiles()}
     assert sum(int((kind > 0).sum()) for kind in stored.values()) == int((kinds % 255 > 0).sum()) > 50
-
-
-def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
-    small, bystander = living.small, living.bystander
-    pid = living.runner.processes["terrain"].pid
-    look = iter(range(1000))
-    expected: dict[str, int] = {}
-
-    def hostile(cause: str, **changes: Callable[[Any], Any]) -> None:
-        """A frame of the changed surface, each of the named parts spoiled; `cause`: what must count it."""
-        stamp = BEGIN_NS + next(look) * HOUR
-        parts = measured_messages(small, sunk(small), stamp)
-        for topic in PARTS:
-            spoil = changes.get(topic.name.replace("/", "_"))
-            if spoil is not None:
-                parts[topic] = spoil(parts[topic]) or parts[topic]
-        living.send(parts)
-        expected[cause] = expected.get(cause, 0) + 1
-        if sum(expected.values()) % 8 == 0:
-            living.wait_taken()
-
-    def vast(message: Any) -> None:
-        message.width = message.height = message.step = 2**32 - 1
-
-    def short(message: Any) -> None:
-        message.data = message.data[:-1]
-
-    def filled(value: float) -> Callable[[Any], Any]:
-        def make(message: Any) -> Any:
-            depth = np.full((message.height, message.width), value, np.float32)
-            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-            return depth_to_msg(depth, stamp, "mast_optical")
-
-        return make
-
-    def other_size(message: Any) -> None:
-        message.height -= 1
-        message.data = message.data[: message.height * message.step]
-
-    def other_encoding(message: Any) -> None:
-        message.encoding = "rgba8"
-
-    def huge_camera(message: Any) -> None:
-        message.width = message.height = 2**31
-
-    def uncalibrated(message: Any) -> None:
-        message.k = np.zeros(9)
-
-    def position(**to: float) -> Callable[[Any], None]:
-        def move(message: Any) -> None:
-            for name, value in to.items():
-                setattr(message.pose.pose.position, name, value)
-
-        return move
-
-    def no_turn(message: Any) -> None:
-        for name in "xyzw":
-            setattr(message.pose.pose.orientation, name, 0.0)
-
-    def covariance(value: float) -> Callable[[Any], None]:
-        def fill(message: Any) -> None:
-            message.pose.covariance[21] = value
-
-        return fill
-
-    def odom(message: Any) -> None:
-        message.header.frame_id = "odom"
-
-    hostile("noted.nothing_seen", measured_depth=filled(np.nan))
-    hostile("noted.nothing_seen", measured_depth=filled(-3.0))
-    hostile("noted.nothing_seen", measured_sigma=filled(np.nan))
-    hostile("noted.nothing_seen", measured_sigma=filled(-1.0))
-    hostile("noted.nothing_seen", measured_sigma=filled(np.inf))
-    hostile("noted.nothing_seen", posed_pose=position(x=1e9))
-    hostile("noted.nothing_seen", posed_pose=position(x=-1e300, z=1e300))
-    for topic in ("measured_depth", "measured_sigma"):
-        for spoil in (vast, short, other_size, other_encoding):
-            hostile("dropped.image", **{topic: spoil})
-    hostile("dropped.camera", posed_camera_info=huge_camera)
-    hostile("dropped.camera", posed_camera_info=uncalibrated)
-    hostile("dropped.pose", posed_pose=position(z=-500.0))
-    hostile("dropped.pose", posed_pose=position(y=float("nan")))
-    hostile("dropped.pose", posed_pose=no_turn)
-    hostile("dropped.pose", posed_pose=covariance(float("nan")))
-    hostile("dropped.pose", posed_pose=covariance(-1.0))
-    hostile("dropped.pose", posed_pose=odom)
-    living.wait_taken()
-    frames = 7
-    # Stamps: of a clock that was never set, and negative.
-    living.send(measured_messages(small, sunk(small), 7))
-    expected["dropped.unset_clock"] = 1
-    negative = measured_messages(small, sunk(small), BEGIN_NS)
-    for message in negative.values():
-        message.header.stamp.sec = -5
-    living.send(negative)
-    expected["dropped.message"] = len(negative)
-    # Whoever forges a frame an hour ahead of everybody's clock.
-    now = bystander.node.get_clock().now().nanoseconds
-    living.send(measured_messages(small, sunk(small), now + HOUR))
-    expected["dropped.future"] = 1
-    # A camera that the site does not have, and bytes that are no message.
-    stranger = camera_topic(NAME, "stranger", MEASURED_DEPTH)
-    bystander.open(stranger, MEASURED_DEPTH.type, listeners=0)
-    bystander.send(stranger, measured_messages(small, sunk(small), BEGIN_NS)[MEASURED_DEPTH])
-    for topic in PARTS:
-        bystander.send(camera_topic(NAME, "mast", topic), b"\x00\x01\x00\x00\xff")
-    expected["dropped.lost"] = len(PARTS)
-    # Stamps backwards and twice: good frames of an unchanged surface, newest first.
-    for hours in (2000, 1990, 2000, 1980):
-        living.send(measured_messages(small, small.dem, BEGIN_NS + hours * HOUR))
-    expected["dropped.duplicate"] = len(PARTS) - 1
-    frames += 3
-    living.wait_frames(frames)
-    assert living.counted() == expected
-    assert bystander.heard[UPDATE] == []
-    assert living.runner.processes["terrain"].pid == pid
-    assert living.runner.processes["terrain"].starts == 1
-    # And it works as before.
-    for hours in (3000, 3002, 3004):
-        living.send(measured_messages(small, sunk(small), BEGIN_NS + hours * HOUR))
-    wait_for(lambda: bystander.heard[UPDATE], "an update", lambda: bystander.summaries)

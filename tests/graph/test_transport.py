@@ -12,7 +12,6 @@ import pytest
 from leftovers import owned_by_process, segments, wait_gone
 from scenes.waiting import wait_for
 
-from ltm_core.base.resources import config_path
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES
 
@@ -39,6 +38,7 @@ def _stream() -> list[list[str]]:
     return received
 
 
+@pytest.mark.slow
 def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> None:
     whole = [[str(number) for number in range(FRAMES)]] * 3
     for _ in range(3):
@@ -71,18 +71,6 @@ def _wait_until_ready(end: subprocess.Popen[str]) -> None:
     next one."""
     assert end.stdout is not None
     assert "ready\n" in end.stdout, "it ended before it was ready"
-
-
-def test_profile_is_the_one_in_use(ros_domain: int) -> None:
-    """A participant has the big segment: a profile that Fast DDS cannot read would be passed over with a warning."""
-    subscriber = _end("subscribe")
-    _wait_until_ready(subscriber)
-    sizes = [(shared_memory.SHM_FOLDER / name).stat().st_size for name in segments(owned_by_process(subscriber.pid))]
-    subscriber.terminate()
-    subscriber.communicate()
-    # The file says 64 MiB; Fast DDS adds its own book-keeping.
-    assert "<segment_size>67108864</segment_size>" in config_path("fastdds.xml").read_text()
-    assert 64 << 20 < max(sizes) < shared_memory.BYTES_PER_PARTICIPANT
 
 
 def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import signal
-import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 from bystander import Bystander
 from handler_for_tests import BLOCK, HEARD, SAID, SPIN
-from scenes.small_site import NAME, SmallSite, apart
+from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 from std_msgs.msg import Header
 
 from ltm_core.site.sections import WatchdogConfig
-from ltm_msgs_py.stamp import ns_to_time
-from ltm_ros.launching.graph import Graph, NodeSpec, describe
+from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.runtime.topics import CAMERA_INFO, DEPTH_IMAGE, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
 
 pytestmark = pytest.mark.graph
 
@@ -27,63 +23,6 @@ HERE = Path(__file__).parent
 QUICK = RestartPolicy(initial_s=0.1, maximum_s=0.4)
 # A busy machine may keep a node that is well from its turn for long.
 IMPATIENT = WatchdogConfig(silent=8.0, stuck=8.0, slow=300.0)
-PATIENT_AT_WORK = WatchdogConfig(silent=8.0, stuck=120.0, slow=300.0)
-
-
-def test_a_stopped_node_comes_back_and_its_camera_delivers_again(
-    small_site: SmallSite, ros_domain: int, tmp_path: Path
-) -> None:
-    whole = describe(apart(small_site.site), small_site.path)
-    labels = [f"{camera}/{kind}" for camera in ("tower", "mast") for kind in ("capture", "depth")]
-    graph = Graph(NAME, tuple(whole.node(label) for label in labels), PATIENT_AT_WORK)
-    lines: list[str] = []
-    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lines.append, policy=QUICK)
-    depths = {camera: camera_topic(NAME, camera, DEPTH_IMAGE) for camera in ("tower", "mast")}
-    inputs = {topic: camera_topic(NAME, "tower", topic) for topic in (CAMERA_INFO, POSE, IMAGE_COMPRESSED)}
-    inputs[IMAGE_RAW] = camera_topic(NAME, "mast", IMAGE_RAW)
-    with runner, Bystander() as bystander:
-        runner.wait_until_ready(120.0)
-        for topic in depths.values():
-            bystander.listen(topic, DEPTH_IMAGE.type)
-        for topic, name in inputs.items():
-            bystander.open(name, topic.type)
-        bystander.wait_for_wiring(len(graph))
-        messages = small_site.messages()
-
-        def send() -> int:
-            """A frame of each camera."""
-            stamp = time.time_ns()
-            for topic, name in inputs.items():
-                message = messages[topic]
-                message.header.stamp = ns_to_time(stamp)
-                bystander.send(name, message)
-            return stamp
-
-        first = send()
-        for topic in depths.values():
-            bystander.wait_for_stamp(topic, first)
-        victim, pids = runner.processes["tower/depth"], {k: p.pid for k, p in runner.processes.items()}
-        runner.kill("tower/depth", signal.SIGSTOP)
-        meanwhile = send()
-        bystander.wait_for_stamp(depths["mast"], meanwhile)
-        wait_for(lambda: victim.starts == 2 and victim.running, "the node again", lambda: lines)
-        bystander.forget()
-        bystander.wait_for_wiring(len(graph))
-        after = time.time_ns()
-        bystander.send_until(
-            send,
-            lambda: all(max(bystander.stamps(topic), default=0) > after for topic in depths.values()),
-            "depths of both after the restart",
-        )
-        assert meanwhile not in bystander.stamps(depths["tower"]), "that one hung with the node"
-        hung = [line for line in lines if "hung: " in line]
-        assert len(hung) == 1
-        assert hung[0].startswith("[tower/depth] -- hung: no heartbeat for ")
-        assert hung[0].endswith("it is stopped (SIGSTOP); killed, for the 1. time")
-        assert "hung: " in (tmp_path / "tower.depth.log").read_text()
-        assert (victim.hangs, victim.pid != pids["tower/depth"]) == (1, True)
-        others = {label: p for label, p in runner.processes.items() if label != "tower/depth"}
-        assert {label: (p.pid, p.hangs) for label, p in others.items()} == {label: (pids[label], 0) for label in others}
 
 
 def test_a_worker_that_stands_is_noticed_though_its_node_answers(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +13,7 @@ import numpy as np
 import psutil
 import pytest
 import yaml
-from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
-from scenes.waiting import wait_for
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
@@ -30,11 +26,8 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb
-from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
-from ltm_ros.archive.plan import EVIDENCE
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
@@ -74,24 +67,20 @@ def options(small_site: SmallSite, tmp_path: Path) -> ArchiveOptions:
     return ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"))
 
 
-@pytest.mark.parametrize("frames_per_task", [1, 4, 1500])
-def test_any_chunks_give_the_map_of_the_offline_replay(
-    options: ArchiveOptions, expected: str, frames_per_task: int
-) -> None:
-    summary = reprocessed(replace(options, frames_per_task=frames_per_task))
+@pytest.fixture
+def resumed(options: ArchiveOptions, done: Path) -> ArchiveOptions:
+    """Where all results are there already."""
+    shutil.copytree(done, options.out)
+    return options
+
+
+def test_any_chunks_give_the_map_of_the_offline_replay(options: ArchiveOptions, expected: str, done: Path) -> None:
+    assert digest_of(done / STORE_FILE) == expected
+    summary = reprocessed(replace(options, frames_per_task=4))
     assert summary.digest == expected
     assert (summary.worked, summary.merged, summary.failed) == (2 * FRAMES, 2 * FRAMES, 0)
     assert digest_of(Path(options.out) / STORE_FILE) == expected
-    assert summary.tasks == 2 * -(-FRAMES // frames_per_task)
-
-
-@pytest.mark.slow
-def test_workers_give_it_too_and_nothing_is_worked_twice(options: ArchiveOptions, expected: str) -> None:
-    options = replace(options, frames_per_task=3)
-    summary = reprocessed(options, on_workers(2))
-    assert (summary.digest, summary.worked) == (expected, 2 * FRAMES)
-    again = reprocessed(options)
-    assert (again.digest, again.worked) == (expected, 0)
+    assert summary.tasks == 2 * 2
 
 
 @pytest.mark.slow
@@ -110,20 +99,6 @@ def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected:
     planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
     assert run(planned, on_workers(2), kill_a_worker).digest == expected
     assert len(killed) == 2
-
-
-@pytest.mark.slow
-def test_a_command_that_is_killed_with_its_scheduler_goes_on(
-    options: ArchiveOptions, small_site: SmallSite, expected: str
-) -> None:
-    command = [sys.executable, "-m", "ltm_ros.cli.main", "reprocess", str(small_site.bag), "--out", options.out]
-    command += ["--site", str(small_site.path), "--workers", "2"]
-    with subprocess.Popen(command) as process:
-        wait_for(lambda: ResultFolder(options.out).names(EVIDENCE), "a result")
-        process.kill()
-    summary = reprocessed(replace(options, frames_per_task=1))
-    assert summary.digest == expected
-    assert summary.worked < 2 * FRAMES
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
@@ -226,7 +201,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
 
     bag = rewritten(small_site.bag, tmp_path / "spoiled", spoiled)
     options = replace(options, archives=(bag,))
-    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 (image|recording)\)"):
+    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
         reprocessed(options)
     assert not (Path(options.out) / STORE_FILE).exists()
     record = json.loads((Path(options.out) / "run.json").read_text())
@@ -235,7 +210,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
     summary = reprocessed(replace(options, max_failed=0.1))
     assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
     assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)
-    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 (image|recording)\)"):
+    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
         reprocessed(options)  # though a map is there that was made with more patience
 
 
@@ -281,12 +256,11 @@ def moved(bag: Path, target: Path, by_ns: int) -> Path:
     return target
 
 
-def test_a_store_that_a_node_went_on_from_is_not_written_over(options: ArchiveOptions) -> None:
-    reprocessed(options)
-    with (Path(options.out) / STORE_FILE).open("ab") as store:
+def test_a_store_that_a_node_went_on_from_is_not_written_over(resumed: ArchiveOptions) -> None:
+    with (Path(resumed.out) / STORE_FILE).open("ab") as store:
         store.write(b"more")
     with pytest.raises(ArchiveError, match="a node may have continued from it"):
-        reprocessed(options)
+        reprocessed(resumed)
 
 
 def test_a_store_of_our_own_is_written_over_after_runs_that_failed_or_were_killed(
@@ -336,15 +310,6 @@ def test_an_archive_that_is_away_loses_no_frame_for_good(
     assert reprocessed(options).digest == expected
 
 
-def test_rules_that_change_while_a_run_works_spoil_no_result(own_site: SmallSite, tmp_path: Path) -> None:
-    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
-    planned = look_through(options, lambda done, total: None)
-    edited(own_site, lambda site: site.update(fuel={"fusion": {"frame_cap": 3.0}}))
-    with pytest.raises(ArchiveError, match="give all workers the same files"):
-        work(planned.tasks[0], planned.settings)
-    assert not (tmp_path / "out/evidence").exists()
-
-
 def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) -> None:
     """The mast's have 110,592 bytes; the limit is of compressed ones."""
     edited(own_site, lambda site: site.update(limits={"image_bytes": 100_000}))
@@ -352,13 +317,12 @@ def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) 
     assert (summary.merged, summary.failed) == (2 * FRAMES, 0)
 
 
-def test_a_live_node_goes_on_from_the_store(options: ArchiveOptions, small_site: SmallSite) -> None:
+def test_a_live_node_goes_on_from_the_store(resumed: ArchiveOptions, small_site: SmallSite, expected: str) -> None:
     """It opens it, shows what it holds, and takes none of its frames again."""
-    digest = reprocessed(options).digest
-    out = Path(options.out)
+    out = Path(resumed.out)
     summaries = run_offline(small_site.bag, small_site.path, ReplayOptions(state=out), lambda done, total: None)
     assert summaries[f"/{NAME}/fuel_map"]["dropped.duplicate"] == str(2 * FRAMES)
-    assert digest_of(out / STORE_FILE) == digest
+    assert digest_of(out / STORE_FILE) == expected
 
 
 @pytest.mark.usefixtures("with_page")
@@ -467,29 +431,8 @@ def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, sm
     assert [file.stat().st_mtime_ns for file in looks] == changed
 
 
-def test_pictures_that_show_nothing_are_passed_over(
-    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
-) -> None:
-    """Each of another grey."""
-    topic, grey = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
-    with BagWriter(tmp_path / "night") as bag:
-        for message in BagReader(small_site.bag).messages():
-            raw = message.raw
-            if message.topic == topic:
-                grey += 20
-                picture = np.full((180, 320, 3), grey, np.uint8)
-                stamp = stamp_of(BagReader(small_site.bag).decode(message))
-                raw = serialize_message(compressed_to_msg(encode_rgb(picture), "jpeg", stamp, "tower_optical"))
-            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
-    sample = Sample.parsed("2/day")
-    planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
-    assert {frame.camera for frame in planned.frames} == {"mast"}
-    assert planned.passed_over == {"blank: the image has one colour": FRAMES, REPEATED: FRAMES - 1}
-
-
-def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:
-    reprocessed(options)
-    layers = Path(options.out) / "layers"
+def test_layers_and_their_catalogue_entry_are_written(done: Path) -> None:
+    layers = done / "layers"
     item = json.loads((layers / "item.stac.json").read_text())
     assert item["properties"]["datetime"] == "2023-11-14T22:13:21Z"
     assert {(layers / asset["href"]).is_file() for asset in item["assets"].values()} == {True}

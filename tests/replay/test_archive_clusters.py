@@ -32,12 +32,6 @@ def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
     return run(look_through(options, lambda done, total: None), engine, lambda done, total: None)
 
 
-@pytest.fixture(scope="module")
-def expected(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> str:
-    out = tmp_path_factory.mktemp("serial") / "out"
-    return reprocessed(ArchiveOptions((small_site.bag,), small_site.path, str(out))).digest
-
-
 @pytest.fixture
 def bucket() -> Iterator[str]:
     with empty_bucket("archive") as address:
@@ -108,23 +102,13 @@ def test_a_store_that_keeps_refusing_is_named_and_the_run_goes_on_later(
 def certificates(folder: Path) -> dict[str, Path]:
     """An authority, and a certificate of it that scheduler, workers and client share."""
     files = {name: folder / f"{name}.pem" for name in ("ca", "ca_key", "certificate", "key")}
-    curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
-    authority = [
-        "-x509",
-        *curve,
-        "-keyout",
-        files["ca_key"],
-        "-out",
-        files["ca"],
-        "-days",
-        "2",
-        "-subj",
-        "/CN=authority",
-    ]
-    subprocess.run(["openssl", "req", *map(str, authority)], check=True, capture_output=True)
-    own = ["-x509", *curve, "-keyout", files["key"], "-out", files["certificate"], "-days", "2", "-subj", "/CN=ours"]
-    own += ["-CA", files["ca"], "-CAkey", files["ca_key"], "-addext", "subjectAltName=IP:127.0.0.1"]
-    subprocess.run(["openssl", "req", *map(str, own)], check=True, capture_output=True)
+    curve = "-x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2"
+    for words in (
+        f"-keyout {files['ca_key']} -out {files['ca']} -subj /CN=authority",
+        f"-keyout {files['key']} -out {files['certificate']} -subj /CN=ours -CA {files['ca']} "
+        f"-CAkey {files['ca_key']} -addext subjectAltName=IP:127.0.0.1",
+    ):
+        subprocess.run(["openssl", "req", *curve.split(), *words.split()], check=True, capture_output=True)
     return files
 
 

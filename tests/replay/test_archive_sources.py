@@ -40,12 +40,6 @@ def reprocessed(options: ArchiveOptions) -> Summary:
     return run(look_through(options, lambda done, total: None), serial, lambda done, total: None)
 
 
-@pytest.fixture(scope="module")
-def expected(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> str:
-    out = tmp_path_factory.mktemp("serial") / "out"
-    return reprocessed(ArchiveOptions((small_site.bag,), small_site.path, str(out))).digest
-
-
 @dataclass
 class Store:
     """A bucket with the recording. `refused`: of each request, how many more are."""

@@ -103,7 +103,7 @@ def run_with_kills(site: Path, folder: Path, cycles: int, seed: int) -> int:
     return owed
 
 
-@pytest.mark.parametrize("cycles", [3, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cycles", [2, pytest.param(200, marks=pytest.mark.slow)])
 def test_state_is_that_of_a_run_without_kills(tmp_path: Path, cycles: int) -> None:
     site = write_site(tmp_path)
     frames = run_with_kills(site, tmp_path / "kept", cycles, seed=cycles)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 from scenes.networks import write_classifier, write_swapping_head
-from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite, write_small_site
+from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.fuel.class_map import read_fuel_map
@@ -51,18 +51,25 @@ def messages_of(bag: Path) -> list[tuple[str, int, Any]]:
     return [(m.topic, m.log_time_ns, reader.decode(m)) for m in reader.messages()]
 
 
-def test_twice_gives_the_same_bytes(small_site: SmallSite, tmp_path: Path) -> None:
-    first, second = replayed(small_site, tmp_path / "a"), replayed(small_site, tmp_path / "b")
-    assert (tmp_path / "a/map.tif").read_bytes() == (tmp_path / "b/map.tif").read_bytes()
-    assert messages_of(tmp_path / "a/bag") == messages_of(tmp_path / "b/bag")
-    assert first.keys() == second.keys()
+@pytest.fixture(scope="module")
+def first(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summaries]:
+    """A replay of the whole recording."""
+    out = tmp_path_factory.mktemp("replayed") / "out"
+    return out, replayed(small_site, out)
 
 
-def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, tmp_path: Path) -> None:
-    summaries = replayed(small_site, tmp_path / "out")
+def test_twice_gives_the_same_bytes(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
+    (once, summaries), again = first, replayed(small_site, tmp_path / "again")
+    assert (tmp_path / "again/map.tif").read_bytes() == (once / "map.tif").read_bytes()
+    assert messages_of(tmp_path / "again/bag") == messages_of(once / "bag")
+    assert summaries.keys() == again.keys()
+
+
+def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, first: tuple[Path, Summaries]) -> None:
+    out, summaries = first
     assert {name: s["dropped"] for name, s in summaries.items()} == dict.fromkeys(summaries, "0")
     assert summaries[f"/{NAME}/fuel_map"]["frames"] == str(2 * FRAMES)
-    reader = BagReader(tmp_path / "out/bag", allow_damaged=False)
+    reader = BagReader(out / "bag", allow_damaged=False)
     for camera in ("tower", "mast"):
         frames = [f for f in small_site.frames() if f.camera_name == camera]
         for topic in (POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, LABELS_IMAGE, FUEL_VOTES):
@@ -74,27 +81,26 @@ def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, tmp_path: P
                     np.testing.assert_allclose(msg_to_depth(message), expected, rtol=1e-6)
 
 
-def test_recorded_map_is_the_exported_one(small_site: SmallSite, tmp_path: Path) -> None:
-    replayed(small_site, tmp_path / "out")
-    exported, geometry = read_fuel_map(tmp_path / "out/map.tif")
-    recorded, recorded_geometry, _ = last_fuel_map(tmp_path / "out/bag", small_site.site)
+def test_recorded_map_is_the_exported_one(small_site: SmallSite, first: tuple[Path, Summaries]) -> None:
+    out, _ = first
+    exported, geometry = read_fuel_map(out / "map.tif")
+    recorded, recorded_geometry, _ = last_fuel_map(out / "bag", small_site.site)
     np.testing.assert_array_equal(recorded, exported)
     assert recorded_geometry == geometry
     assert (exported != 255).sum() > 300
-    assert BagReader(tmp_path / "out/bag").topic_infos()[site_topic(NAME, FUEL_MAP)].latched
+    assert BagReader(out / "bag").topic_infos()[site_topic(NAME, FUEL_MAP)].latched
 
 
-def test_results_can_be_replayed_again(small_site: SmallSite, tmp_path: Path) -> None:
+def test_results_can_be_replayed_again(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
     """A recording of inputs and results: the inputs are taken, the results made anew."""
-    replayed(small_site, tmp_path / "a")
-    replayed(small_site, tmp_path / "b", bag=tmp_path / "a/bag")
-    assert (tmp_path / "a/map.tif").read_bytes() == (tmp_path / "b/map.tif").read_bytes()
+    replayed(small_site, tmp_path / "again", bag=first[0] / "bag")
+    assert (tmp_path / "again/map.tif").read_bytes() == (first[0] / "map.tif").read_bytes()
 
 
-def test_span_gives_the_map_of_its_frames(small_site: SmallSite, tmp_path: Path) -> None:
-    whole, part = replayed(small_site, tmp_path / "a"), replayed(small_site, tmp_path / "b", duration=0.6)
+def test_span_gives_the_map_of_its_frames(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
+    (out, whole), part = first, replayed(small_site, tmp_path / "part", duration=0.6)
     assert (whole[f"/{NAME}/fuel_map"]["frames_in"], part[f"/{NAME}/fuel_map"]["frames_in"]) == ("12", "5")
-    all_seen, seen = (read_fuel_map(tmp_path / name / "map.tif")[0] != 255 for name in "ab")
+    all_seen, seen = (read_fuel_map(at / "map.tif")[0] != 255 for at in (out, tmp_path / "part"))
     assert 0 < seen.sum() < all_seen.sum()
     assert not (seen & ~all_seen).any()
 
@@ -143,19 +149,17 @@ def test_a_dropped_image_is_named_by_camera_stamp_and_recording(small_site: Smal
     assert f"stamp 2023-11-14T22:13:20.250Z ({stamp} ns), {tmp_path / 'odd'}" in said
 
 
-def test_command_line(small_site: SmallSite, tmp_path: Path) -> None:
+def test_command_line(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = ["replay", str(small_site.bag), "--site", str(small_site.path), "--out", str(out), "--offline"]
     result = CliRunner().invoke(cli, [*command, "--record"])
     assert result.exit_code == 0, result.output
     assert "tower/capture" in result.output
-    replayed(small_site, tmp_path / "other")
-    assert (out / "fuel_map.tif").read_bytes() == (tmp_path / "other/map.tif").read_bytes()
+    assert (out / "fuel_map.tif").read_bytes() == (first[0] / "map.tif").read_bytes()
     assert messages_of(out / "bag")
     for wrong in (["--loop"], ["--rate", "2"], ["--rrd"], ["--publish-only"]):
         refused = CliRunner().invoke(cli, [*command, *wrong])
         assert refused.exit_code != 0, wrong
-    shutil.rmtree(out)
 
 
 @pytest.mark.parametrize("missing", ["bag", "site"])
@@ -167,19 +171,20 @@ def test_what_is_missing_is_named(small_site: SmallSite, tmp_path: Path, missing
     assert "nowhere" in f"{result.output} {result.exception}"
 
 
-def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(tmp_path: Path) -> None:
-    (tmp_path / "site").mkdir()
-    plain = write_small_site(tmp_path / "site")
-    replayed(plain, tmp_path / "plain")
-    shutil.copytree(plain.folder, tmp_path / "taught")
+def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(
+    small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path
+) -> None:
+    shutil.copytree(small_site.folder, tmp_path / "taught")
     taught = SmallSite(tmp_path / "taught")
     write_swapping_head(taught.folder / "heads" / "swap.yaml", write_classifier(taught.folder, maps=True))
     site = yaml.safe_load(taught.path.read_text())
     site["label_heads"], site["cameras"]["mast"]["label_head"] = "heads", "swap"
     taught.path.write_text(yaml.safe_dump(site))
     replayed(taught, tmp_path / "headed")
-    before, after = ({(t, stamp_of(m)): msg_to_array(m, ("mono8",)) for t, _, m in messages_of(tmp_path / name / "bag")
-                      if t.endswith(LABELS_IMAGE.name)} for name in ("plain", "headed"))  # fmt: skip
+    before, after = (
+        {(t, stamp_of(m)): msg_to_array(m, ("mono8",)) for t, _, m in messages_of(bag) if t.endswith(LABELS_IMAGE.name)}
+        for bag in (first[0] / "bag", tmp_path / "headed/bag")
+    )
     assert len(before) == len(after) == 2 * FRAMES
     swap = np.arange(256, dtype=np.uint8)
     swap[[GRASS, BUILT]] = BUILT, GRASS

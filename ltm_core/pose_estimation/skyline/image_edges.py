@@ -1,7 +1,10 @@
 """Find the edges of a photo that poses are compared with: contours, and the sky's lower edge.
 
-The upper edge of pale, far land is the first step of colour below clear sky from which on all is alike until nearer
-land begins.
+Far land, pale before the sky, above the edge of nearer land that the strongest gradient takes for the sky's.
+
+Going down from clear sky, its upper edge is the first step of colour that stands out from what the sky does by itself,
+and from there on all is alike until the nearer land begins. An edge that is merely blurred, or slanted, grows darker
+all the way down.
 """
 
 from __future__ import annotations
@@ -29,8 +32,11 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Compute the edges of a photo (H, W, 3) at the given width in pixels: the gradient across a line less 0.7 of that
-    along it, over its local root mean square. `hidden` (H, W): areas without edges, clouds and masks."""
+    """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
+    and masks.
+
+    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
+    """
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
@@ -188,9 +194,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     spacing = max(1.0, width / COLUMNS)
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
-    seen = ~sky[:, columns]
-    land = np.logical_and.reduce([seen[k : height - _RUN + 1 + k] for k in range(_RUN)])
-    top = np.where(land.any(0), land.argmax(0), height)
+    top = _first_land(sky, columns, _RUN)
     # A column without any sky says that the terrain covers it; one whose "sky" starts below land is a hole in trees.
     covered = top <= 1
     edge = (top > 1) & (top < height - _RUN)
@@ -223,6 +227,21 @@ def _vertical_gradient(photo: UInt8Array) -> Float32Array:
     change[1:-1] = lab[2:] - lab[:-2]
     change[..., 0] *= np.float32(100 / 255)
     return np.asarray(np.sqrt(np.einsum("hwc,hwc->hw", change, change)), np.float32)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
+    """Return the first row from which on `run` rows are no sky; H without."""
+    height = sky.shape[0]
+    top = np.full(len(columns), height, np.int64)
+    for k in range(len(columns)):
+        length = 0
+        for v in range(height):
+            length = 0 if sky[v, columns[k]] else length + 1
+            if length == run:
+                top[k] = v - run + 1
+                break
+    return top
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -17,8 +17,11 @@ UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """Prior pose with independent standard deviations: degrees of azimuth (UNKNOWN_DEG or more: heading unknown), pitch
-    and roll, metres of x and y, and of z (0: held). Raises PoseError for invalid ones."""
+    """Prior pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
+
+    An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
+    Raises PoseError for sigmas that are none.
+    """
 
     pose: Pose
     azimuth_sigma_deg: float = 1.5

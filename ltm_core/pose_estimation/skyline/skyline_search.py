@@ -1,9 +1,13 @@
 """Compare a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
 
-A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast);
-the cost is minus its logarithm over that of "anything". Where land beyond the DEM may rise above the horizon, the
-skyline is the horizon as often as not, else anywhere up to the bound of that land. A nearer crest whose trees may hide
-the horizon, and the lower edge of pale land, count as alternatives. Neighbouring columns count as few.
+A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
+The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
+ever so uncertain. Where land beyond the DEM may stand over the horizon, that is the skyline as often as not, and else
+all skylines between it and the bound of that land are alike likely. Where trees on a nearer crest may hide the horizon,
+either is what is seen. Where pale land stands above the edge of nearer land (`pale_land`), that crest is at the lower
+edge, and the horizon at the upper one, or at the lower where the pale land may lie beyond it, or be none. Neighbouring
+columns are alike: all of an image count as a few, and in the fit and its covariance those within one correlation
+length of a crest count as one.
 """
 
 from __future__ import annotations
@@ -59,8 +63,10 @@ def search_azimuths(
     position_sigma: float,
     config: SkylineConfig,
 ) -> SkylineCosts:
-    """Return the costs of azimuths (Y,), radians, of an undistorted camera. `tilt_sigma`: radians, of the given pitch
-    and roll. `position_sigma`: metres."""
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera.
+
+    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres.
+    """
     rays = np.column_stack(
         [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
     )

@@ -1,5 +1,7 @@
 """Compute the skyline and the ridges that the terrain shows from one place.
 
+What the terrain shows of itself from one place: the horizon all round, and the ridges below it.
+
 Directions are (azimuth, tangent): the tangent of a point at height h and horizontal range r is that of the ray which
 meets it, (h - z0) / r - bend r (`geodesy.ray_bend`). Along each azimuth the running maximum of the tangent is the
 horizon; where ground comes into view again behind a hidden gap, its former maximum is a point of an occluding contour.
@@ -28,12 +30,13 @@ _SHORTEST = math.radians(0.6)
 
 @dataclass(frozen=True, eq=False)
 class OccludingContours:
-    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side and the DEM's `cell`
-    there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the DEM's
+    `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
 
     azimuth: Float64Array
     tangent: Float64Array
     range: Float64Array
+    behind: Float64Array
     cell: Float64Array
     following: Int64Array
 
@@ -42,8 +45,8 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 3) of N azimuths, of which `found` (N,) are set, each (tangent, range, cell), from one azimuth
-    to the next; contours shorter than 0.6 degrees are dropped."""
+    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind, cell),
+    from one azimuth to the next; contours shorter than 0.6 degrees are dropped."""
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
     rows, cols = np.nonzero(kept)
@@ -52,8 +55,8 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
     after = following[rows, cols]
     ends = (after < 0) | (rows + 1 >= len(found))
     linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
-    t, r, cell = (values.copy() for values in points[rows, cols].T)
-    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, cell, linked)
+    t, r, behind, cell = (values.copy() for values in points[rows, cols].T)
+    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, behind, cell, linked)
 
 
 X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
@@ -148,8 +151,11 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`. `bend`: of rays, 1/m. Raises
-    PoseError if the DEM has no known ground around the position."""
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
+
+    `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
+    of the DEM lies around the position.
+    """
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count
@@ -158,7 +164,7 @@ def terrain_horizon(
     geometry = np.array([[g.x_min, g.y_max, g.resolution] for g in (level.geometry for level in levels)])
     top = max(float(np.nanmax(level.elevation)) for level in levels)
     tangent, rng, cell, bound, front, front_range = (np.empty(count) for _ in range(6))
-    points = np.empty((count, _MOST_CONTOURS, 3))
+    points = np.empty((count, _MOST_CONTOURS, 4))
     found, at_edge = np.zeros(count, np.int32), np.zeros(count, np.bool_)
     _sweep(
         tuple(_read_only(level.elevation) for level in levels),
@@ -246,7 +252,7 @@ def _sweep(
     points: Float64Array,
     found: Int32Array,
 ) -> None:
-    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, cell)."""
+    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, range behind, cell)."""
     ox, oy, oz = position
     steepest, limit = possible
     most = points.shape[1]
@@ -277,7 +283,7 @@ def _sweep(
                     raised, raised_at, raised_t = t + _TREES / r, r, t
                 if t > highest:
                     if hidden and r > 1.08 * at and r - at > 5 * at_cell and n < most:
-                        points[k, n, 0], points[k, n, 1], points[k, n, 2] = highest, at, at_cell
+                        points[k, n, 0], points[k, n, 1], points[k, n, 2], points[k, n, 3] = highest, at, r, at_cell
                         n += 1
                     highest, at, at_cell = t, r, size
                     hidden = False

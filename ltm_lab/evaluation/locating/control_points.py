@@ -54,7 +54,8 @@ class PlaceScore:
             math.hypot(posterior.mean[0] - x, posterior.mean[1] - y),
             math.hypot(posterior.likeliest[0] - x, posterior.likeliest[1] - y),
             credibility(posterior, x, y),
-            *(bool(reach_in_ellipse(ellipse, np.array([[x, y]]))[0] <= 1) for ellipse in (half, most)),
+            bool(reach_in_ellipse(half, np.array([[x, y]]))[0] <= 1),
+            bool(reach_in_ellipse(most, np.array([[x, y]]))[0] <= 1),
             most.major,
             most.minor,
         )

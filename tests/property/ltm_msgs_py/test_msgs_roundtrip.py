@@ -52,28 +52,12 @@ def test_images(data: st.DataObject, encoding: str, height: int, width: int, sta
     assert back.tobytes() == image.tobytes()
 
 
+sides, focals, bends = st.integers(1, 9000), st.floats(1e-3, 1e6), st.tuples(*[st.floats(-2, 2)] * 5)
+
+
 @quick
-@given(
-    st.integers(1, 9000),
-    st.integers(1, 9000),
-    st.floats(1e-3, 1e6),
-    st.floats(1e-3, 1e6),
-    finite,
-    finite,
-    st.tuples(*[st.floats(-2, 2)] * 5),
-    stamps,
-)
-def test_cameras(
-    width: int,
-    height: int,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    distortion: tuple[float, float, float, float, float],
-    stamp_ns: int,
-) -> None:
-    camera = Camera(width, height, fx, fy, cx, cy, distortion)
+@given(st.builds(Camera, sides, sides, focals, focals, finite, finite, bends), stamps)
+def test_cameras(camera: Camera, stamp_ns: int) -> None:
     assert msg_to_camera(on_the_wire(camera_to_msg(camera, stamp_ns, "c"))) == camera
 
 
@@ -118,14 +102,9 @@ def test_votes(data: st.DataObject, height: int, width: int, classes: int, stamp
     )
     names = tuple(f"class_{k}" for k in range(classes))
     back = msg_to_votes(on_the_wire(votes_to_msg(votes, names)), geometry, names, "east")
-    for given_part, found in (
-        (votes.rows, back.rows),
-        (votes.cols, back.cols),
-        (votes.counts, back.counts),
-        (votes.z, back.z),
-    ):
-        assert found.dtype == given_part.dtype
-        assert found.tobytes() == given_part.tobytes()
+    for name in ("rows", "cols", "counts", "z"):
+        sent, found = getattr(votes, name), getattr(back, name)
+        assert (found.dtype, found.tobytes()) == (sent.dtype, sent.tobytes())
     assert back.stamp_ns == stamp_ns
 
 
@@ -184,13 +163,7 @@ fields = st.builds(
     st.booleans(),
 )
 def test_any_point_cloud_is_read_or_refused(
-    given_fields: list[PointField],
-    height: int,
-    width: int,
-    point_step: int,
-    row_step: int,
-    content: bytes,
-    big: bool,
+    given_fields: list[PointField], height: int, width: int, point_step: int, row_step: int, content: bytes, big: bool
 ) -> None:
     msg = PointCloud2(height=height, width=width, point_step=point_step, row_step=row_step, is_bigendian=big)
     msg.fields = given_fields

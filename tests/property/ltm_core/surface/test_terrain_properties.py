@@ -54,8 +54,7 @@ def believed(one: TilePool) -> bool:
 
 @settings(max_examples=200, deadline=None)
 @given(
-    st.lists(st.tuples(st.integers(0, 3599), st.just(4), heights, variances, st.booleans()), max_size=12),
-    st.booleans(),
+    st.lists(st.tuples(st.integers(0, 3599), st.just(4), heights, variances, st.booleans()), max_size=12), st.booleans()
 )
 def test_one_view_is_never_believed(looks: list[Look], canopy_known: bool) -> None:
     looks = [(BEGIN + seconds, *rest) for seconds, *rest in looks]  # type: ignore[misc]
@@ -72,10 +71,7 @@ def test_cameras_that_look_at_once_are_not_believed(looks: list[Look]) -> None:
 
 
 @settings(max_examples=200, deadline=None)
-@given(
-    st.lists(st.integers(-9, 11).filter(bool), min_size=1, max_size=10, unique=True),
-    st.data(),
-)
+@given(st.lists(st.integers(-9, 11).filter(bool), min_size=1, max_size=10, unique=True), st.data())
 def test_what_is_elsewhere_each_time_never_becomes_the_estimate(levels: list[int], data: st.DataObject) -> None:
     """Heights 5 m apart, each seen once, by any camera at any hour, among looks at the ground as it is."""
     looks: list[Look] = []
@@ -117,13 +113,7 @@ def test_looks_of_one_day_all_count() -> None:
 
 
 @settings(max_examples=200, deadline=None)
-@given(
-    st.floats(1.0, 8.0),
-    st.floats(0.01, 30.0),
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 1.0),
-    st.integers(1, 2**32 - 1),
-)
+@given(st.floats(1.0, 8.0), st.floats(0.01, 30.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(1, 2**32 - 1))
 def test_what_a_camera_repeats_falls_with_cameras_only(
     looks: float, variance: float, part: float, repeats: float, cameras: int
 ) -> None:

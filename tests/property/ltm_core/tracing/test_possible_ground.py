@@ -113,11 +113,7 @@ def test_no_possible_ground_changes_an_answer(
     outer, _ = with_ceilings(around, rise / STEPS_OVER_STRAIGHT, highest)
     filled = np.where(known, outer, share * outer + (1 - share) * np.float32(-50.0)).astype(np.float32)
     geometry = GridGeometry(
-        -AROUND * RESOLUTION,
-        (ROWS + AROUND) * RESOLUTION,
-        RESOLUTION,
-        COLS + 2 * AROUND,
-        ROWS + 2 * AROUND,
+        -AROUND * RESOLUTION, (ROWS + AROUND) * RESOLUTION, RESOLUTION, COLS + 2 * AROUND, ROWS + 2 * AROUND
     )
     ground = Dem(filled, geometry)
     truth = TerrainTracer(ground, curvature=False, possible=possible).trace(CAMERA, pose).range

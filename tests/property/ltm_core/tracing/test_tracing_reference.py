@@ -15,8 +15,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_lab.tracers.reference import trace_reference
 
-RAYS_A_POSE = 500
-MANY = pytest.mark.parametrize("rays", [RAYS_A_POSE // 2, pytest.param(1000, marks=pytest.mark.slow)])
+RAYS_A_POSE = 250
 
 
 def compare(
@@ -53,25 +52,22 @@ def poses(dem: Dem, rng: np.random.Generator, count: int) -> list[Float64Array]:
     return found
 
 
-@MANY
 @pytest.mark.parametrize(("seed", "resolution"), [(1, 1.0), (2, 7.5)])
-def test_whole_terrain(seed: int, resolution: float, rays: int) -> None:
+def test_whole_terrain(seed: int, resolution: float) -> None:
     dem = rough_terrain(seed, resolution=resolution, relief=60.0 * resolution, x_min=412_345.678, y_max=3_801_234.5)
     rng = np.random.default_rng(seed)
     low_beyond = PossibleGround(margin=10.0)  # so that some rays leave above all that may lie ahead
-    kinds = [compare(dem, p, directions(rng, rays), possible=low_beyond) for p in poses(dem, rng, 16)]
+    kinds = [compare(dem, p, directions(rng, RAYS_A_POSE), possible=low_beyond) for p in poses(dem, rng, 16)]
     seen = np.concatenate(kinds)
     assert np.isfinite(seen).mean() > 0.5
     assert np.isinf(seen).any()
     assert np.isnan(seen).any()
 
 
-@MANY
-@pytest.mark.parametrize("seed", [3, 4])
-def test_terrain_with_holes(seed: int, rays: int) -> None:
-    dem = with_holes(rough_terrain(seed), seed)
-    rng = np.random.default_rng(seed)
-    kinds = [compare(dem, p, directions(rng, rays)) for p in poses(dem, rng, 16)]
+def test_terrain_with_holes() -> None:
+    dem = with_holes(rough_terrain(3), 3)
+    rng = np.random.default_rng(3)
+    kinds = [compare(dem, p, directions(rng, RAYS_A_POSE)) for p in poses(dem, rng, 16)]
     seen = np.concatenate(kinds)
     assert np.isfinite(seen).mean() > 0.2
     assert np.isnan(seen).mean() > 0.15
@@ -89,7 +85,7 @@ def test_cameras_outside_and_high_above() -> None:
             seen.append(compare(dem, position, directions(rng, RAYS_A_POSE, -80, 10)))
         except PoseError:
             continue
-    assert np.isfinite(np.concatenate(seen)).sum() > 500
+    assert np.isfinite(np.concatenate(seen)).sum() > 250
 
 
 @pytest.mark.parametrize(("bend", "low_deg"), [(7e-4, -20.0), (1e-2, -50.0)])

@@ -20,10 +20,6 @@ from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_lab.tracers.reference import trace_reference
 
 
-def sampled_from(dem: Dem, x: Float64Array, y: Float64Array) -> np.ndarray:
-    return dem.elevation_at(x, y).astype(np.float32)
-
-
 def stack(seed: int, offset: float = 0.0, ratio: float = 7.3, shift: tuple[float, float] = (0.37, 0.71)) -> DemStack:
     """A rough fine raster, `offset` metres too high, somewhere in a coarse one whose nodes do not fall on its own."""
     coarse = rough_terrain(seed, (61, 83), resolution=ratio, relief=140.0, x_min=-1000.0, y_max=400.0)
@@ -77,14 +73,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
-def test_rays_against_the_reference(case: str, count: int) -> None:
+def test_rays_against_the_reference(case: str) -> None:
     dem = CASES[case]()
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(len(case))
     kinds = []
-    for position in positions(dem, rng, count):
+    for position in positions(dem, rng, 10):
         rays = directions(rng, 250)
         try:
             fast = tracer.trace_rays(position, rays)
@@ -98,14 +93,13 @@ def test_rays_against_the_reference(case: str, count: int) -> None:
     assert np.isnan(seen).any()
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
-def test_the_profile_sees_what_the_pyramid_sees(case: str, count: int) -> None:
+def test_the_profile_sees_what_the_pyramid_sees(case: str) -> None:
     dem = CASES[case]()
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(7 + len(case))
     beyond = served = 0
-    for position in positions(dem, rng, count):
+    for position in positions(dem, rng, 15):
         camera = Camera.from_fov(83, 61, float(rng.uniform(5, 90)))
         pose = Pose.from_angles(position, rng.uniform(0, 360), rng.uniform(-30, 8), rng.uniform(-30, 30))
         try:
@@ -188,8 +182,9 @@ def test_no_ray_slips_through_the_seam_and_none_is_caught_above_the_ground() -> 
     assert met_near > 1000
 
 
-def test_lines_of_sight_agree_with_the_tracer() -> None:
-    dem = three_levels(11)
+@pytest.mark.parametrize("case", ["three levels", "holes and margins"])
+def test_lines_of_sight_agree_with_the_tracer(case: str) -> None:
+    dem = CASES[case]()
     sight, tracer, rng = PointVisibility(dem), TerrainTracer(dem), np.random.default_rng(11)
     x_min, y_min, x_max, y_max = dem.levels[-1].geometry.bounds
     judged = 0
@@ -211,4 +206,4 @@ def test_lines_of_sight_agree_with_the_tracer() -> None:
             else:
                 assert (met[said & hidden] <= distance[said & hidden] + 5e-3).all()
             judged += int(said.sum())
-    assert judged > 5000
+    assert judged > 1000

@@ -51,24 +51,15 @@ def assert_ways_agree(dem: Dem, seed: int, poses: int, width: int, height: int) 
     assert hits > 0.2 * pixels
 
 
-KINDS = [ridged, treed, holed, treed_and_holed, margin_only]
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [ridged, treed, holed, treed_and_holed, margin_only])
 def test_every_pixel(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     dem = kind(700)
     oblong = Dem(dem.elevation[:523], GridGeometry(412_000.0, 3_801_000.0, 1.0, 700, 523))
-    assert_ways_agree(oblong, 11, poses=8, width=161, height=121)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_pixel_of_sixty_poses(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    assert_ways_agree(kind(2000), 12, poses=60, width=320, height=240)
+    assert_ways_agree(oblong, 11, poses=5, width=161, height=121)
 
 
 def test_every_pixel_of_real_mountains(shared_data: Path) -> None:
-    assert_ways_agree(big_tujunga(shared_data), 13, poses=10, width=161, height=121)
+    assert_ways_agree(big_tujunga(shared_data), 13, poses=6, width=161, height=121)
 
 
 @pytest.mark.slow
@@ -101,7 +92,7 @@ def test_on_node_lines_and_at_the_rim() -> None:
     rows, cols = dem.elevation.shape
     for row, col in [(0, 0), (rows - 1, cols - 1), (0, 77.0), (55.0, cols - 1), (90.0, 130.0), (90.5, 131.0)]:
         x, y = (float(v) for v in dem.geometry.to_map(row, col))
-        for azimuth in (0.0, 45.0, 90.0, 180.0, 270.0, 225.0):
+        for azimuth in (0.0, 90.0, 225.0):
             for pitch in (-10.0, -90.0, 30.0):
                 pose = Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + 6.0), azimuth, pitch, 0.0)
                 camera = Camera(81, 61, 50.0, 50.0, 40.0, 30.0)

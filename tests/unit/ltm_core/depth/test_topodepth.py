@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
-from ltm_core.base.errors import ImageError
+from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings, expected_surface
-from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config
 from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
 from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.storage.config_io import load_yaml
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.vision.manifest import NetworkManifest
 
 CLASSES = ClassPriors.of(LabelSet.load())
 SETTINGS, CONFIG = FusionSettings(), FusionConfig()
@@ -176,15 +178,6 @@ def test_a_wrong_pose_is_suspected_and_nothing_is_fused(turn: float) -> None:
     assert np.isnan(result.sigma).all()
 
 
-def test_an_exact_pose_is_not_suspected() -> None:
-    scene = depth_scene()
-    check = check_pose(
-        scene.photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG.pose_check
-    )
-    assert check.edges > 100
-    assert not check.suspected
-
-
 def test_without_terrain_and_with_an_empty_sky() -> None:
     scene = depth_scene()
     for value, source in ((np.nan, DepthSource.UNKNOWN), (np.inf, DepthSource.SKY)):
@@ -293,20 +286,16 @@ def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
             FusionConfig.model_validate({group: wrong})
 
 
-def test_what_is_published_of_a_frame_is_plain_json() -> None:
-    import json
-
-    scene = depth_scene()
-    info = json.loads(json.dumps(fused(scene, scene.network(), scene.labels).info()))
-    assert info["verdict"] == "ok"
-    assert sum(info["share"].values()) == pytest.approx(1.0, abs=0.001)
-    assert info["pose"]["suspected"] is False
+def test_an_unknown_constant_in_the_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "net_fusion.yaml").write_text("decision: {opne: 0.2}\n")
+    with pytest.raises(ConfigError, match="opne"):
+        load_yaml(tmp_path / "net_fusion.yaml", FusionConfig)
 
 
-def test_a_range_image_of_sky_alone_has_no_samples() -> None:
-    sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
-    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy, CONFIG)
-    assert len(samples) == 0
-    fit = fit_scale(depth_scene().network(), samples, sky.shape, CONFIG)
-    assert "0 pixels of trustworthy ground" in fit.trouble
-    assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)
+def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:
+    manifest = NetworkManifest.find("landscape_lite0_depth")
+    assert fusion_path(manifest).is_file()
+    assert load_fusion_config(manifest) == load_yaml(fusion_path(manifest), FusionConfig)
+    copy = tmp_path / "other.yaml"
+    copy.write_text((manifest.folder / f"{manifest.name}.yaml").read_text().replace(manifest.name, "other", 1))
+    assert load_fusion_config(NetworkManifest.load(copy)) == FusionConfig()

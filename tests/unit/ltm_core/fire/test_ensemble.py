@@ -76,13 +76,6 @@ def test_a_changed_cell_keeps_its_own_code_of_a_form_or_goes_back_to_the_priors(
     assert 102 not in grown
 
 
-def test_the_same_seed_draws_the_same() -> None:
-    of = doubt(102, 102, grass=4.0, tree=4.0)
-    np.testing.assert_array_equal(draws(of, 2), draws(of, 2))
-    first, second = draws(of, 2)
-    assert (first != second).any()
-
-
 def test_no_draw_changes_a_code_of_no_known_form() -> None:
     codes = np.full((3, 4), 102, np.int16)
     codes[1] = (256, 20, 98, 102)

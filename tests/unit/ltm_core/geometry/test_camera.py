@@ -58,13 +58,6 @@ def test_distortion_by_hand() -> None:
     np.testing.assert_allclose(camera.project(np.array([x, y, 1.0]) * 7), [100 * xd + 30, 200 * yd + 20], rtol=1e-14)
 
 
-def test_a_barrel_pulls_content_inwards() -> None:
-    pinhole = Camera(64, 40, 40.0, 42.0, 30.0, 21.0)
-    point = np.array([0.4, 0.0, 1.0])
-    assert BARREL.project(point)[0] < pinhole.project(point)[0]
-    assert BARREL.rays()[21, 50, 0] > pinhole.rays()[21, 50, 0]
-
-
 def test_no_ray_beyond_the_fold() -> None:
     # r (1 - 0.3 r^2) grows up to r = sqrt(1 / 0.9), where it is two thirds of that.
     fold = math.sqrt(1 / 0.9)
@@ -86,14 +79,6 @@ def test_a_model_that_all_but_folds_has_all_its_rays() -> None:
     assert np.isfinite(rays).all()
     v, u = np.mgrid[0:61, 0:97]
     np.testing.assert_allclose(camera.project(rays), np.stack([u, v], axis=-1), atol=1e-6)
-
-
-@pytest.mark.parametrize("step", [1, 3, 4, 100])
-def test_scaled_keeps_pixel_centres(step: int) -> None:
-    sampled = BARREL.scaled(step)
-    rays = BARREL.rays()[::step, ::step]
-    assert (sampled.height, sampled.width) == rays.shape[:2]
-    np.testing.assert_allclose(sampled.rays(), rays, atol=1e-12)
 
 
 def test_resized_shows_the_same_from_edge_to_edge() -> None:

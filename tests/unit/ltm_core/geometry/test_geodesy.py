@@ -1,15 +1,15 @@
-"""Map frame, the three norths, and the bent ray, against published figures."""
+"""Map frame, the three norths, the bent ray and the sun, against published figures; and grids."""
 
 from __future__ import annotations
 
 import math
-from datetime import date
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.geometry.geodesy import (
     SiteFrame,
     ellipsoidal_problem,
@@ -19,6 +19,7 @@ from ltm_core.geometry.geodesy import (
     ray_bend,
     same_crs,
     scale_problem,
+    sun_elevation,
 )
 from ltm_core.geometry.grid import GridGeometry
 
@@ -67,13 +68,6 @@ def test_origin_is_subtracted() -> None:
     assert (float(lon), float(lat)) == (pytest.approx(-118.6, abs=1e-9), pytest.approx(34.2, abs=1e-9))
 
 
-def test_arrays() -> None:
-    x, y = UTM11.from_lonlat(np.array([-117.0, -117.5]), np.array([34.0, 35.0]))
-    assert x.shape == y.shape == (2,)
-    assert x[1] < x[0]
-    assert y[1] > y[0]
-
-
 @pytest.mark.parametrize("east_of_meridian", [-1.25, 0.0, 1.0])
 def test_convergence_of_a_transverse_mercator(east_of_meridian: float) -> None:
     # East of the central meridian grid north lies clockwise of true north, by atan(tan(dlon) sin(lat)) on a sphere.
@@ -90,12 +84,6 @@ def test_true_north_on_the_grid(crs: str) -> None:
     # Compared as a difference, since a step of 11 m from 359.99 may pass 0.
     error = frame.true_to_grid_deg(0.0, float(x[0]), float(y[0])) - walked
     assert (error + 180) % 360 - 180 == pytest.approx(0.0, abs=0.01)
-
-
-def test_albers_is_far_from_true_north_in_california() -> None:
-    frame = SiteFrame("EPSG:5070")
-    x, y = (float(v) for v in frame.from_lonlat(*LOS_ANGELES))
-    assert frame.grid_convergence_deg(x, y) == pytest.approx(-13.4, abs=0.3)
 
 
 def test_declination_of_los_angeles() -> None:
@@ -233,3 +221,74 @@ def test_the_error_of_web_mercator_is_the_secant_of_the_latitude() -> None:
     x, y = Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True).transform(-118.0, 34.0)
     problem = scale_problem("EPSG:3857", GridGeometry(x, y, 0.1, 2, 2)) or ""
     assert f"{1 / math.cos(math.radians(34.0)) - 1:.1%}"[:2] in problem
+
+
+def degrees(latitude: float, longitude: float, moment: str) -> float:
+    stamp = datetime.fromisoformat(moment).replace(tzinfo=UTC).timestamp() * 1e9
+    return float(np.degrees(sun_elevation(np.radians(latitude), np.radians(longitude), stamp)))
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "moment", "expected"),
+    [
+        (23.437, 0.0, "2024-06-21T12:02", 90.0),  # the solstice on the tropic; the equation of time is -1.8 min
+        (-23.437, 90.0, "2023-12-22T05:58", 90.0),
+        (0.0, 0.0, "2024-03-20T12:07", 90.0),  # the equinox on the equator
+        (90.0, 0.0, "2024-06-20T20:51", 23.44),  # the pole sees the tilt of the axis, at every hour
+        (90.0, 0.0, "2024-12-21T09:20", -23.44),
+        (0.0, 180.0, "2024-03-20T12:07", -90.0),
+        (34.2, -118.1, "2024-09-22T19:44", 55.8),  # an equinox noon: 90 degrees less the latitude
+    ],
+)
+def test_elevation(latitude: float, longitude: float, moment: str, expected: float) -> None:
+    assert degrees(latitude, longitude, moment) == pytest.approx(expected, abs=0.3)
+
+
+def test_many_stamps_keep_their_shape() -> None:
+    stamps = np.arange(6).reshape(2, 3) * 3600 * 10**9
+    assert sun_elevation(0.6, -2.0, stamps).shape == (2, 3)
+
+
+GRID = GridGeometry(100.0, 500.0, 10.0, 7, 4, "EPSG:32611")
+
+
+def test_edges_and_shape() -> None:
+    assert GRID.shape == (4, 7)
+    assert GRID.bounds == (100.0, 460.0, 170.0, 500.0)
+
+
+def test_translated() -> None:
+    moved = GRID.translated(-100.0, 20.0)
+    assert (moved.bounds, moved.crs) == ((0.0, 480.0, 70.0, 520.0), None)
+    assert GRID.translated(0.0, 0.0, crs="EPSG:5070").crs == "EPSG:5070"
+
+
+def test_window() -> None:
+    window = GRID.window(1, 3, 2, 4)
+    assert window == GridGeometry(130.0, 490.0, 10.0, 4, 2, "EPSG:32611")
+    assert [float(v) for v in window.to_map(0, 0)] == [float(v) for v in GRID.to_map(1, 3)]
+
+
+def test_snapped_to_another_phase() -> None:
+    assert GridGeometry.snapped((1.0, 1.0, 9.0, 4.0), 5.0, phase=2.0).bounds == (-3.0, -3.0, 12.0, 7.0)
+
+
+def test_transform_maps_the_pixel_corner() -> None:
+    # x = a column + b row + c, y = d column + e row + f, columns and rows counted at pixel corners.
+    assert tuple(GRID.transform())[:6] == (10.0, 0.0, 100.0, 0.0, -10.0, 500.0)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (float("nan"), 0.0, 1.0, 2, 2),
+        (0.0, float("inf"), 1.0, 2, 2),
+        (0.0, 0.0, 0.0, 2, 2),
+        (0.0, 0.0, -30.0, 2, 2),
+        (0.0, 0.0, 1.0, 0, 2),
+        (0.0, 0.0, 1.0, 2, -1),
+    ],
+)
+def test_no_raster(values: tuple[float, float, float, int, int]) -> None:
+    with pytest.raises(RasterError, match="raster"):
+        GridGeometry(*values)

@@ -1,4 +1,4 @@
-"""The angle conventions, by hand."""
+"""The angle conventions, by hand; covariances of a pose, and rotation vectors."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance
 
 S = math.sqrt(0.5)
 EAST, NORTH, UP = np.eye(3)
@@ -53,13 +54,6 @@ def test_points_between_frames() -> None:
     # 5 m ahead is east, 2 m right is south, 1 m down is down.
     np.testing.assert_allclose(pose.to_map(np.array([[2.0, 1.0, 5.0]])), [[15.0, 18.0, 29.0]])
     np.testing.assert_allclose(pose.to_optical(np.array([15.0, 18.0, 29.0])), [2.0, 1.0, 5.0], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "angles", [(0, 0, 0), (214.5, -5.8, -0.8), (359.9, 60, 179), (10, -89.999, 30), (123.4, 89.99999, -45)]
-)
-def test_angles_come_back(angles: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(Pose.from_angles((1, 2, 3), *angles).angles_deg, angles, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -134,3 +128,33 @@ def test_a_pose_keeps_its_own_copy() -> None:
     pose = Pose(position, np.eye(3))
     position[0] = 99.0
     assert pose.position[0] == 1.0
+
+
+ANGLES = (203.0, -28.0, 17.0)
+
+
+@pytest.mark.parametrize("angle", range(3))
+def test_each_angle_turns_about_its_axis(angle: int) -> None:
+    """The rotation that a small step of an angle makes, as Pose.from_angles has it."""
+    step, sigmas = 1e-5, [1e-9, 1e-9, 1e-9]
+    sigmas[angle] = 2.0
+    moved = list(ANGLES)
+    moved[angle] += step
+    pose, stepped = Pose.from_angles((1, 2, 3), *ANGLES), Pose.from_angles((1, 2, 3), *moved)
+    turn = Rotation.from_matrix(stepped.rotation @ pose.rotation.T).as_rotvec() / np.radians(step)
+    covariance = pose_covariance(pose, 3.0, 4.0, *sigmas)
+    np.testing.assert_allclose(covariance[3:, 3:], np.radians(2.0) ** 2 * np.outer(turn, turn), atol=1e-8)
+    np.testing.assert_allclose(np.diag(covariance)[:3], [9.0, 9.0, 16.0])
+    assert not covariance[:3, 3:].any()
+
+
+@pytest.mark.parametrize(("told", "to", "expected"), [(179.0, -179.0, -181.0), (-179.0, 540.0, 541.0), (5.0, 1.0, 5.0)])
+def test_the_nearest_vector_of_the_same_rotation(told: float, to: float, expected: float) -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    found = nearest_vector(np.radians(told) * axis, np.radians(to) * axis)
+    np.testing.assert_allclose(np.degrees(found), expected * axis)
+    np.testing.assert_allclose(matrix_of_vector(found), matrix_of_vector(np.radians(told) * axis), atol=1e-12)
+
+
+def test_no_rotation_stays_none() -> None:
+    assert nearest_vector(np.zeros(3), np.array([0.0, 0.0, 6.0])).tolist() == [0.0, 0.0, 0.0]

@@ -49,10 +49,7 @@ def test_the_first_guess_predicts_what_is_left_out_of_it() -> None:
 
 
 def test_focal_length_distortion_and_principal_point_follow() -> None:
-    table = (
-        ZoomPoint(zoom=0, hfov_deg=60, k1=-0.2, p1=0.001),
-        ZoomPoint(zoom=1, hfov_deg=20, k1=-0.02, p1=0.0),
-    )
+    table = (ZoomPoint(zoom=0, hfov_deg=60, k1=-0.2, p1=0.001), ZoomPoint(zoom=1, hfov_deg=20, k1=-0.02, p1=0.0))
     lens = LensConfig(width=800, height=450, cx=390.0, zoom=table).lens()
     wide, long = lens.camera(0), lens.camera(1)
     assert wide.hfov_deg == pytest.approx(60, abs=0.1)

@@ -1,19 +1,22 @@
-"""What is said of a location: coordinates, fuel, JSON and GeoJSON."""
+"""What is said of a location: coordinates, fuel, JSON and GeoJSON, and where a place is in a picture."""
 
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
 from scenes.located import CAMERA, hills, sighting
 
+from ltm_core.base.errors import RegionError
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.answer import answer, as_data, as_geojson, place_name
+from ltm_core.geometry.pose import Pose
+from ltm_core.locating.answer import answer, as_data, as_geojson, place_name, place_views
 from ltm_core.locating.locator import Locator
-from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.point_visibility import PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
 pytestmark = pytest.mark.kernel
@@ -80,3 +83,40 @@ def test_beside_the_prior_no_fuel_is_known() -> None:
     prior = FuelPrior(np.full((2, 3), 102, np.int16), GridGeometry(5000.0, 4000.0, 100.0, 3, 2))
     assert answer(location, PointVisibility(dem, False), FRAME, [], prior, False).fuel is None
     assert answer(location, PointVisibility(dem, False), FRAME, [], None, False).fuel is None
+
+
+def test_hidden_places_have_a_crest_and_a_height() -> None:
+    sight = PointVisibility(hills(), curvature=False)
+    tower = PosedCamera("a", CAMERA, Pose.from_angles((0.0, 0.0, 130.0), 0.0, -1.0))
+    (view,) = place_views(sight, [tower], np.array([0.0, 2000.0, 0.0]), extent=100.0)
+    assert view.state is PointState.HIDDEN
+    # The line of sight over the crest, 30 m below the camera at half the way.
+    assert view.lift == pytest.approx(130 - 30 * 2, abs=0.1)
+    assert view.hidden_by == pytest.approx((0.0, 1000.0, 100.0), abs=3.0)
+    assert view.distance == pytest.approx(2000.0)
+    assert view.azimuth_deg == pytest.approx(0.0, abs=1e-6)
+    assert view.pitch_deg == pytest.approx(-math.degrees(math.atan2(130, 2000)))
+    assert view.hfov_deg == pytest.approx(math.degrees(2 * math.atan2(300, 2000)))
+    assert view.pixel is not None
+    assert view.pixel[0] == pytest.approx(CAMERA.cx)
+
+
+def test_seen_and_outside() -> None:
+    sight = PointVisibility(hills(), curvature=False)
+    place = np.array([0.0, 2500.0, 80.0])
+    towards = PosedCamera("a", CAMERA, Pose.from_angles((-900.0, 1300.0, 180.0), 36.0, -1.0))
+    away = PosedCamera("b", CAMERA, Pose.from_angles((-900.0, 1300.0, 180.0), 216.0, -1.0))
+    first, second = place_views(sight, [towards, away], place)
+    assert first.seen
+    assert first.hidden_by is None
+    assert second.state is PointState.OUTSIDE
+    assert second.pixel is None
+    # It sees the place all the same, once it has turned.
+    assert second.lift == pytest.approx(0, abs=1e-6)
+    assert second.azimuth_deg == pytest.approx(first.azimuth_deg)
+
+
+def test_a_place_without_a_height_is_told() -> None:
+    sight = PointVisibility(hills(), curvature=False)
+    with pytest.raises(RegionError, match="finite coordinates"):
+        place_views(sight, [], np.array([0.0, 9000.0, np.nan]))

@@ -124,7 +124,7 @@ def test_sightings_of_one_camera_share_its_poses_error() -> None:
     assert thrice.agreement is None
 
 
-@pytest.mark.parametrize("turned", [0, 1, 2])
+@pytest.mark.parametrize("turned", [0, 1])
 def test_the_camera_that_is_turned_is_named(turned: int) -> None:
     dem = hills()
     place = np.array([-100.0, 2480.0, float(dem.elevation_at(-100.0, 2480.0))])
@@ -197,11 +197,3 @@ def test_what_cannot_be_located_is_told() -> None:
     down = Pose.from_angles(tower, 10.0, -89.0)
     with pytest.raises(RegionError, match="degrees from the horizon"):
         locator.locate([Sighting("a", CAMERA, down, good.covariance, marked_pixel(CAMERA, (900.0, 500.0), 2.0))])
-
-
-def test_all_is_the_same_from_run_to_run() -> None:
-    place = np.array([400.0, 2500.0, 50.0])
-    sightings = [sighting("a", (0.0, 0.0, 200.0), place), sighting("b", (2000.0, 100.0, 180.0), place)]
-    first, second = (Locator(plain(), 0.0).locate(sightings, smoke=True).posterior for _ in range(2))
-    assert np.array_equal(first.probability, second.probability)
-    assert first.mean == second.mean

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.located import plain, sighting
 
 from ltm_core.base.types import Float64Array
-from ltm_core.locating.locator import Locator
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence, TurnProfile, turn_evidence
 from ltm_core.locating.wrong_camera import NONE_TURNED, FireMemory, judged, slip_density
 
@@ -192,22 +190,3 @@ def test_what_is_marked_again_and_again_at_one_place_counts_once() -> None:
     assert memory.verdict.fires == 2
     memory.note(11, 11, replace(unsure, azimuths={"a": math.pi}))  # one camera's direction is no place
     assert memory.verdict.fires == 3
-
-
-@pytest.mark.kernel
-def test_the_density_by_turn_is_highest_at_the_turn() -> None:
-    """Over level ground; the marks are exact."""
-    towers = {"a": (0.0, 0.0, 350.0), "b": (3500.0, 200.0, 350.0), "c": (200.0, 3900.0, 350.0)}
-    locator = Locator(plain(), 0.0)
-    fires = []
-    for x, y in ((1500.0, 2000.0), (2600.0, 3000.0)):
-        place = np.array([x, y, 50.0])
-        marks = [sighting(name, at, place, 0.05, 2.0 if name == "b" else 0.0) for name, at in towers.items()]
-        agreement = locator.locate(marks).agreement
-        assert agreement is not None
-        best = math.degrees(TURNS[int(agreement.turns.ratios["b"].argmax())])
-        assert best == pytest.approx(2.0, abs=0.1)
-        fires.append(agreement.turns)
-    verdict = judged(fires, 0.9)
-    assert verdict.wrong == "b"
-    assert math.degrees(verdict.turn) == pytest.approx(2.0, abs=0.1)

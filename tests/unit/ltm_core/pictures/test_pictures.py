@@ -1,4 +1,4 @@
-"""Pictures: colours mean what the legend says, layers lie where they should."""
+"""Pictures: colours mean what the legend says, layers lie where they should; and pictures of what is traced."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scenes.rasters import rough_terrain, standing
 
 from ltm_core.base.errors import ImageError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import (
     MapCamera,
     RangeScale,
@@ -31,9 +34,13 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, scale_colors
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, error_colors, error_legend, scale_colors
 from ltm_core.pictures.maps import draw_north
+from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.raster.dem import Dem
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.tracing.trace_io import cell_counts
 from ltm_core.vision.labels import LabelSet
 
 LABELS = LabelSet.load()
@@ -72,10 +79,6 @@ def test_fitted_scale_holds_the_ranges_between_round_ends(ranges: list[float]) -
     assert scale.far >= high
     assert f"{scale.near:e}"[0] in "125"
     assert f"{scale.far:e}"[0] in "125"
-
-
-def test_fitted_scale_of_nothing_is_the_default() -> None:
-    assert RangeScale.of([np.nan, np.inf, -2.0]) == RangeScale()
 
 
 def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
@@ -299,3 +302,90 @@ def test_encoded_pictures_keep_channels(tmp_path: Path) -> None:
         to_png(np.zeros((4, 4, 3)))  # type: ignore[arg-type]
     with pytest.raises(ImageError, match=r"\(4, 4\)"):
         to_jpeg(np.zeros((4, 4), np.uint8))
+
+
+def test_error_colors() -> None:
+    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
+    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
+    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
+    assert small.sum() < 60 < 400 < large.sum()
+    assert tuple(sky) == SKY_COLOR
+    assert tuple(missed) == tuple(unknown) == (190, 192, 196)
+    assert error_legend(400).shape[1] == 400
+
+
+CAMERA = Camera.from_fov(330, 210, 60.0)
+DEM = rough_terrain(51)
+
+
+def traced() -> RangeImage:
+    return TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
+        CAMERA, Pose.from_angles(standing(DEM, 60, 60, 12.0), 270.0, -4.0, 3.0)
+    )
+
+
+def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
+    image = traced()
+    photo = np.random.default_rng(0).integers(60, 190, (210, 330, 3), dtype=np.uint8)
+    picture = depth_picture(image, DEM, photo)
+    assert picture.shape[1] == 330
+    assert picture.shape[0] > 210
+    sky, ground = np.isposinf(image.range), np.isfinite(image.range)
+    skyline = np.zeros_like(sky)
+    skyline[:-1] = sky[:-1] & ground[1:]
+    assert skyline.any()
+    np.testing.assert_array_equal(picture[:210][sky & ~skyline], photo[sky & ~skyline])
+    assert (picture[:210][skyline] == 255).all()
+    assert np.abs(picture[:210][ground].astype(int) - photo[ground]).mean() > 15
+
+
+def test_large_photos_are_drawn_smaller() -> None:
+    camera = Camera.from_fov(4500, 90, 60.0)
+    pose = Pose.from_angles(standing(DEM, 150, 40, 12.0), 50.0, -14.0, 0.0)
+    picture = depth_picture(
+        TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(camera, pose), DEM, np.zeros((90, 4500, 3), np.uint8)
+    )
+    assert picture.shape[1] == 1500
+
+
+def test_without_a_photo_the_terrain_is_shaded() -> None:
+    image = traced()
+    view = shaded_view(image, DEM)
+    ground = view[np.isfinite(image.range)]
+    assert (ground[:, 0] == ground[:, 1]).all()
+    assert ground[:, 0].std() > 5
+    sky = view[np.isposinf(image.range)]
+    assert (sky[:, 2] > sky[:, 0]).all()
+    assert depth_picture(image, DEM).shape[1] == 330
+
+
+def test_no_skyline_where_the_ground_is_unknown() -> None:
+    ranges = np.full((6, 4), np.inf, np.float32)
+    ranges[3:, :2] = 100.0
+    ranges[3:, 2:] = np.nan
+    drawn = draw_skyline(np.zeros((6, 4, 3), np.uint8), ranges)
+    expected = np.zeros((6, 4), bool)
+    expected[2, :2] = True
+    np.testing.assert_array_equal(drawn.any(axis=-1), expected)
+
+
+def test_the_map_marks_what_is_seen() -> None:
+    image = traced()
+    counts = cell_counts(image)
+    seen = map_picture(image, DEM, counts)
+    unseen = map_picture(image, DEM, np.zeros_like(counts))
+    assert seen.ndim == 3
+    assert seen.shape[1] == 1200
+    # Seen cells are orange: more red over blue than the bare terrain anywhere has.
+    orange = (seen[..., 0].astype(int) - seen[..., 2]) > 110
+    assert orange.mean() > 0.02
+    assert ((unseen[..., 0].astype(int) - unseen[..., 2]) > 110).mean() < 0.005
+
+
+def test_a_map_is_drawn_even_when_nothing_is_seen() -> None:
+    up = TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
+        CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0)
+    )
+    assert np.isposinf(up.range).all()
+    assert map_picture(up, DEM, cell_counts(up)).shape[2] == 3
+    assert depth_picture(up, DEM).shape[1] == 330

@@ -1,15 +1,18 @@
-"""What a reader of a wrong YAML file is told."""
+"""What a reader of a wrong or harmful YAML file is told, and whether a place can be written, before anything is."""
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
+import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import FuelConfig
 from ltm_core.site.site import Site
-from ltm_core.storage.config_io import checked, load_yaml
+from ltm_core.storage.config_io import LARGEST_DEPTH, LARGEST_FILE, checked, load_yaml, parse_yaml, read_yaml
+from ltm_core.storage.disk_io import require_files, require_folder
 
 
 def load(tmp_path: Path, text: str) -> FuelConfig:
@@ -83,3 +86,159 @@ def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:
         load(tmp_path, "# sizes\nresolution: 30\nfusion:\n  # how\n  memory_days: often\nphase: wide\n")
     assert "got 'wide', line 6)" in str(raised.value)
     assert "line 5" in str(raised.value)
+
+
+def test_places_that_can_be_written_are_left_as_they_are(tmp_path: Path) -> None:
+    there = tmp_path / "there.tif"
+    there.write_text("old")
+    require_folder(tmp_path)
+    require_folder(tmp_path / "to/be/made")
+    require_files([tmp_path / "new.tif", tmp_path / "deep/new.tif"], overwrite=False)
+    require_files([there])
+    assert [p.name for p in tmp_path.iterdir()] == ["there.tif"]
+    assert there.read_text() == "old"
+
+
+def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "there.tif").touch()
+    with pytest.raises(ConfigError, match=r"there.tif: exists already; .* --overwrite"):
+        require_files([tmp_path / "new.tif", tmp_path / "there.tif"], overwrite=False)
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"file/out: cannot write the map \(.*file is no(t a)? folder\)"):
+        require_folder(tmp_path / "file/out", "the map")
+    with pytest.raises(ConfigError, match=r"map.tif: cannot write results"):
+        require_files([tmp_path / "file/map.tif"])
+    with pytest.raises(ConfigError, match=r"is a folder; give a file name for results"):
+        require_files([tmp_path])
+    # No file can be made there, whoever asks.
+    with pytest.raises(ConfigError, match=r"/proc/ltm: cannot write results \("):
+        require_folder(Path("/proc/ltm"))
+    with pytest.raises(ConfigError, match=r"/proc/version/x: cannot write results \("):
+        require_files([Path("/proc/version/x")])
+
+
+def test_names_that_are_too_long_for_a_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"map: cannot write the map \(File name too long\)"):
+        require_folder(tmp_path / ("long" * 70 + "map"), "the map")
+    with pytest.raises(ConfigError, match=r"map.tif: cannot write results \(File name too long\)"):
+        require_files([tmp_path / ("long" * 70 + "map.tif")])
+
+
+def billion(levels: int) -> str:
+    """Aliases of aliases: 9 to the power of `levels` values in some hundred characters."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    for i in range(levels):
+        lines.append(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "stamp: 2001-13-45",
+        'count: !!int ""',
+        "count: !!int x",
+        "yes: !!bool x",
+        "stamp: !!timestamp x",
+        'name: "\\Uffffffff"',
+        'path: "\\0"',
+        'name: "\\ud800"',
+        f"count: {'9' * 5000}",
+        f"count: 0x{'f' * 5000}",
+        "[" * 900 + "]" * 900,
+        "{a: " * 60 + "1" + "}" * 60,
+        "a: &a [*a]",
+        "a: |# libyaml takes it",
+        "a:\n  - >-2# libyaml takes it",
+        billion(9),
+        f"{billion(9)}\nsite: {{<<: [*a8, *a8]}}",
+    ],
+)
+def test_what_is_no_yaml_is_refused_with_its_place(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"site\.yaml: not YAML \("):
+        parse_yaml(text, "site.yaml")
+
+
+def test_what_people_write_is_taken() -> None:
+    nested = "[" * (LARGEST_DEPTH - 1) + "1" + "]" * (LARGEST_DEPTH - 1)
+    assert parse_yaml("a: &a {x: 1}\nb: *a\nc: {<<: *a, y: 2}", "x") == {
+        "a": {"x": 1},
+        "b": {"x": 1},
+        "c": {"x": 1, "y": 2},
+    }
+    assert parse_yaml("a: !\nb: ! # libyaml makes texts of them", "x") == {"a": None, "b": None}
+    assert parse_yaml(nested, "x")
+    assert parse_yaml("stamp: 2024-05-06T07:08:09Z", "x")["stamp"].year == 2024
+
+
+WHOLE = """
+name: ridge  # of a site
+origin: [346000.0, 3783000.0, -1.5e3]
+cameras: {north: {pose: {x: 1, 'y': "2\\n"}}, south: ~}
+nodes: &all
+  - &one {a: 1, b: 0x1f}
+  - *one
+  - <<: *one
+    c: |
+      some
+       text
+    d: >-
+      folded
+      text
+? key
+: 2024-05-06T07:08:09Z
+"""
+
+
+def spoiled(rng: random.Random) -> str:
+    """A part of WHOLE with a few characters too many, too few or others."""
+    begin = rng.randrange(len(WHOLE))
+    text = WHOLE[begin:] if rng.random() < 0.3 else WHOLE[begin : begin + rng.choice((10, 40, 120))]
+    for _ in range(rng.randrange(3)):
+        at, new = rng.randrange(len(text) + 1), rng.choice("abc:,-?[]{}&*!|>'\"%@`#\n\t  01._~=<\\\ufeff\xe9\u2028")
+        text = text[:at] + rng.choice((new, "")) + text[at + rng.randrange(2) :]
+    return text
+
+
+def test_it_takes_what_pyyaml_takes_and_makes_the_same_of_it() -> None:
+    """Though most texts are parsed by libyaml."""
+    rng = random.Random(4)
+    taken, refused = 0, 0
+    for _ in range(500):
+        text = spoiled(rng)
+        try:
+            value = parse_yaml(text, "x")
+        except ConfigError as error:
+            refused += 1
+            if "is repeated" not in str(error):
+                with pytest.raises((yaml.YAMLError, ValueError)):
+                    yaml.load(text, yaml.SafeLoader)
+        else:
+            taken += 1
+            assert repr(value) == repr(yaml.load(text, yaml.SafeLoader)), text
+    assert min(taken, refused) > 80
+
+
+def test_a_mistake_is_shown_with_its_line() -> None:
+    with pytest.raises(ConfigError, match=r"line 2, column 8:\n    phase: \[15"):
+        parse_yaml("name: ridge\nphase: [15", "site.yaml")
+
+
+def test_large_files_are_not_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    path.write_text("a: 1\n" + "#" * LARGEST_FILE)
+    with pytest.raises(ConfigError, match=rf"large\.yaml: cannot be read \(it has more than {LARGEST_FILE} bytes"):
+        read_yaml(path)
+
+
+def test_what_is_read_again_is_the_callers_own_and_tells_its_own_place() -> None:
+    text = "cameras: {north: {x: 1}}"
+    first = parse_yaml(text, "one.yaml")
+    first["cameras"]["north"]["x"] = 2
+    assert parse_yaml(text, "two.yaml") == {"cameras": {"north": {"x": 1}}}
+    for place in ("one.yaml", "two.yaml"):
+        with pytest.raises(ConfigError, match=place):
+            parse_yaml("cameras: [", place)

@@ -69,8 +69,7 @@ def cut(data: bytes, kept: float) -> bytes:
     return data[: first + round((len(data) - first) * kept)]
 
 
-@pytest.mark.parametrize("end", [b"", END, b"\xff" + END, bytes(5000)])
-@pytest.mark.parametrize("kept", [0.3, 0.6, 0.96])
+@pytest.mark.parametrize(("kept", "end"), [(0.3, b""), (0.6, b"\xff" + END), (0.96, bytes(5000))])
 @pytest.mark.parametrize("kind", JPEGS)
 def test_a_jpeg_whose_data_end_early_is_rejected(kind: str, kept: float, end: bytes) -> None:
     share = missing_share(cut(encoded(**JPEGS[kind]), kept) + end)
@@ -102,7 +101,7 @@ def test_a_reduced_image_is_checked_too(reduced: int) -> None:
     ],
     ids=["garbage", "zeros", "no end", "fill", "extra", "second image", "video", "markers inside a segment"],
 )
-@pytest.mark.parametrize("kind", JPEGS)
+@pytest.mark.parametrize("kind", ["4:2:0", "many restarts", "progressive", "inks"])
 def test_a_complete_jpeg_is_accepted(kind: str, change: Callable[[bytes], bytes]) -> None:
     whole = encoded(**JPEGS[kind])
     np.testing.assert_array_equal(decode_rgb(change(whole)), decode_rgb(whole))
@@ -138,7 +137,7 @@ def test_scans_that_are_missing_are_found() -> None:
     assert missing_share(data[: scans[0][1]] + END) == 1.0
 
 
-@pytest.mark.parametrize("kept", [0.3, 0.6, 0.97])
+@pytest.mark.parametrize("kept", [0.3, 0.97])
 @pytest.mark.parametrize("zeros", [False, True])
 @pytest.mark.parametrize(("form", "options"), [("HEIF", {}), ("AVIF", {}), ("WEBP", {}), ("WEBP", {"lossless": True})])
 def test_other_formats_that_are_cut_are_rejected_with_the_share(
@@ -154,8 +153,7 @@ def test_other_formats_that_are_cut_are_rejected_with_the_share(
 
 @pytest.mark.parametrize("kept", [0.3, 0.97])
 @pytest.mark.parametrize(
-    ("form", "options"),
-    [("PNG", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("BMP", {})],
+    ("form", "options"), [("PNG", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("BMP", {})]
 )
 def test_formats_that_state_no_size_are_rejected_when_cut(form: str, options: dict[str, Any], kept: float) -> None:
     whole = encoded(form, **options)
@@ -254,9 +252,11 @@ def test_a_stereo_pair_gives_its_first_image() -> None:
     assert len(without_tail(data)) < len(data) * 2 / 3
 
 
-@pytest.mark.parametrize("form", ["JPEG", "PNG", "TIFF", "WEBP", "AVIF"])
-@pytest.mark.parametrize("turn", range(1, 9))
-def test_photos_are_read_upright(tmp_path: Path, turn: int, form: str) -> None:
+@pytest.mark.parametrize(
+    ("form", "turn"),
+    [*(("JPEG", turn) for turn in range(1, 9)), ("PNG", 6), ("TIFF", 7), ("WEBP", 3), ("AVIF", 8)],
+)
+def test_photos_are_read_upright(tmp_path: Path, form: str, turn: int) -> None:
     exif = Image.Exif()
     exif[0x0112] = turn
     path = tmp_path / "photo"

@@ -128,10 +128,7 @@ def read_all(path: Path) -> None:
     ("order", "values"),
     [
         ("UPDATE tiles SET content = ?", (_CLAIM,)),
-        (
-            "UPDATE tiles SET content = ?",
-            (zstandard.compress(bytes(99)),),
-        ),
+        ("UPDATE tiles SET content = ?", (zstandard.compress(bytes(99)),)),
         ("UPDATE tiles SET content = ?", ("text",)),
         ("UPDATE tiles SET row = ?", (4_000_000_000,)),
         ("UPDATE tiles SET row = ?", ("x",)),
@@ -157,8 +154,7 @@ def test_rows_that_no_store_writes_are_refused(tmp_path: Path, order: str, value
 
 
 @pytest.mark.parametrize(
-    "order",
-    ["UPDATE frames SET stamp_ns = 'x' WHERE stamp_ns = 5", "UPDATE sources SET kept = 9000000000000000"],
+    "order", ["UPDATE frames SET stamp_ns = 'x' WHERE stamp_ns = 5", "UPDATE sources SET kept = 9000000000000000"]
 )
 def test_a_frame_is_not_counted_in_a_store_that_contradicts_itself(tmp_path: Path, order: str) -> None:
     path = spoiled(tmp_path / "store.ltm", order)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +37,6 @@ def test_what_is_committed_is_there_after_opening_again(tmp_path: Path) -> None:
         assert [store.counted(*frame) for frame in asked] == [True, True, True, False, False]
         assert store.sources() == {"east": 1, "north": 2}
         assert (store.frame_count(), store.newest_ns()) == (3, 7)
-
-
-def test_tiles_cover_the_grid() -> None:
-    assert SCHEMA.tiles == (2, 3)
 
 
 def test_payloads_wait_until_tiles_hold_their_effect(tmp_path: Path) -> None:
@@ -184,13 +179,6 @@ def test_what_an_interrupted_creation_left_is_no_store(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["map.ltm", "map.ltm.lock"]
 
 
-def test_in_memory_store_behaves_alike() -> None:
-    with TileStore.in_memory(SCHEMA) as store:
-        store.commit({(1, 1): tile(4)}, [FrameRecord("a", 1, payload=b"x")])
-        assert_same(store.read((1, 1)), tile(4))
-        assert store.counted("a", 1)
-
-
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -209,10 +197,3 @@ def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
         with pytest.raises(ValueError, match="outside"):
             store.commit({(2, 0): tile(1)})
         assert store.keys() == []
-
-
-def test_a_store_of_another_version_is_not_opened(tmp_path: Path) -> None:
-    path = tmp_path / "map.ltm"
-    TileStore.open(path, SCHEMA).close()
-    with pytest.raises(ConfigError, match="version is 3, here 5"):
-        TileStore.open(path, replace(SCHEMA, version=5))

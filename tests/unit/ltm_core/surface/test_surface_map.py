@@ -81,16 +81,6 @@ def test_a_single_view_changes_nothing_however_often_it_comes(changed: Float64Ar
     assert np.array_equal(layers.height, layers.reference)
 
 
-def test_one_camera_an_hour_later_is_another_view() -> None:
-    surface = surface_map(BARE.copy())
-    surface.add(frame(RAISED, "west"))
-    surface.decide()
-    assert (surface.layers().change == 0).all()
-    surface.add(frame(RAISED, "west", 1.2))
-    surface.decide()
-    assert changed_share(surface) > 0.9
-
-
 def test_what_a_camera_errs_alike_in_each_look_is_never_believed_of_it_alone() -> None:
     """It sees a place 6 m too near, under three of its sigmas, in eight looks over a day; a map that is told
     that errors are new each time takes the same looks at their word."""
@@ -108,17 +98,6 @@ def test_what_a_camera_errs_alike_in_each_look_is_never_believed_of_it_alone() -
         assert layers.observed.sum() > 5000
     assert found[RULES.repeated_error_share] == 0
     assert found[0.0] > 100
-
-
-def test_a_moving_object_changes_nothing() -> None:
-    """A lorry of 4 m on a track, elsewhere in every frame, seen by both cameras at once."""
-    surface = surface_map(BARE.copy())
-    for i in range(10):
-        there = BARE.copy()
-        there[80:92, 40 + 22 * i : 50 + 22 * i] += 4.0
-        for source in PLACES:
-            surface.add(frame(there, source, i * 0.4))
-    assert len(surface.decide().rows) == 0
 
 
 def test_smoke_changes_nothing() -> None:
@@ -188,12 +167,6 @@ def test_the_first_views_define_the_canopy_where_no_raster_does() -> None:
     layers = surface.layers()
     assert changed_share(surface) > 0.8
     assert (layers.change[PATCH & layers.observed & (layers.change > 0)] == ChangeKind.REMOVED).all()
-
-
-def test_depth_copied_from_the_terrain_says_nothing() -> None:
-    surface = surface_map(BARE.copy())
-    added = surface.add(frame(RAISED, measured=np.zeros((CAMERA.height, CAMERA.width), bool)))
-    assert (added.cells, added.tiles) == (0, 0)
 
 
 @pytest.mark.parametrize("value", [np.nan, 0.0, -50.0, np.inf])

@@ -1,10 +1,9 @@
-"""Smoke and shadows of clouds before a camera, from photo to surface map: nothing that they hide or darken changes, and
-what has changed is found."""
+"""Smoke and shadows of clouds before a camera, from photo to surface map: nothing that they hide or darken changes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from scenes.small_scenario import small_scenario
 
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.geometry.camera import Camera
@@ -141,27 +140,6 @@ def shaded(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
 Weather = Callable[[Slope, Look, int], tuple[UInt8Array, float]]
 
 
-class SharpEyes:
-    """In place of a network: the true inverse depth of one look after the other, at half its size, with 2 % of noise,
-    and that of smoke as far as smoke hides it."""
-
-    def __init__(self) -> None:
-        self._rng = np.random.default_rng(5)
-        self._next: Float64Array = np.zeros((2, 2))
-
-    def look(self, look: Look, before: Veil | None) -> None:
-        """What `predict` shall see next."""
-        cosines = look.camera.cosines()
-        inverse = np.where(np.isfinite(look.range), 1 / (look.range * cosines), 0.0)
-        if before is not None:
-            inverse = (1 - before.hidden) * inverse + before.hidden / (before.away * cosines)
-        self._next = inverse[::2, ::2]
-
-    def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
-        noise = 1 + 0.02 * self._rng.standard_normal(self._next.shape)
-        return NetworkDepth((self._next * noise).astype(np.float32), "relative_inverse")
-
-
 @dataclass(frozen=True, eq=False)
 class Watch:
     """A map of a slope as it is given, bare and with what grows there, to which photos come by way of fusion, as in the
@@ -172,7 +150,7 @@ class Watch:
     classes: ClassPriors
 
     def changed(
-        self, photos: Iterable[tuple[Look, UInt8Array]], network: DepthNetwork | SharpEyes
+        self, photos: Iterable[tuple[Look, UInt8Array]], network: DepthNetwork
     ) -> tuple[set[tuple[int, int]], int]:
         """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
         bare, surface = (TerrainTracer(dem) for dem in self.given)
@@ -201,14 +179,6 @@ def shipped() -> DepthNetwork:
     return DepthNetwork.open("landscape_lite0_depth")
 
 
-def sharply(slope: Slope, network: SharpEyes, in_smoke: bool) -> Iterator[tuple[Look, UInt8Array]]:
-    """Photos, clear or with smoke elsewhere each time, as the network gets to see them."""
-    for number in range(LOOKS):
-        for look in slope.looks:
-            network.look(look, veil(slope, look, number) if in_smoke else None)
-            yield look, smoky(slope, look, number)[0] if in_smoke else photo(look.radiance)
-
-
 @pytest.mark.parametrize("weather", [smoky, shaded], ids=["smoke", "shade"])
 def test_weather_before_the_shipped_network_changes_nothing(
     slope: Slope, watch: Watch, shipped: DepthNetwork, weather: Weather
@@ -226,36 +196,3 @@ def test_weather_before_the_shipped_network_changes_nothing(
     assert np.mean(np.array(shares) > 0.02) >= 0.5, "the weather is seen"
     assert looked > 3000  # in smoke the shipped network fits the terrain in half as many looks as in clear weather
     assert not changed
-
-
-def test_a_network_that_errs_alike_in_each_look_changes_nothing(
-    slope: Slope, watch: Watch, shipped: DepthNetwork
-) -> None:
-    """The same photos twelve times over: errors that repeat are no evidence."""
-    changed, looked = watch.changed(((look, photo(look.radiance)) for _ in range(12) for look in slope.looks), shipped)
-    assert looked > 5000
-    assert not changed
-
-
-@pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
-def test_of_an_unchanged_slope_a_sharp_network_finds_nothing(slope: Slope, watch: Watch, in_smoke: bool) -> None:
-    """Nor of smoke that it sees where that is."""
-    network = SharpEyes()
-    changed, looked = watch.changed(sharply(slope, network, in_smoke), network)
-    assert looked > 5000
-    assert not changed
-
-
-@pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
-@pytest.mark.parametrize("rise", [6.0, -6.0])
-def test_what_has_changed_a_sharp_network_finds(slope: Slope, watch: Watch, in_smoke: bool, rise: float) -> None:
-    """The map is told of a slope that is 6 m lower, or higher, in one place."""
-    geometry = slope.surface.geometry
-    x, y = geometry.to_map(*np.mgrid[: geometry.height, : geometry.width])
-    place = np.hypot(x - 200.0, y - 140.0) < 20.0
-    bare, surface = (Dem((dem.elevation - rise * place).astype(np.float32), geometry) for dem in watch.given)
-    network = SharpEyes()
-    changed, _ = replace(watch, given=(bare, surface)).changed(sharply(slope, network, in_smoke), network)
-    inside = [place[cell] for cell in changed]
-    assert sum(inside) > 0.4 * place.sum()
-    assert np.mean(inside) > 0.85

@@ -164,18 +164,3 @@ def test_seen_cells_lie_on_the_dem(tmp_path: Path, dem: Dem) -> None:
         np.testing.assert_array_equal(source.read(1), counts)
         assert source.crs.to_epsg() == 32611
         assert tuple(source.bounds) == dem.geometry.bounds
-
-
-def test_photos_are_read_upright_and_must_fit(tmp_path: Path) -> None:
-    pixels = np.zeros((20, 30, 3), np.uint8)
-    pixels[:, :10, 0] = 200
-    upside_down = Image.Exif()
-    upside_down[0x0112] = 3
-    Image.fromarray(pixels).save(tmp_path / "photo.png", exif=upside_down)
-    photo = read_photo(tmp_path / "photo.png", Camera.from_fov(30, 20, 50))
-    np.testing.assert_array_equal(photo, pixels[::-1, ::-1])
-    with pytest.raises(ImageError, match=r"30 x 20 pixels.* 64 x 40"):
-        read_photo(tmp_path / "photo.png", Camera.from_fov(64, 40, 50))
-    (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
-    with pytest.raises(ImageError, match=r"broken\.jpg: cannot be read"):
-        read_photo(tmp_path / "broken.jpg", Camera.from_fov(64, 40, 50))

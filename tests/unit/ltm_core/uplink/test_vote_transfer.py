@@ -40,17 +40,6 @@ def test_cells_that_coincide_are_taken_exactly() -> None:
     np.testing.assert_array_equal(got.visibility.bearing, sent.visibility.bearing)
 
 
-def test_on_the_region_s_own_grid_nothing_but_the_origin_changes() -> None:
-    origin = (478_000.0, 4_140_000.0)
-    sent = votes(3, in_map(TOWER, ORIGIN))
-    got = transfer(TOWER, origin).votes(sent)
-    assert got.geometry == in_map(TOWER, origin)
-    for name in ("rows", "cols", "counts", "z", "confidence"):
-        np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
-    with pytest.raises(MessageError, match="are on"):
-        transfer(TOWER, origin).votes(replace(sent, geometry=TOWER.window(0, 0, 70, 91)))
-
-
 def test_cells_beyond_the_region_are_left_out() -> None:
     region = GridGeometry(480_615.0, 4_150_305.0, 30.0, 40, 25, "EPSG:26911")
     sent = votes(3, in_map(TOWER, ORIGIN))

@@ -11,10 +11,17 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import ArchiveError
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.archive import files
+from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
+from ltm_ros.archive.manifest import ArchiveFrame
+from ltm_ros.archive.photo_folder import photo_messages, photo_picture
+from ltm_ros.archive.pictures import ArchiveImageReader
 
 Store = Callable[[str, bytes], str]
 
@@ -189,21 +196,13 @@ def test_the_cache_is_bounded_and_spares_what_is_held(store: Store, at_hand: Arc
         assert held.read_bytes() == b"a" * 40
         assert cached(tmp_path) == [b"a" * 40, b"c" * 40]
     assert (tmp_path / "cache/others.txt").exists()
-    with (
-        pytest.raises(ArchiveError, match=r"101 bytes.*100 .*--cache-gb"),
-        at_hand.at_hand(store("d", b"d" * 101)),
-    ):
+    with pytest.raises(ArchiveError, match=r"101 bytes.*100 .*--cache-gb"), at_hand.at_hand(store("d", b"d" * 101)):
         pass
 
 
 @pytest.mark.parametrize(("failures", "given"), [(2, True), (3, False)])
 def test_a_store_is_asked_again_some_times(
-    store: Store,
-    at_hand: ArchiveFiles,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    failures: int,
-    given: bool,
+    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: int, given: bool
 ) -> None:
     kind = fsspec.get_filesystem_class("memory")
     fetch, left = kind.get_file, [failures]
@@ -231,3 +230,29 @@ def test_what_is_not_there_is_asked_for_once(store: Store, at_hand: ArchiveFiles
         at_hand.at_hand("memory:///files/nothing").__enter__()
     with pytest.raises(ArchiveError, match="not a location of archives"):
         at_hand.at_hand("nosuch://bucket/a").__enter__()
+
+
+def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = load_site(write_small_site(tmp_path, recording=False).path)
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    (folder / "poses.csv").write_text("name,camera,stamp\nhuge.jpg,tower,2026-06-01T12:00:00Z\n")
+    with (folder / "huge.jpg").open("wb") as file:
+        file.truncate(LARGEST_FILE + 1)  # it takes no room
+    photo, listed = files_below(str(folder))
+    monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
+    (message,) = photo_messages(listed, [photo], site, ArchiveFiles(CacheConfig()))
+    assert f"huge.jpg has {LARGEST_FILE + 1} bytes; the maximum is 256 MiB" in message.trouble
+
+
+def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, data = tmp_path / "a.jpg", b"\xff\xd8" + b"photo" * 20
+    path.write_bytes(data)
+    picture = photo_picture(data, 7)
+    frame = ArchiveFrame("tower", 7, str(path), "", 7, len(data), picture_digest(picture), (), (), (), ())
+    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
+        assert bytes(reader.read(frame).data) == data
+        os.truncate(path, 1 << 40)
+        monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
+        with pytest.raises(ArchiveError, match="no longer contains the image"):
+            reader.read(frame)

@@ -129,37 +129,10 @@ def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
     assert len(taken) == sum(taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17))
 
 
-def test_days_together_show_what_changes_over_a_day_as_all_of_its_clear_hours_do() -> None:
-    """Of the square of the hours from noon, with fog until 9 h on one day of two; middles of four parts are off."""
-    looks, every, middles = list[int](), list[int](), list[float]()
-    for turn in range(10):
-        foggy = turn % 4 in (1, 2)
-
-        def look(frame: ArchiveFrame, until: int = 9 if foggy else 0) -> str:
-            return "fog" if hours([frame])[0] < until else ""
-
-        looks += chosen(DAY, turn, look)
-        every += range(9 if foggy else 6, 18)
-        middles += [10, 13, 16] if foggy else [7, 10, 13, 16]
-
-    def mean(of: Sequence[float]) -> float:
-        return float(np.mean([(hour - 12) ** 2 for hour in of]))
-
-    assert abs(mean(middles) - mean(every)) > 0.6
-    assert abs(mean(looks) - mean(every)) < 0.3
-
-
 def test_of_a_day_with_any_clear_picture_one_is_taken() -> None:
     for turn in TURNS:
         assert chosen(DAY, turn, lambda one: "" if hours([one]) == [7] else "fog") == [7]
     assert sampled((), FOUR, clear, 1, DAY_NS) == Sampled((), Counter())
-
-
-def test_one_an_hour_is_one_an_hour() -> None:
-    hourly = Sample.parsed("1/hour")
-    for turn in TURNS:
-        for count in (60, 1):
-            assert len(sampled(by_the_minute(7, count), hourly, clear, turn, HOUR_NS).frames) == 1
 
 
 def test_the_sun_s_hours_of_a_day_are_counted(tmp_path: Path) -> None:

@@ -257,18 +257,19 @@ def export(*arguments: Any) -> str:
     return result.output
 
 
-@pytest.fixture
-def kept(tmp_path: Path) -> tuple[Path, Path, FuelMapHandler]:
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, FuelMapHandler]:
     """Site file and store of a map whose covers change over the years, and its node, which has ended."""
-    site = write_grass_site(tmp_path)
-    node = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
+    folder = tmp_path_factory.mktemp("kept")
+    site = write_grass_site(folder)
+    node = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(folder / "kept")), Kept(), Health())
     node.start()
     for number in range(60):
         stamp = stamp_of_frame(number) + (number // 30) * 400 * 86400 * 10**9
         node.on_votes(camera_of(number), message(number + 200 * (number // 30), grid_of(site), stamp))
         node.idle()
     node.finish()
-    return site, tmp_path / "kept" / "fuel_map.ltm", node
+    return site, folder / "kept" / "fuel_map.ltm", node
 
 
 def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMapHandler], tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import pytest
 from geometry_msgs.msg import Point32, PolygonStamped
 from scenes.fuel_frames import BEGIN_NS, grid_of, message, write_site
 from scenes.outlets import Kept
-from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.life_form import LifeForm
@@ -170,30 +169,6 @@ def test_what_comes_while_the_store_is_away_is_told_when_it_is_back(
     assert (Node(site, tmp_path / "kept").life_form[mask] == LifeForm.GRASS).all()
 
 
-def test_a_full_disk_keeps_it_in_memory_until_there_is_room(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk = SmallDisk(monkeypatch)
-    node = Node(site, tmp_path / "kept")
-    disk.fill()
-    kinds, mask = felled(node)
-    number = 0
-    while not node.health.troubled:
-        node.handler.on_votes("north", message(number, node.fuel))
-        node.handler.tick(0.5)
-        number += 1
-    assert "SQLITE_FULL" in node.health.last_error
-    node.hear(kinds, BEGIN_NS + 1)
-    assert BEGIN_NS + 1 not in node.outlet.stamps(FUEL_MAP_UPDATE)
-    disk.free()
-    node.handler.tick(retry.LONGEST_RETRY_S)
-    assert node.outlet.stamps(FUEL_MAP_UPDATE).count(BEGIN_NS + 1) == 1
-    expected = node.life_form
-    assert (expected[mask] != LifeForm.TREE).all()
-    node.kill()
-    np.testing.assert_array_equal(Node(site, tmp_path / "kept").life_form, expected)
-
-
 def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     node = Node(site, now=BEGIN_NS)
     kinds, _ = felled(node)
@@ -207,22 +182,13 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
 
     forged = sent()
     forged.info.width = 2**31
-    short = sent()
-    short.data = array("b", [1, 1, 1])
-    nowhere = sent()
-    nowhere.info.origin.position.x = float("nan")
     five = kinds.copy()
     five[3, 4] = 5
-    wide = GridGeometry(t.x_min, t.y_max, t.resolution, t.width + 1, t.height)
     cases = {
         "expected 'map'": sent(frame_id="odom"),
         "the terrain of this site has": forged,
-        "needs width": short,
-        "finite origin": nowhere,
         "is outside the grid": sent(grid=t.translated(5000.0, 0.0)),
         "is not aligned with": sent(grid=t.translated(3.0, 0.0)),
-        "is not aligned with the": sent(kinds[::2, ::2].copy(), GridGeometry(t.x_min, t.y_max, 20.0, 135, 105)),
-        "cells with": sent(np.ones(wide.shape, np.uint8), wide),
         "kind 5": sent(five),
     }
     for complaint, bad in cases.items():
@@ -237,14 +203,9 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     far = update(t, *cells, ChangeKind.GROWN, 4.0)
     far.data[0:4] = array("B", np.float32(9e5).tobytes())
     beyond = update(t, cells[0] + t.height, cells[1], ChangeKind.GROWN, 4.0)
-    many = update(t, *cells, ChangeKind.GROWN, 4.0)
-    many.height = 2**31
-    elsewhere = update(t.translated(500.0, 0.0), *cells, ChangeKind.GROWN, 4.0)
     for complaint, bad in {
         "not a change on": far,
         "outside the terrain's": beyond,
-        "there are": many,
-        "not a change": elsewhere,
         "shift nan": update(t, *cells, ChangeKind.GROWN, float("nan")),
         "change is 9": update(t, *cells, 9, 4.0),
     }.items():

@@ -1,24 +1,32 @@
-"""The description of a site's graph: which nodes, where, with which parameters."""
+"""The description of a site's graph: which nodes, where, with which parameters; its runner, and its launch file."""
 
 from __future__ import annotations
 
+import errno
+import logging
+import os
+import runpy
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import ModuleType, SimpleNamespace
+from typing import Any, List  # noqa: UP035
 
 import pytest
-import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
-from ltm_ros.launching.graph import (
-    CAMERA_NODES,
-    Graph,
-    NodeSpec,
-    describe,
-    nodes_json,
-    nodes_of_json,
-    parameters_yaml,
-)
+from ltm_core.site.site_io import load_site
+from ltm_ros.launching import runner as runner_module
+from ltm_ros.launching import site_check
+from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, nodes_json, nodes_of_json
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime import ros_environment
+from ltm_ros.runtime.process_memory import Trimming
 
 
 def site(**changes: Any) -> Site:
@@ -140,29 +148,6 @@ def test_refuses_two_nodes_of_one_label() -> None:
         Graph("ridge", (NodeSpec("depth", "/ridge/north", "a"), NodeSpec("depth", "/cliff/north", "b")))
 
 
-def test_parameters_keep_their_type_through_yaml() -> None:
-    """Checked with YAML 1.1 as PyYAML reads it; tests/graph reads the same through rclpy."""
-    values: dict[str, Any] = {
-        "flag": True,
-        "count": 3,
-        "small": 1e-05,
-        "whole": 2.0,
-        "word": "on",
-        "letter": "y",
-        "number": "12",
-        "text": "a: 'b' \"c\" # é\nnext",
-        "empty": "",
-        "numbers": [1.0, 2.5e-07],
-        "words": ["n", "1"],
-        "a.b": [1, 2],
-    }
-    text = parameters_yaml(values)
-    read = yaml.safe_load(text)["/**"]["ros__parameters"]
-    assert read == values
-    assert [type(value) for value in read.values()] == [type(value) for value in values.values()]
-    assert '"y"' in text, "rcl takes a bare y for true"
-
-
 def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     apart, together = (
         describe(site(processes=processes, depth_model="d"), "ridge.yaml", record={"bag": "/b"})
@@ -195,3 +180,203 @@ def test_what_a_shared_process_is_told_is_what_was_described() -> None:
     again = nodes_of_json(nodes_json(told))
     assert again == told
     assert [type(value) for value in again[0].parameters.values()] == [type(v) for v in told[0].parameters.values()]
+
+
+def run_idle_graph(folder: Path, console: Callable[[str], None]) -> None:
+    """Run a node that does nothing until this process is told to end, which it is after a minute at the latest."""
+    (folder / "idle_node.py").write_text("import time\ntime.sleep(600)\n")
+    graph = Graph("ridge", (NodeSpec("idle", "/ridge", "idle_node"),))
+    runner = Runner(graph, log_folder=folder, console=console, environment={"PYTHONPATH": str(folder)})
+    patience = threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGTERM))
+    patience.start()
+    try:
+        assert runner.run() == 0
+    finally:
+        patience.cancel()
+
+
+def test_a_machine_without_room_for_another_process_is_asked_again_what_is_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else nobody would ever tell the service manager that the graph is up, nor would its watchdog begin."""
+    lines: list[str] = []
+    tries: list[object] = []
+
+    def refuse(*command: object) -> None:
+        tries.append(command)
+        if len(tries) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(runner_module, "start_supervised", refuse)
+    run_idle_graph(tmp_path, lines.append)
+    assert len(tries) >= 3
+    assert [line for line in lines if os.strerror(errno.EAGAIN) in line] == [
+        f"-- {OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))}"
+    ]
+
+
+def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lives as long as its nodes, and grew by a page a minute."""
+    looks: list[float] = []
+
+    class Watched(Trimming):
+        def look(self, now_s: float) -> None:
+            looks.append(now_s)
+            if len(looks) == 3:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    def refuse(*command: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(runner_module, "start_supervised", refuse)
+    monkeypatch.setattr(runner_module, "Trimming", Watched)
+    run_idle_graph(tmp_path, lambda line: None)
+    assert len(looks) >= 3
+    assert looks == sorted(looks)
+
+
+LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
+SITE = """
+name: ridge
+crs: EPSG:32611
+origin: [400000.0, 3800000.0]
+dem: {path: dem.tif}
+cameras: {north: {}, south: {image: raw}}
+nodes: {fuel_map: {export_path: "on"}, capture: {tolerance: 0.25, hosts: ["y", "n"]}}
+processes: node
+"""
+
+
+@dataclass
+class Call:
+    args: tuple[Any, ...]
+    options: dict[str, Any]
+
+
+@dataclass
+class Context:
+    values: dict[str, str] = field(default_factory=dict)
+
+
+class Configuration:
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def perform(self, context: Context) -> str:
+        return context.values[self.name]
+
+
+def _recorder(kind: str) -> type:
+    def begin(self: Call, *args: Any, **options: Any) -> None:
+        Call.__init__(self, args, options)
+
+    return type(kind, (Call,), {"__init__": begin})
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    classes = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable"),
+        "launch.launch_description_entity": ("LaunchDescriptionEntity",),
+        "launch.substitutions": ("LaunchConfiguration",),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+        "launch_ros.parameter_descriptions": ("ParameterValue",),
+    }
+    for module_name, names in classes.items():
+        module = ModuleType(module_name)
+        for name in names:
+            setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
+        monkeypatch.setitem(sys.modules, module_name, module)
+    sys.modules["launch"].logging = SimpleNamespace(get_logger=logging.getLogger)  # type: ignore[attr-defined]
+    # What it looks at is tested with the command line's; these sites have no DEM.
+    monkeypatch.setattr(site_check, "require_ready", lambda path, wanted, tell: load_site(path))
+    return runpy.run_path(str(LAUNCH_FILE))
+
+
+@pytest.fixture
+def site_file(tmp_path: Path) -> Path:
+    path = tmp_path / "ridge.yaml"
+    path.write_text(SITE)
+    return path
+
+
+def rendered(launch_file: dict[str, Any], **given: str) -> list[Any]:
+    *arguments, opaque = launch_file["generate_launch_description"]().args[0]
+    assert type(opaque).__name__ == "OpaqueFunction"
+    defaults = {one.args[0]: one.options["default_value"] for one in arguments}
+    assert [name for name, value in defaults.items() if value is None] == ["site"]
+    result: list[Any] = opaque.options["function"](Context(defaults | given))
+    return result
+
+
+def plain(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Parameters as ROS gets them, once launch has applied the stated types."""
+    values = {}
+    for name, value in parameters.items():
+        if type(value).__name__ == "ParameterValue":
+            (content,) = value.args
+            assert value.options["value_type"] is (str if isinstance(content, str) else List[str])  # noqa: UP006
+            values[name] = content
+        else:
+            # launch reads bare strings as YAML.
+            assert isinstance(value, bool | int | float), f"{name}: {value!r} would change its type"
+            values[name] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("given", "options"),
+    [
+        ({}, {}),
+        ({"cameras": "south", "use_sim_time": "true"}, {"cameras": ["south"], "sim_time": True}),
+        ({"view": "True", "record": "/bags/x"}, {"view": {"serve": True}, "record": {"bag": "/bags/x"}}),
+    ],
+)
+def test_renders_the_graph_that_is_described(
+    launch_file: dict[str, Any], site_file: Path, given: dict[str, str], options: dict[str, Any]
+) -> None:
+    graph = describe(load_site(site_file), site_file, **options)
+    actions = rendered(launch_file, site=str(site_file), **given)
+    nodes = [action.options for action in actions if type(action).__name__ == "Node"]
+    assert len(nodes) == len(graph)
+    for node, spec in zip(nodes, graph, strict=True):
+        assert (node["package"], node["executable"]) == ("ltm", spec.executable)
+        assert f"{node['namespace']}/{node['name']}" == spec.full_name
+        (parameters,) = node["parameters"]
+        assert plain(parameters) == dict(spec.parameters)
+        assert node["respawn"] is True
+        assert node["additional_env"] == ros_environment.thread_limits(spec.busy)
+
+
+def test_renders_one_process_for_the_nodes_that_share_it(
+    launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    site_file.write_text(SITE.replace("processes: node", "processes: site"))
+    graph = describe(load_site(site_file), site_file, cameras=["south"])
+    actions = rendered(launch_file, site=str(site_file), cameras="south")
+    nodes = [action.options for action in actions if type(action).__name__ == "Node"]
+    assert [node["executable"] for node in nodes] == ["fuel_map", "cameras"]
+    (given,) = nodes[1]["arguments"]
+    assert nodes_of_json(Path(given).read_text(encoding="utf-8")) == graph.process("cameras").nodes
+    assert nodes[1]["additional_env"] == ros_environment.thread_limits(busy=False)
+    assert nodes[1]["respawn"] is True
+
+
+def test_sets_the_transport_profile(
+    launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (*ros_environment.PROFILE_VARIABLES, "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name, raising=False)
+    actions = rendered(launch_file, site=str(site_file))
+    variables = dict(action.args for action in actions if type(action).__name__ == "SetEnvironmentVariable")
+    assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == "fastdds.xml"
+    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
+def test_refuses_a_flag_that_is_neither(launch_file: dict[str, Any], site_file: Path) -> None:
+    with pytest.raises(ConfigError, match="launch argument view:=yes: take true or false"):
+        rendered(launch_file, site=str(site_file), view="yes")

@@ -184,9 +184,7 @@ print("the module's end")
     ("end", "status", "apart"),
     [
         ("", 0, False),
-        ("sys.exit()", 0, False),
         ("sys.exit(74)", 74, False),
-        ("sys.exit('wrong')", 1, True),
         ("raise ValueError('wrong')", 1, True),
     ],
 )

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from rclpy.serialization import deserialize_message, serialize_message
 from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
-from scenes.region_days import same_map
-from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+from scenes.region_days import FAULTS, RegionDays, same_map
+from scenes.region_scene import CAMERA, REGION, TOWERS, RegionScene, stamp_of, write_region_scene
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.base.errors import ConfigError, MessageError
@@ -96,22 +98,6 @@ def test_a_frame_is_answered_for_once_it_is_stored_and_counted_once(scene: Regio
         assert region.answers() == {"bear": [done(1), done(2)]}
         assert region.aggregator.persistence.store is not None
         assert region.aggregator.persistence.store.sources() == {"alta_mast": 1, "bear_mast": 2}
-
-
-def test_the_order_and_repetition_of_frames_do_not_matter(tmp_path: Path) -> None:
-    states = []
-    for name, order in (("a", [1, 2, 3, 4, 5]), ("b", [4, 4, 2, 5, 1, 3, 1])):
-        (tmp_path / name).mkdir()
-        with living(write_region_scene(tmp_path / name)) as region:
-            for number in order:
-                region.send("alta", number)
-                region.answers()
-            evidence = region.aggregator.persistence.map
-            rows, cols = evidence.tiles
-            states.append([evidence.tile_state((row, col)) for row in range(rows) for col in range(cols)])
-    for one, other in zip(*states, strict=True):
-        for field, array in one.items():
-            np.testing.assert_array_equal(array, other[field])
 
 
 def altered(content: bytes, place: int) -> bytes:
@@ -271,3 +257,37 @@ def test_a_tower_that_means_harm_does_not_end_the_map(scene: RegionScene) -> Non
 
 def _cdr(cloud: object) -> bytes:
     return bytes(serialize_message(cloud))
+
+
+@pytest.mark.parametrize("hours", [0.25, pytest.param(48.0, marks=pytest.mark.slow)])
+def test_after_a_fault_in_each_minute_the_map_is_that_of_all_frames(tmp_path: Path, hours: float) -> None:
+    days, begun, minutes = RegionDays(write_region_scene(tmp_path), seed=7), time.monotonic(), round(60 * hours)
+    days.run(minutes // 5)
+    early = open_things()
+    days.run(minutes - minutes // 5)
+    assert sum(days.faults.values()) == minutes
+    if minutes > 100:
+        assert set(days.faults) == set(FAULTS)
+    days.drain(60)
+    late = open_things()
+    assert days.waiting == 0, "no tower is stuck"
+    frames = {name: len(seconds) for name, seconds in days.sent.items()}
+    assert all(abs(number - 60 * minutes // days.period_s) <= 1 for number in frames.values())
+    assert days.stored() == {f"{name}_{CAMERA}": frames[name] for name in TOWERS}, "each once"
+    assert same_map(days.evidence, days.expected())
+    days.close()
+    assert set(days.dropped) <= {"message"}, "what was altered, and nothing else"
+    print(
+        f"{hours:g} simulated hours in {time.monotonic() - begun:.0f} s, {sum(frames.values())} frames, faults "
+        f"{dict(days.faults)}, refused {dict(days.dropped)}, files, threads and objects {early} -> {late}"
+    )
+    files, threads, objects = (b - a for a, b in zip(early, late, strict=True))
+    assert files <= 4
+    assert threads <= 0
+    assert objects < 50_000
+
+
+def open_things() -> tuple[int, int, int]:
+    """Open files, threads, and objects that the garbage collector knows."""
+    gc.collect()
+    return len(list(Path("/proc/self/fd").iterdir())), threading.active_count(), len(gc.get_objects())

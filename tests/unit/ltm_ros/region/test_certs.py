@@ -1,11 +1,16 @@
-"""`ltm certs`: what it makes, who may read it, and that it adds to what is there."""
+"""`ltm certs`: what it makes, who may read it, and that it adds to what is there; and a region's start."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives import serialization
+from scenes.region_scene import write_region_scene
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError
@@ -75,3 +80,17 @@ def test_another_authority_in_the_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "ca.key").write_text("not ours")
     with pytest.raises(ConfigError, match="contains no authority"):
         TrialAuthority(tmp_path, 2).make("kern", ["alta"], [], "127.0.0.1", 8883)
+
+
+def test_nothing_is_compiled_or_imported_after_the_start(tmp_path: Path) -> None:
+    """In a process of its own: in this one other tests have done both."""
+    scene = write_region_scene(tmp_path, tiles=1e-9)
+    (tmp_path / "frame").write_bytes(scene.sealed("alta", 1))
+    code = Path(__file__).with_name("frames_after_start.py")
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    before, after, imported = json.loads(run.stdout)
+    assert before["ltm_core.fuel.evidence_kernel.accumulate"] == 1
+    assert after == before
+    assert imported == []

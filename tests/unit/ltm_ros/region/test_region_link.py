@@ -131,12 +131,12 @@ def test_frames_reach_the_map_and_leave_the_outbox(scene: RegionScene, broker: B
 
 def test_after_kills_of_map_and_broker_the_map_is_that_of_all_frames(scene: RegionScene, broker: Broker) -> None:
     """With SIGKILL, while the map counts. Kills of a tower are in `test_outbox.py`."""
-    frames, source = 200, f"alta_{CAMERA}"
+    frames, source = 100, f"alta_{CAMERA}"
     command = [sys.executable, "-m", "ltm_ros.cli.main", "region", str(scene.folder / "region.yaml")]
     with sending(scene, "alta") as (alta, said):
         offer(alta, scene, range(frames))
         wait_for(lambda: waiting(said) == str(frames), "the outbox")
-        for left in (frames - 1, frames // 2, 0):
+        for left in (frames // 2, 0):
             with subprocess.Popen(command) as service:
                 wait_for(lambda left=left: int(waiting(said)) <= left, "answers of the map")  # type: ignore[misc]
                 service.kill()
@@ -280,7 +280,7 @@ def resident_mb() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
 
 
-@pytest.mark.parametrize("megabytes", [40, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("megabytes", [15, pytest.param(1000, marks=pytest.mark.slow)])
 def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broker: Broker, megabytes: int) -> None:
     with mapped(scene) as service, Client(scene, "alta") as alta, sending(scene, "bear") as (bear, said):
         assert alta.connected.wait(PATIENCE_S)

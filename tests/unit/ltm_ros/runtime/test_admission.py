@@ -180,24 +180,6 @@ def test_a_slow_worker_is_waited_for_as_long_as_it_goes_on() -> None:
     assert door.stated("finished", "noted.unfinished") == [2, 0]
 
 
-def test_all_hang_and_frames_go_on() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.admission.tick(10.5)
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("noted.unfinished", "in_flight") == [2, 0]
-
-
-def test_a_worker_that_goes_is_not_waited_for() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.finished(1, "vote")
-    door.workers.remove("fuse")
-    door.admission.tick(0.5)
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("noted.unfinished", "in_flight") == [1, 2]
-
-
 def test_one_that_comes_counts_from_the_next_frame_on() -> None:
     door = Door(workers={"vote"})
     door.offer(1)

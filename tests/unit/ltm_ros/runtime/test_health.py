@@ -11,21 +11,6 @@ from ltm_ros.runtime import health as module
 from ltm_ros.runtime.health import Health, cause_of
 
 
-def test_nothing_has_happened_yet() -> None:
-    health = Health()
-    summary = health.summary()
-    assert summary == {
-        "frames_in": "0",
-        "frames_out": "0",
-        "received": "0",
-        "published": "0",
-        "dropped": "0",
-        "rate_hz": "0.00",
-        "last_error": "",
-    }
-    assert not health.troubled
-
-
 def test_a_frame_has_a_message_on_each_topic() -> None:
     health = Health()
     for _ in range(4):

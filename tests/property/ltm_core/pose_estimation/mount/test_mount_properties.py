@@ -84,7 +84,7 @@ def test_a_longer_zoom_never_shows_more(lens: ZoomLens, a: float, b: float) -> N
     assert lens.camera(first).hfov_deg <= lens.table[0][1] + 1e-6
 
 
-@examples(10, in_fuzz=15)
+@examples(5, in_fuzz=15)
 @given(heads(), st.integers(4, 7), st.integers(0, 1_000_000))
 def test_the_mount_is_found_whatever_it_is(head: MountModel, count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

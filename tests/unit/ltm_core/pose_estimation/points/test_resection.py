@@ -83,11 +83,7 @@ def test_finds_the_position_too() -> None:
 
 @pytest.mark.parametrize(
     "start",
-    [
-        (-80.0, 75.0, 60.0),
-        pytest.param((420.0, -430.0, -50.0), marks=pytest.mark.slow),
-        (-1500.0, 4700.0, 300.0),
-    ],
+    [(-80.0, 75.0, 60.0), (-1500.0, 4700.0, 300.0)],
 )
 def test_a_free_position_is_found_from_far_away(start: tuple[float, float, float]) -> None:
     points = moved(scattered(9, noise=0.5), {4: (200.0, -80.0)})
@@ -128,9 +124,9 @@ def test_a_position_with_a_sigma_is_not_held_at_a_wrong_place() -> None:
 
 
 def test_sigmas_are_those_that_noise_makes() -> None:
-    # The mean normalised squared error of the fitted values is their number, 5; over 24 runs its sigma is 0.7.
+    # The mean normalised squared error of the fitted values is their number, 5; over 10 runs its sigma is 1.
     normalised = []
-    for seed in range(24):
+    for seed in range(10):
         result = resect(scattered(seed=seed, noise=2.0), START, POSE.position, (203.0, -8.0, 3.0), bend=BEND)
         turn = Rotation.from_matrix(POSE.rotation @ result.pose.rotation.T).as_rotvec()
         error = np.array([*turn, np.log(1850.0 / result.camera.fx), -0.12 - result.camera.distortion[0]])
@@ -411,6 +407,15 @@ calibration: {width: 320, height: 200, fx: 260}
 """
 
 
+def write_points(path: Path, points: ControlPoints, first_pixel: float = 0.0, frame: SiteFrame | None = None) -> Path:
+    """With the coordinates of a frame, without one as they are."""
+    shift = (frame.x_origin, frame.y_origin, 0.0) if frame else (0.0, 0.0, 0.0)
+    rows = np.column_stack([points.places + shift, points.pixels + first_pixel]).tolist()
+    lines = [",".join([name, *map(str, row)]) for name, row in zip(points.names, rows, strict=True)]
+    path.write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    return path
+
+
 def pose_command(**options: object) -> None:
     """`ltm pose points` with these options."""
     given = [str(options.pop("points"))]
@@ -434,21 +439,11 @@ def test_the_command_writes_a_pose_that_trace_reads(
     pixels = np.array([[20.0, 150.0], [290.0, 160.0], [150.0, 60.0], [40.0, 40.0], [280.0, 30.0], [160.0, 180.0]])
     points = marked(pixels, np.array([50.0, 60.0, 90.0, 140.0, 150.0, 45.0]), camera, truth)
     names = ("[/cairn]", *points.names[1:])  # as somebody may write it, no markup of tables
-    lines = [
-        f"{name},{x},{y},{z},{u + 1},{v + 1}"
-        for name, (x, y, z), (u, v) in zip(names, points.places.tolist(), pixels.tolist(), strict=True)
-    ]
-    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    table = write_points(tmp_path / "points.csv", replace(points, names=names, pixels=pixels), 1.0)
     (tmp_path / "guess.yaml").write_text(GUESS)
     fitted, dem = tmp_path / "pose.yaml", tmp_path / "dem.tif"
-    pose_command(
-        points=tmp_path / "points.csv",
-        guess=tmp_path / "guess.yaml",
-        out=fitted,
-        dem=dem,
-        first_pixel=1.0,
-        report=tmp_path / "report.json",
-    )
+    files = {"points": table, "guess": tmp_path / "guess.yaml", "report": tmp_path / "report.json"}
+    pose_command(**files, out=fitted, dem=dem, first_pixel=1.0)
     config = load_picture_config(fitted)
     assert (config.pose.azimuth_deg, config.pose.pitch_deg, config.pose.roll_deg) == pytest.approx(
         (312.0, -20.0, 2.0), abs=1e-3
@@ -477,11 +472,7 @@ def test_the_command_shows_the_residuals_of_a_camera_below_the_dem(
     points = scattered()
     ground = Dem(np.full((50, 50), z + 5.0, np.float32), GridGeometry(x - 2500, y + 2500, 100.0, 50, 50, "EPSG:32611"))
     ground.save(tmp_path / "dem.tif")
-    lines = [
-        f"{name},{a + FRAME.x_origin},{b + FRAME.y_origin},{c},{u},{v}"
-        for name, (a, b, c), (u, v) in zip(points.names, points.places.tolist(), points.pixels.tolist(), strict=True)
-    ]
-    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    write_points(tmp_path / "points.csv", points, frame=FRAME)
     (tmp_path / "guess.yaml").write_text(
         f"pose: {{x: {x}, y: {y}, z: {z}}}\ncalibration: {{width: 1600, height: 1100, fx: 1800, cx: 801, cy: 547}}\n"
     )
@@ -498,30 +489,3 @@ def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
     (tmp_path / "guess.yaml").write_text("pose: {x: 1, y: 2, z: 3}\ncalibration: {width: 320, height: 200, fx: 260}\n")
     with pytest.raises(ConfigError, match="--crs"):
         pose_command(points=tmp_path / "no.csv", guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
-
-
-def test_the_command_tells_of_what_is_held_before_its_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    points = in_line()
-    lines = [
-        f"{name},{x + FRAME.x_origin},{y + FRAME.y_origin},{z},{u},{v}"
-        for name, (x, y, z), (u, v) in zip(points.names, points.places.tolist(), points.pixels.tolist(), strict=True)
-    ]
-    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
-    x, y, z = np.add(POSE.position, (FRAME.x_origin, FRAME.y_origin, 0.0))
-    (tmp_path / "guess.yaml").write_text(
-        f"pose: {{x: {x}, y: {y}, z: {z}, crs: EPSG:32611}}\n"
-        "calibration: {width: 1600, height: 1100, fx: 1850, cx: 801, cy: 547, k1: -0.12}\ncurvature: true\n"
-    )
-    files = {"points": tmp_path / "points.csv", "guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
-    pose_command(**files, free="position", report=tmp_path / "report.json")
-    said = capsys.readouterr().out
-    assert said.index("position is fixed") < said.index("parameter")
-    assert "--force position" in said
-    rejected = json.loads((tmp_path / "report.json").read_text())["rejected"]["position"]
-    assert rejected["values"]["x"] == pytest.approx(x, abs=500)
-    pose_command(**files, free="none", force="position", overwrite=True)
-    assert "position is fixed" not in capsys.readouterr().out
-    assert ", x " in (tmp_path / "pose.yaml").read_text()  # a sigma of its own

@@ -10,14 +10,14 @@ import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.skyline.pose_refinement import skyline_fit
+from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
@@ -36,6 +36,22 @@ def clear() -> PictureEvidence:
 @cache
 def found_clear() -> PictureSearch:
     return find_pose(clear(), OPEN, PRIOR)
+
+
+@cache
+def among_shrubs() -> PictureEvidence:
+    """The same, by its labels with shrubs on all of its land."""
+    photo, labels = view(TRUE)
+    labels[labels != Label.SKY] = Label.SHRUB
+    return picture_evidence(photo, labels, CAMERA)
+
+
+@cache
+def unsettled() -> PictureSearch:
+    """Among shrubs, but for the last step."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
+        return find_pose(among_shrubs(), OPEN, PRIOR)
 
 
 def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
@@ -106,38 +122,49 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
-def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A skyline whose azimuth is too unsure for an open view, and ridges that are surer but have a twin."""
-    best = found_clear().hypotheses[0]
-    sigma = float(np.degrees(np.sqrt(best.refined.covariance[5, 5])))
-    surer = replace(best.refined, covariance=best.refined.covariance / 16)
-    twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(4.0)]))
-    ridges = [replace(best, refined=surer), replace(best, refined=replace(surer, pose=twin))]
-    monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    strict = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.6 * sigma})
-    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
-    assert found.verdict.word == "accepted", found.verdict.reason
-    assert found.verdict.sigma_deg[0] == pytest.approx(sigma * np.sqrt(2 / 17), rel=0.05)
-
-
-@pytest.mark.parametrize(("apart_deg", "word"), [(0.2, "accepted"), (0.5, "ambiguous")])
-def test_ridges_must_be_of_the_same_azimuth(apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    best = found_clear().hypotheses[0]
-    aside = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg)]))
-    # As good as another: by themselves these ridges decide nothing.
-    twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg + 4.0)]))
-    ridges = [replace(best, refined=replace(best.refined, pose=pose)) for pose in (aside, twin)]
-    monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    asked = CONFIG.verdict.model_copy(update={"open_gap": 1e9})
-    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
-    assert found.verdict.word == word, found.verdict.reason
-
-
 def test_an_open_azimuth_must_be_surer() -> None:
     wide = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.001})
     config = CONFIG.model_copy(update={"verdict": wide})
     assert find_pose(clear(), OPEN, PRIOR, config).verdict.word != "accepted"
     assert find_pose(clear(), terrain(), PRIOR, config).verdict.word == "accepted"
+
+
+def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
+    evidence = among_shrubs()
+    found = find_pose(evidence, OPEN, PRIOR)
+    assert found.verdict.word == "accepted", found.verdict.reason
+    best = found.hypotheses[0].refined
+    again = settled_on_ridges(best, evidence, found.horizon, PRIOR, 0.0, CONFIG)
+    away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
+    assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
+    assert found.verdict.sigma_deg == pytest.approx(
+        tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
+    )
+
+
+def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: asked.append(0) or refined)
+    find_pose(clear(), OPEN, PRIOR)
+    assert not asked
+
+
+@pytest.mark.parametrize(("sunk", "sigma_deg", "settles"), [(0.0, 0.29, True), (0.0, 0.31, False), (500.0, 0.1, False)])
+def test_a_pose_stays_where_ridges_leave_it_open_or_under_the_ground(
+    sunk: float, sigma_deg: float, settles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def settled(refined: RefinedPose, *given: object) -> RefinedPose:
+        turned_pose = turned(refined.pose, np.radians([0.0, 0.0, 0.2]))
+        pose = replace(turned_pose, position=turned_pose.position - np.array([0.0, 0.0, sunk]))
+        return replace(refined, pose=pose, covariance=np.diag(np.radians(np.full(7, sigma_deg)) ** 2))
+
+    before = unsettled()
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", settled)
+    after = find_pose(among_shrubs(), OPEN, PRIOR)
+    assert before.verdict.word == after.verdict.word == "accepted"
+    off = np.degrees(angles_between(before.hypotheses[0].refined.pose, after.hypotheses[0].refined.pose))
+    assert off[0] == pytest.approx(-0.2 if settles else 0.0, abs=0.01)
+    assert (after.verdict.sigma_deg == before.verdict.sigma_deg) is not settles
 
 
 def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:

@@ -1,4 +1,4 @@
-"""What a photo shows of its pose: its skyline and its edges."""
+"""What a photo shows of its pose: its skyline and its edges; and the terrain's own horizon."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, view
+from scenes.mountain_view import BEND, CAMERA, eye, view
 
-from ltm_core.base.errors import ImageError
+from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.image_edges import image_skyline
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.terrain_horizon import terrain_horizon
+from ltm_core.raster.dem import Dem
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
@@ -74,3 +78,44 @@ def test_labels_of_another_size_are_told() -> None:
     photo, labels = view(TRUE)
     with pytest.raises(ImageError, match="same size"):
         picture_evidence(photo, labels[:-1], CAMERA)
+
+
+def walls(near: float = 30.0, far: float = 90.0) -> Dem:
+    """Flat ground at 100 m with two walls from west to east, 400 m and 1000 m north of y = 200."""
+    geometry = GridGeometry(0.0, 1500.0, 5.0, 240, 300)
+    rows, cols = np.mgrid[0:300, 0:240]
+    _, y = geometry.to_map(rows, cols)
+    z = np.full(y.shape, 100.0)
+    z[np.abs(y - 600.0) < 6] += near
+    z[np.abs(y - 1200.0) < 6] += far
+    return Dem(z.astype(np.float32), geometry)
+
+
+def test_the_horizon_of_two_walls() -> None:
+    horizon = terrain_horizon(walls(), np.array([600.0, 200.0, 110.0]), BEND, NOTHING_BEYOND, half_width=0.2)
+    straight = int(np.argmin(np.abs(horizon.azimuths)))
+    assert horizon.range[straight] == pytest.approx(995.0, abs=6.0)
+    r = horizon.range[straight]
+    assert horizon.tangent[straight] == pytest.approx(80.0 / r - BEND * r, abs=1e-4)
+    # The lower wall before it is an occluding contour, and what comes into view behind it is the higher one.
+    contours = horizon.contours
+    k = int(np.argmin(np.abs(contours.azimuth)))
+    assert contours.range[k] == pytest.approx(395.0, abs=6.0)
+    assert contours.tangent[k] == pytest.approx(20.0 / contours.range[k], abs=1e-3)
+    assert contours.behind[k] == pytest.approx(990.0, abs=12.0)
+    assert contours.following[k] == k + 1
+    assert not horizon.open.any()
+
+
+def test_land_beyond_the_dem_leaves_the_horizon_open() -> None:
+    place = np.array([600.0, 200.0, 110.0])
+    low = terrain_horizon(walls(), place, BEND, PossibleGround(highest=150.0), half_width=0.2)
+    high = terrain_horizon(walls(), place, BEND, PossibleGround(highest=900.0), half_width=0.2)
+    assert not low.open.any(), "no higher than the wall of 190 m"
+    assert high.open.all()
+    assert (high.bound > high.tangent + 0.1).all()
+
+
+def test_a_place_beside_the_dem_is_told() -> None:
+    with pytest.raises(PoseError, match="no known terrain around"):
+        terrain_horizon(walls(), np.array([90_000.0, 200.0, 110.0]), BEND)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, mountains, terrain, view
+from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
@@ -27,11 +27,9 @@ from ltm_core.vision.labels import Label
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
 
-@pytest.mark.parametrize("off", [(1.4, -0.5, 0.4), (-7.0, 0.6, -0.7)])
-def test_a_disturbed_pose_is_found_again(off: tuple[float, float, float]) -> None:
+def test_a_disturbed_pose_is_found_again() -> None:
     photo, labels = view(TRUE)
-    start = Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, off))
-    prior = PosePrior(start, max(1.5, abs(off[0]) / 1.5), 0.6, 0.6)
+    prior = PosePrior(Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, (-7.0, 0.6, -0.7))), 4.7, 0.6, 0.6)
     search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), prior)
     assert search.verdict.word == "accepted", search.verdict.reason
     result = result_of(search, prior, CAMERA)
@@ -134,7 +132,3 @@ def test_sigmas_that_are_none_are_told() -> None:
         PosePrior(TRUE, -1.0)
     with pytest.raises(PoseError, match="metres"):
         PosePrior(TRUE, 1.0, position_sigma=-2.0)
-
-
-def test_the_scene_s_camera_stands_above_its_ground() -> None:
-    assert TRUE.position[2] - mountains().elevation_at(*TRUE.position[:2]) == pytest.approx(12.0)

@@ -22,11 +22,7 @@ from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, 
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
 CONFIG = VerdictConfig(
-    alternative_deg=2.5,
-    agreement=2.0,
-    same_deg=0.1,
-    most_sigma_deg=0.6,
-    close_azimuth_sigma_deg=0.4,
+    alternative_deg=2.5, agreement=2.0, same_deg=0.1, most_sigma_deg=0.6, close_azimuth_sigma_deg=0.4
 )
 
 

@@ -90,13 +90,3 @@ def test_of_two_edges_that_which_fits_is_the_horizon(exact: PictureEvidence, up_
     assert np.degrees(np.abs(angles_between(TRUE, best.pose))).max() < 0.1
     assert best.skyline.support > 0.9
     assert search.verdict.word == "accepted"
-
-
-def test_an_upper_edge_that_is_believed_without_doubt_leads_away(exact: PictureEvidence) -> None:
-    doubted, believed = (
-        find_pose(with_two_edges(exact, 5.0, 0.0), terrain(), PRIOR, config).hypotheses[0].refined
-        for config in (PicturePoseConfig(), PicturePoseConfig(skyline=SkylineConfig(no_land=1e-9)))
-    )
-    off, led_away = (np.abs(angles_between(TRUE, found.pose)).max() for found in (doubted, believed))
-    assert led_away > 2 * off
-    assert believed.skyline.variance > 2 * doubted.skyline.variance

@@ -1,4 +1,4 @@
-"""Fusion where a mast, a caption and a corner of the lens stand before the terrain."""
+"""Fusion where a mast, a caption and a corner of the lens stand before the terrain; unknown ground and labelled sky."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
-from ltm_core.depth.unseen_terrain import edges_seen, hidden_at
+from ltm_core.depth.unseen_terrain import edges_seen, hidden_at, unknown_share, with_labelled_sky
 from ltm_core.geometry.range_image import DepthImage
 from ltm_core.vision.labels import LabelSet
 
@@ -140,3 +140,52 @@ def test_a_hidden_pixel_hides_all_that_covers_it() -> None:
     expected[1, 1] = True
     np.testing.assert_array_equal(hidden_at(hidden, 2, 4), expected)
     np.testing.assert_array_equal(hidden_at(expected, 6, 8), expected.repeat(3, 0).repeat(2, 1))
+
+
+SKY, LAND = 0, 4
+nan, inf = np.nan, np.inf
+
+
+def test_unknown_under_sky_becomes_sky() -> None:
+    depth = np.array([[nan, nan, inf, nan], [nan, nan, nan, nan], [nan, 9, nan, nan], [7, nan, 5, nan]], np.float32)
+    labels = np.array([[0, 0, 0, LAND], [0, 0, 0, 0], [LAND, 0, 0, 0], [LAND, 0, LAND, 0]], np.uint8)
+    found = with_labelled_sky(depth, labels, SKY)
+    # The first column ends at land, the second at known ground (a lake below it is none), the fourth begins with land.
+    expected = [[inf, inf, inf, nan], [inf, inf, inf, nan], [nan, 9, inf, nan], [7, nan, 5, nan]]
+    np.testing.assert_array_equal(found, np.array(expected, np.float32))
+    assert np.isnan(depth[0, 0])
+
+
+def test_what_is_known_stays_as_it_is() -> None:
+    depth = np.array([[inf, inf, 4], [3, nan, 2]], np.float32)
+    assert with_labelled_sky(depth, np.array([[0, LAND, 0], [0, 0, 0]], np.uint8), SKY) is depth
+
+
+def picture() -> np.ndarray:
+    """400 x 240: the upper half sky, the lower known ground."""
+    depth = np.full((240, 400), 50.0, np.float32)
+    depth[:120] = np.inf
+    return depth
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "reason"),
+    [
+        ((slice(60, 120), slice(0, 400)), "beyond", "beyond the DEM's edge"),
+        ((slice(160, 200), slice(40, 400)), "between", "holes"),
+        ((slice(180, 240), slice(0, 400)), "before", "beyond the DEM's edge"),
+        ((slice(0, 240), slice(100, 300)), "no_ground", "misses the DEM"),
+    ],
+)
+def test_where_it_lies_tells_the_reason(part: tuple[slice, slice], name: str, reason: str) -> None:
+    depth = picture()
+    depth[part] = np.nan
+    share = unknown_share(depth)
+    assert getattr(share, name) == pytest.approx(np.isnan(depth).mean(), abs=0.01)
+    assert share.whole == getattr(share, name)
+    assert reason in share.reason
+    assert f"{np.isnan(depth).mean():.0%}" in share.reason
+
+
+def test_a_picture_that_is_known() -> None:
+    assert unknown_share(picture()).whole == 0.0
