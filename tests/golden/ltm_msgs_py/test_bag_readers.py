@@ -19,20 +19,18 @@ from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from ltm_core.base.errors import ImageError
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
-from ltm_msgs_py.image import compressed_to_msg, compressed_to_rgb, depth_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
@@ -192,23 +190,3 @@ def test_type_hashes_are_those_that_rosbags_computes(bag: Path) -> None:
     for entry in info["topics_with_message_count"]:
         topic = entry["topic_metadata"]
         assert topic["type_description_hash"] == store.hash_rihs01(topic["type"])
-
-
-def test_a_half_grey_image_of_a_bag_is_rejected(shared_data: Path) -> None:
-    reader = BagReader(shared_data / "cases/bags/jpeg_half_grey.mcap")
-    images = [reader.decode(m) for m in reader.messages(topics=["/demo/tower_north/image_raw/compressed"])]
-    shapes = []
-    for number, image in enumerate(images):
-        if number == 1:
-            with pytest.raises(ImageError, match=r"is truncated: 3\d\.\d% of the image"):
-                compressed_to_rgb(image)
-        else:
-            shapes.append(compressed_to_rgb(image).shape)
-    assert len(shapes) == 2
-
-
-def test_photos_of_towers_are_complete(shared_data: Path) -> None:
-    photos = sorted((shared_data / "hpwren_towers").glob("*.jpg"))
-    assert photos
-    for path in photos:
-        assert decode_rgb(path.read_bytes(), path.name).shape[2] == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,17 @@ from rasterio.warp import Resampling, reproject
 
 from ltm_core.base.errors import RasterError
 from ltm_core.fuel.class_map import snapped_grid
-from ltm_core.fuel.codes import FuelClimate, FuelSystem, code_color, of_one_fuel_type
+from ltm_core.fuel.codes import FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
-from ltm_core.fuel.export.export_grid import GridTransfer
+from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import surface_codes
+from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior, PriorConfig
 from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 EARLIER, LATER = "earlier_elmfire_lcc/fbfm40r5.tif", "later_gridfire_utm10/fbfm40.tif"
 
@@ -36,7 +38,7 @@ def group(codes: np.ndarray) -> np.ndarray:
     return np.digitize(codes, [100, 120, 140, 160, 180, 200])
 
 
-def test_the_tubbs_pair(shared_data: Path) -> None:
+def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "fuels_tubbs_pair"
     later, grid = raster(folder / LATER)
     early, early_grid = raster(folder / EARLIER)
@@ -55,6 +57,22 @@ def test_the_tubbs_pair(shared_data: Path) -> None:
     )
     assert np.abs(ours - golden).sum() < 0.002 * both.sum()
     assert ours.reshape(7, 7)[0, 1:].sum() > 0
+
+    climate = FuelClimate.named("dry")
+    for name, own in (("early", early_grid), ("later", grid)):
+        names = {"early": EARLIER, "later": LATER}
+        dem = Dem.open((folder / names[name]).parent / "dem.tif")
+        prior = load_prior(PriorConfig(path=folder / names[name]), own)
+        frame = SiteFrame(str(dem.geometry.crs))
+        unseen = np.full(own.shape, 255, np.uint8)
+        layers = layers_of_classes(unseen, prior, climate)
+        made = make_landscape(layers, prior, dem.in_frame(frame), frame, own, climate, FuelSystem.FBFM40)
+        np.testing.assert_array_equal(made.band("fuel"), prior.codes)
+        for path in (write_lcp(tmp_path / f"{name}.lcp", made), write_landscape(tmp_path / f"{name}.tif", made)):
+            with rasterio.open(path) as source:
+                np.testing.assert_array_equal(source.read(), made.bands)
+            back = load_prior(PriorConfig(path=path), own)
+            np.testing.assert_array_equal(back.codes, prior.codes)
 
 
 def test_codes_that_no_system_has(shared_data: Path) -> None:
@@ -142,29 +160,24 @@ def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, regio
             assert np.isin(codes, list(group_of_13))[cells].sum() >= 0.99 * cells.sum()
 
 
-def attribute_table(path: Path) -> list[dict[str, str]]:
-    """The rows of a dBASE file."""
-    data = path.read_bytes()
-    count, header, length = struct.unpack("<IHH", data[4:12])
-    fields, at = [], 32
-    while data[at] != 13:
-        fields.append((data[at : at + 11].split(b"\0")[0].decode(), data[at + 16]))
-        at += 32
-    rows = []
-    for start in range(header, header + count * length, length):
-        row, place = {}, start + 1
-        for name, width in fields:
-            row[name] = data[place : place + width].decode("latin1").strip()
-            place += width
-        rows.append(row)
-    return rows
-
-
-@pytest.mark.parametrize("product", ["F40", "F13"])
-def test_fuel_models_have_landfires_colours(shared_data: Path, product: str) -> None:
-    rows = attribute_table(shared_data / f"fuels_vermont_landfire/LC22_{product}_230.tif.vat.dbf")
-    given = {int(row["VALUE"]): tuple(int(row[band]) for band in "RGB") for row in rows if int(row["VALUE"]) > 0}
-    # Non-burnable codes stand in both systems, with other colours; ours are those of the newer one.
-    burnable = {code: color for code, color in given.items() if product == "F40" or code < 90}
-    assert len(burnable) > 6
-    assert {code: code_color(code) for code in burnable} == burnable
+@pytest.mark.parametrize(
+    ("name", "region_name", "contradicting", "by_table", "by_export"),
+    [
+        ("fuels_vermont_landfire/LC22_F40_230.tif", "humid", 593, 0.976, 0.997),
+        ("fuels_tubbs_pair/" + LATER, "dry", 47_498, 0.901, 0.925),
+    ],
+)
+def test_agreement_with_landfires_own_fbfm13(
+    shared_data: Path, name: str, region_name: str, contradicting: int, by_table: float, by_export: float
+) -> None:
+    """The dry region's table loses what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is
+    brush in the other."""
+    path, region = shared_data / name, FuelClimate.named(region_name)
+    prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), raster(path)[1])
+    assert prior.contradicting == contradicting
+    assert prior.fbfm13 is not None
+    both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
+    cover = None if prior.canopy is None else prior.canopy[0]
+    table = region.as_crosswalk().to_fbfm13(prior.codes, cover)
+    assert (table == prior.fbfm13)[both].mean() > by_table
+    assert (exported(prior, region, within_fuel_type(prior)) == prior.fbfm13)[both].mean() > by_export

@@ -1,5 +1,5 @@
 """A DEM of 10 km x 10 km at 1 m, deflated, with holes: opened and traced within 0.9 GB of resident memory in all, by a
-process that finds its kernels compiled, as every one after the first does. And rasters beside GDAL's.
+process that finds its kernels compiled, as every one after the first does.
 """
 
 from __future__ import annotations
@@ -12,13 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
-from rasterio.enums import Resampling
-from rasterio.warp import reproject
-from scenes.rasters import rough_terrain
 
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.dem import Dem
 from ltm_lab.bench.mountains import ridged_terrain
 
 SIDE = 10_000
@@ -58,13 +52,30 @@ def write(path: Path, dtype: str, nodata: float) -> None:
     rng = np.random.default_rng(0)
     heights[rng.integers(0, SIDE, 4000), rng.integers(0, SIDE, 4000)] = np.nan
     heights[:300, :700] = np.nan
-    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
-    place = {"crs": "EPSG:32611", "transform": from_origin(3e5, 38e5, 1.0, 1.0), "width": SIDE, "height": SIDE}
-    with rasterio.open(path, "w", driver="GTiff", count=1, dtype=dtype, nodata=nodata, **tiles, **place) as sink:
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=SIDE,
+        height=SIDE,
+        count=1,
+        dtype=dtype,
+        nodata=nodata,
+        crs="EPSG:32611",
+        transform=from_origin(3e5, 38e5, 1.0, 1.0),
+        compress="deflate",
+        zlevel=1,
+        tiled=True,
+        blockxsize=256,
+        blockysize=256,
+    ) as sink:
         for row in range(0, SIDE, 512):
             strip = heights[row : row + 512]
-            known = np.where(np.isnan(strip), nodata, strip).astype(dtype)
-            sink.write(known, 1, window=Window(0, row, SIDE, len(strip)))
+            sink.write(
+                np.where(np.isnan(strip), nodata, strip).astype(dtype),
+                1,
+                window=Window(0, row, SIDE, len(strip)),
+            )
 
 
 @pytest.mark.slow
@@ -83,39 +94,3 @@ def test_opened_and_traced_within_its_memory(tmp_path: Path, dtype: str, nodata:
     assert shape == [SIDE, SIDE]
     assert hits > 0.5
     assert peak < MOST_MB
-
-
-def test_cells_lie_where_gdal_puts_them(tmp_path: Path) -> None:
-    dem = Dem(rough_terrain(3, (37, 53)).elevation, GridGeometry(346_015.0, 3_783_045.0, 2.5, 53, 37, "EPSG:32611"))
-    dem.save(tmp_path / "dem.tif")
-    rng = np.random.default_rng(5)
-    x, y = rng.uniform(346_016.5, 346_140.0, 300), rng.uniform(3_782_960.0, 3_783_043.0, 300)
-    with rasterio.open(tmp_path / "dem.tif") as source:
-        cells = np.array([source.index(*point) for point in zip(x, y, strict=True)])
-        centres = np.array([source.xy(row, col) for row, col in cells])
-        sampled = np.array([value[0] for value in source.sample(zip(x, y, strict=True))])
-    row, col = dem.geometry.cell_of(x, y)
-    np.testing.assert_array_equal(np.stack([row, col], axis=-1), cells)
-    np.testing.assert_allclose(np.stack(dem.geometry.to_map(row, col), axis=-1), centres, atol=1e-6)
-    np.testing.assert_array_equal(dem.elevation[row, col], sampled)
-
-
-def test_bilinear_as_gdal_warps() -> None:
-    dem = rough_terrain(4, (31, 47), resolution=4.0)
-    source = GridGeometry(500_000.0, 4_000_000.0, 4.0, 47, 31, "EPSG:32611")
-    fine = GridGeometry(500_010.0, 3_999_985.0, 1.0, 150, 80, "EPSG:32611")
-    warped = np.full(fine.shape, np.nan)
-    reproject(
-        dem.elevation.astype(np.float64),
-        warped,
-        src_transform=source.transform(),
-        src_crs=source.crs,
-        dst_transform=fine.transform(),
-        dst_crs=fine.crs,
-        resampling=Resampling.bilinear,
-        dst_nodata=np.nan,
-    )
-    row, col = np.mgrid[0 : fine.height, 0 : fine.width]
-    ours = Dem(dem.elevation, source).elevation_at(*fine.to_map(row, col))
-    assert np.isfinite(warped).all()
-    np.testing.assert_allclose(ours, warped, atol=1e-3)

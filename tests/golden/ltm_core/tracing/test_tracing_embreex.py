@@ -36,8 +36,8 @@ def embree_ranges(dem: Dem, origin: Float64Array, rays: Float64Array) -> Float64
     return np.where(distance > 1e30, np.inf, distance)
 
 
-def test_percentiles_against_embree() -> None:
-    seed = 31
+@pytest.mark.parametrize("seed", [31, 32])
+def test_percentiles_against_embree(seed: int) -> None:
     dem = rough_terrain(seed, shape=(211, 330), resolution=2.0, relief=140.0)
     rng = np.random.default_rng(seed)
     tracer = TerrainTracer(dem, curvature=False)

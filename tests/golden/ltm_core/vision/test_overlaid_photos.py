@@ -11,7 +11,7 @@ import pytest
 from scenes.overlays import FRAMES, MASKED
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.storage.text_io import read_rgb
+from ltm_core.storage.image_io import read_rgb
 from ltm_core.vision.labels import Label
 from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import find_overlay

@@ -1,0 +1,32 @@
+"""Images of real recordings: a half grey one is rejected, complete photos are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ltm_core.base.errors import ImageError
+from ltm_core.storage.image_io import decode_rgb
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.image import compressed_to_rgb
+
+
+def test_a_half_grey_image_of_a_bag_is_rejected(shared_data: Path) -> None:
+    reader = BagReader(shared_data / "cases/bags/jpeg_half_grey.mcap")
+    images = [reader.decode(m) for m in reader.messages(topics=["/demo/tower_north/image_raw/compressed"])]
+    shapes = []
+    for number, image in enumerate(images):
+        if number == 1:
+            with pytest.raises(ImageError, match=r"is truncated: 3\d\.\d% of the image"):
+                compressed_to_rgb(image)
+        else:
+            shapes.append(compressed_to_rgb(image).shape)
+    assert len(shapes) == 2
+
+
+def test_photos_of_towers_are_complete(shared_data: Path) -> None:
+    photos = sorted((shared_data / "hpwren_towers").glob("*.jpg"))
+    assert photos
+    for path in photos:
+        assert decode_rgb(path.read_bytes(), path.name).shape[2] == 3
