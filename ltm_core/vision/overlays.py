@@ -18,6 +18,8 @@ _SAMPLED = 320
 """Number of positions along a bar at which its colour is compared."""
 _BLOCK = 48
 """Number of rows that are compared at a time."""
+_MOST_HIDDEN = 0.5
+"""Share of the image above which what looks like bars is the scene."""
 _NESTED = 4
 """Maximum number of bars inside one another."""
 _THINNEST = 4
@@ -61,7 +63,7 @@ def find_overlay(picture: UInt8Array) -> BoolArray | None:
         if inner.shape == before:
             break
     _round_corners(inner, clear)
-    if not hidden.any():
+    if not 0.0 < hidden.mean() < _MOST_HIDDEN:
         return None
     grown = cv2.dilate(hidden, np.ones((2 * _PENUMBRA + 1,) * 2, np.uint8))
     return np.asarray(grown > 0)

@@ -468,7 +468,7 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
 @pytest.mark.parametrize(
     ("option", "wrong"),
     [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--workers", "tcp://10.0.0.1:8786"),
-     ("--cluster", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
+     ("--workers", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
     command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]

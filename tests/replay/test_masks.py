@@ -65,12 +65,14 @@ def test_nothing_is_dropped(masked: Results) -> None:
 
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_hidden_pixels_are_unlabelled_and_the_others_as_before(masked: Results, plain: Results, camera: str) -> None:
+    """Beside the mask a few pixels may differ: the network sees what is hidden filled from its surroundings."""
     hidden = hidden_of(camera)
     for topic, nothing in ((LABELS_IMAGE, 255), (LABELS_CONFIDENCE, 0)):
         for found, before in zip(masked.on(camera, topic), plain.on(camera, topic), strict=True):
-            was = msg_to_array(before, ("mono8",))
+            now, was = msg_to_array(found, ("mono8",)), msg_to_array(before, ("mono8",))
             assert (was[hidden] != nothing).any()
-            np.testing.assert_array_equal(msg_to_array(found, ("mono8",)), np.where(hidden, nothing, was))
+            assert (now[hidden] == nothing).all()
+            assert (now != was)[~hidden].mean() < 0.01
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -95,7 +97,7 @@ def test_hidden_pixels_have_no_depth(masked: Results, plain: Results, camera: st
 
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_hidden_pixels_do_not_vote(small: SmallSite, masked: Results, plain: Results, camera: str) -> None:
-    """Every vote of the masked camera is one of the unmasked camera's, and the pixels that it lacks are the mask's."""
+    """The masked camera votes for no further cell, and the pixels that it lacks are the mask's."""
     geometry = small.site.fuel_geometry(small.dem)
     names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
     frames = [frame for frame in small.frames() if frame.camera_name == camera]
@@ -104,9 +106,9 @@ def test_hidden_pixels_do_not_vote(small: SmallSite, masked: Results, plain: Res
         frames, masked.on(camera, FUEL_VOTES), plain.on(camera, FUEL_VOTES), labels, strict=True
     ):
         votes, was = (msg_to_votes(message, geometry, names, camera) for message in (found, before))
-        cells = {(r, c): n for r, c, n in zip(was.rows, was.cols, was.counts, strict=True)}
+        cells = {(r, c): n.sum() for r, c, n in zip(was.rows, was.cols, was.counts, strict=True)}
         for r, c, n in zip(votes.rows, votes.cols, votes.counts, strict=True):
-            assert (n <= cells[r, c]).all()
+            assert n.sum() <= cells[r, c]
         depth = small.tracer.trace(frame.camera, frame.pose)
         ids = msg_to_array(label, ("mono8",))
         could = np.isfinite(depth.range) & (ids != 255) & (ids != 0) & hidden_of(camera)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import fcntl
 import mmap
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
-from scenes.waiting import wait_for
 
 from ltm_ros.launching import shared_memory
 
@@ -116,28 +112,3 @@ def test_a_clock_that_was_set_back_makes_nothing_young(folder: Path, monkeypatch
 def test_no_shared_memory_at_all(tmp_path: Path) -> None:
     assert shared_memory.remove_stale(tmp_path / "none") == shared_memory.SharedMemory((), (), (), 0)
     assert shared_memory.free_bytes(tmp_path / "none") is None
-
-
-RUNNER = """
-import os, signal, subprocess, sys, time
-from ltm_ros.launching.cleanup_process import CleanupProcess
-
-class LastStarted(subprocess.Popen):
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-subprocess.Popen = LastStarted
-cleanup = CleanupProcess(lambda: os.environ, print)
-cleanup.folder(sys.argv[1], exists=True)
-cleanup.start()
-time.sleep(60)
-"""
-
-
-def test_a_runner_that_is_killed_as_soon_as_it_has_one_has_told_it_all(tmp_path: Path) -> None:
-    left = tmp_path / "left"
-    left.mkdir()
-    runner = subprocess.run([sys.executable, "-c", RUNNER, str(left)], timeout=60)
-    assert runner.returncode == -signal.SIGKILL
-    wait_for(lambda: not left.exists(), "the end of what is left")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+import yaml
 from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, MAST, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
@@ -104,7 +105,12 @@ def test_what_no_network_measures_never_becomes_change(small: SmallSite) -> None
 
 def test_a_camera_tells_by_its_labels_that_a_wood_is_gone(tmp_path: Path) -> None:
     """Every second square of 12 x 12 cells is wood in the surface raster, and the network hardly measures anything."""
-    wooded = write_terrain_site(tmp_path, surface={"path": "tops.tif"})
+    rows = {form: {form: 0.8, "bare": 0.1, "shrub": 0.1} for form in ("grass", "tree")}
+    rows |= {form: {form: 0.8, "grass": 0.2} for form in ("shrub", "bare", "water", "built")}
+    correlation = {"cell": 0.78, "stand": 0.33, "view": 0.72, "network": 0.34}
+    record = {"source": "assumed by this test", "photos": 1, "shares": rows, "correlation": correlation}
+    (tmp_path / "errors.yaml").write_text(yaml.safe_dump(record))
+    wooded = write_terrain_site(tmp_path, surface={"path": "tops.tif"}, fuel={"label_errors": "errors.yaml"})
     tops = Dem(2 * wooded.dem.elevation - sunk(wooded).elevation, wooded.dem.geometry)
     with rasterio.open(tmp_path / "dem.tif") as bare, rasterio.open(tmp_path / "tops.tif", "w", **bare.profile) as file:
         file.write(tops.elevation.astype(bare.dtypes[0]), 1)
