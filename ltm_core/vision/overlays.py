@@ -94,7 +94,7 @@ def _bar(image: NDArray[Any], beside: bool) -> int:
         blocks.append(_off(image[begin : begin + _BLOCK, ::step], colour))
         if len(blocks[-1]) <= 4 or ((blocks[-1][:-4] <= _LOOSE).mean(axis=1) < _LETTERS).any():
             break
-    off = np.concatenate(blocks)
+    off = np.concatenate(blocks)[: widest + 3]  # a step is seen over three rows
     for tolerance in (_LOOSE, max(_TIGHT, 3 * float(np.percentile(outermost, 75)) + 3)):
         thick = _thickness(off, tolerance)
         if thick:

@@ -72,7 +72,7 @@ def test_hidden_pixels_are_unlabelled_and_the_others_as_before(masked: Results, 
             now, was = msg_to_array(found, ("mono8",)), msg_to_array(before, ("mono8",))
             assert (was[hidden] != nothing).any()
             assert (now[hidden] == nothing).all()
-            assert (now != was)[~hidden].mean() < 0.01
+            assert (now != was)[~hidden].mean() < 0.02
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
