@@ -122,7 +122,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         geometry = self._site.in_crs(self._geometry)
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
         info["growth"] = self._site.fuel.growth.model_dump()
-        info["labels"] = state = labels_state(self._site)
+        info["labels_measured"] = state = labels_state(self._site)
         self.health.gauge("labels", state)
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publisher.send_map()

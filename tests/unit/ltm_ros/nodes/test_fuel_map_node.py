@@ -40,7 +40,7 @@ from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
+from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_INFO, FUEL_VOTES
 
 
 @pytest.fixture
@@ -208,6 +208,10 @@ def test_diagnostics_and_the_file_state_what_labels_were_measured_on(tmp_path: P
     node = Node(write_site(tmp_path, **({"model": model} if model else {})), folder=str(tmp_path / "kept"))
     node.handler.start()
     assert node.gauge("labels") == state
+    (message,) = node.outlet.on(FUEL_MAP_INFO)
+    info = json.loads(message.data)
+    assert info["labels_measured"] == state
+    assert {label["name"] for label in info["labels"]} >= {"grass", "shrub", "tree"}
     node.feed(0)
     node.handler.save()
     with rasterio.open(tmp_path / "kept" / "fuel_map.tif") as file:
