@@ -208,7 +208,7 @@ def test_diagnostics_and_the_file_state_what_labels_were_measured_on(tmp_path: P
     node = Node(write_site(tmp_path, **({"model": model} if model else {})), folder=str(tmp_path / "kept"))
     node.handler.start()
     assert node.gauge("labels") == state
-    (message,) = node.outlet.on(FUEL_MAP_INFO)
+    message = node.outlet.on(FUEL_MAP_INFO)[-1]
     info = json.loads(message.data)
     assert info["labels_measured"] == state
     assert {label["name"] for label in info["labels"]} >= {"grass", "shrub", "tree"}
