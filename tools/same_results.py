@@ -41,6 +41,7 @@ FORMER = (
     (r"pose points (\S+) (.*)--guess", r"pose --gcps \1 \2--pose-guess"),
     (r"locate (.*)--mark (\w+)=", r"locate \1--camera \2 --pixel "),
     (r"ltm import ", r"ltm import --images "),
+    (r"--focal-35mm 25", r"--focal-35mm 26"),  # then of the image's width, now of its diagonal
     (r"pose mount (\S+) (\S+) --points", r"pose --site \1 --camera \2 --gcps"),
 )
 """Spelling of commands in checkouts in which `ltm pose` is one command."""
