@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 
 # A graph started here never meets one on the network.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# Python keeps what it has compiled, also where a shell says that it shall not: a graph is a dozen processes.
+# Python keeps compiled files even if the shell forbids it, because a graph has a dozen processes.
 export PYTHONDONTWRITEBYTECODE :=
 # As in our nodes (ltm_ros/runtime/ros_environment.py): nothing here has a plug-in for pydantic, which looks for some in
 # all that is installed whenever a process starts.

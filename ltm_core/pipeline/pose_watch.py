@@ -10,11 +10,15 @@ import numpy as np
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
+from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import Label
 
@@ -59,7 +63,7 @@ class PoseWatch:
             return
         if covariance is not None and not np.sqrt(np.diag(covariance)[3:].max()) <= _MOST_ANGLE_SIGMA:
             return
-        share = self._contradicted(labels, camera, pose)
+        share = contradicted_share(labels, camera, pose, *site_terrain(self._site))
         if share is None:
             return
         self._last_ns = stamp_ns
@@ -74,21 +78,32 @@ class PoseWatch:
         elif mean < _CONTRADICTED / 2:
             self.reason = ""
 
-    def _contradicted(self, labels: UInt8Array, camera: Camera, pose: Pose) -> float | None:
-        """Return the share of the columns whose skyline contradicts the terrain; None for an image without a clear
-        skyline."""
-        terrain, config = site_terrain(self._site)
-        sky = np.where(labels == np.uint8(Label.SKY), np.uint8(255), np.uint8(0))
-        evidence = picture_evidence(np.repeat(sky[..., None], 3, axis=2), labels, camera, config)
-        skyline = evidence.skyline
-        if skyline is None or len(skyline.u) * skyline.spacing < _LEAST_SKYLINE * evidence.camera.width:
-            return None
-        try:
-            horizon = terrain.horizon_for(evidence.camera, PosePrior(pose, 1.0, 1.0, 1.0), config)
-        except PoseError:
-            return None  # beside the DEM or under its ground: the tracer has reported it
-        rows = skyline_observations(pose, evidence.camera, evidence, horizon, 1.0, config)
-        if rows is None:
-            return None
-        limit = np.maximum(_SIGMAS * rows.sigma, _LEAST * evidence.camera.fy)
-        return float(((np.abs(rows.error) > limit) & (rows.weight > 0)).mean())
+
+def contradicted_share(
+    labels: UInt8Array, camera: Camera, pose: Pose, terrain: SearchTerrain, config: PicturePoseConfig
+) -> float | None:
+    """Return the share of the columns whose skyline contradicts the terrain; None for an image without a clear skyline,
+    and for a camera beside the DEM or under its ground, which the tracer reports."""
+    sky = np.where(labels == np.uint8(Label.SKY), np.uint8(255), np.uint8(0))
+    evidence = picture_evidence(np.repeat(sky[..., None], 3, axis=2), labels, camera, config)
+    skyline = evidence.skyline
+    if skyline is None or len(skyline.u) * skyline.spacing < _LEAST_SKYLINE * evidence.camera.width:
+        return None
+    try:
+        horizon = terrain.horizon_for(evidence.camera, PosePrior(pose, 1.0, 1.0, 1.0), config)
+    except PoseError:
+        return None
+    rows = skyline_observations(pose, evidence.camera, evidence, horizon, 1.0, config)
+    if rows is None:
+        return None
+    limit = np.maximum(_SIGMAS * rows.sigma, _LEAST * evidence.camera.fy)
+    return float(((np.abs(rows.error) > limit) & (rows.weight > 0)).mean())
+
+
+def compile_kernels() -> None:
+    """Compile what `PoseWatch` needs, so that no frame waits for it."""
+    flat = Dem(np.zeros((9, 9), np.float32), GridGeometry(-400.0, 500.0, 100.0, 9, 9))
+    labels = np.full((48, 64), Label.GRASS, np.uint8)
+    labels[:24] = Label.SKY
+    pose = Pose.from_angles((0.0, 0.0, 10.0), 0.0, 0.0)
+    contradicted_share(labels, Camera.from_fov(64, 48, 60.0), pose, SearchTerrain(flat, 0.0), PicturePoseConfig())

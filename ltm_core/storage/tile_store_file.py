@@ -285,8 +285,8 @@ def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) 
     """Limit the stamps kept of a source to the newest `bounds.frames`, and those within `KEPT_NS` of the
     newest, up to `bounds.most`.
 
-    Not by age alone: a camera whose clock was once set to another year shall neither be rejected from then on nor
-    be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
+    A limit by age alone would reject a camera whose clock was once set to another year, or count its frames twice. A
+    limit by number alone would forget late frames of a camera that sends many.
     """
     ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
     ((newest,),) = checked_rows(db, name, "SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,), int)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite, print_table
-from ltm_ros.cli.pose_points import parameter_names
+from ltm_ros.cli.pose_points import FirstPixel, SigmaPx, parameter_names
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,13 +46,8 @@ def mount(
     free: Annotated[
         str, typer.Option(metavar="NAMES", help="With --points, also fit these: focal, position.")
     ] = "focal",
-    first_pixel: Annotated[
-        float,
-        typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5."),
-    ] = 0.0,
-    sigma_px: Annotated[
-        float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")
-    ] = 1.0,
+    first_pixel: FirstPixel = 0.0,
+    sigma_px: SigmaPx = 1.0,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File for the mount, instead of the site file.")
     ] = None,

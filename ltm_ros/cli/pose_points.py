@@ -18,6 +18,13 @@ if TYPE_CHECKING:
     from ltm_core.pose_estimation.points.resection_io import ResectionSetup
 
 
+FirstPixel = Annotated[
+    float, typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5.")
+]
+SigmaPx = Annotated[float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")]
+"""Options of commands that read marked pixels."""
+
+
 def points(
     control_points: Annotated[
         Path, typer.Argument(metavar="POINTS", help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")
@@ -37,13 +44,8 @@ def points(
     force: Annotated[
         str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined: focal, k1, position.")
     ] = "none",
-    first_pixel: Annotated[
-        float,
-        typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5."),
-    ] = 0.0,
-    sigma_px: Annotated[
-        float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")
-    ] = 1.0,
+    first_pixel: FirstPixel = 0.0,
+    sigma_px: SigmaPx = 1.0,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the control points, if no DEM states it.")] = None,
     overwrite: Overwrite = False,

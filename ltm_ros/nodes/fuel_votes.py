@@ -11,7 +11,7 @@ import numpy as np
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import VotingStep
-from ltm_core.pipeline.pose_watch import PoseWatch
+from ltm_core.pipeline.pose_watch import PoseWatch, compile_kernels
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -32,9 +32,6 @@ from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     POSED_POSE,
 )
-
-CONTRADICTED = "pose_contradicted"
-"""Name under which /diagnostics counts frames whose stated poses the skyline contradicts."""
 
 
 class FuelVotesHandler(Handler[JoinConfig]):
@@ -60,10 +57,11 @@ class FuelVotesHandler(Handler[JoinConfig]):
         }
 
     def start(self) -> None:
-        """Compile the kernel, so that the first frame is not delayed."""
+        """Compile the kernels, so that the first frame is not delayed."""
         nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
         camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
         self._step.cast(nothing, camera, pose, Segmentation(zeros, zeros), 0, None)
+        compile_kernels()
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -80,10 +78,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
         covariance = msg_to_covariance(pose, self._step.assumed)
         votes = self._step.cast(msg_to_depth(depth), camera, posed, found, stamp, covariance)
         self._watch.look(found.labels, camera, posed, covariance, stamp)
-        if self._watch.reason:
-            self.health.note(CONTRADICTED)
-            self.health.trouble(CONTRADICTED, self._watch.reason)
-        self.health.gauge(f"reason.{CONTRADICTED}", self._watch.reason)
+        self.health.doubt("pose_contradicted", self._watch.reason)
         sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")

@@ -91,6 +91,16 @@ class Health:
         """Report a problem that lasts until the next call; empty: none."""
         self._lasting = problem
 
+    def doubt(self, cause: str, why: str) -> None:
+        """Report a lasting problem that loses nothing, and count it; an empty `why` reports its end."""
+        with self._lock:
+            if not why:
+                self._reasons.pop(cause, None)
+                return
+            self._noted[cause] += 1
+            self._reasons[cause] = why
+        self.trouble(cause, why)
+
     def note(self, event: str) -> None:
         """Count an event that loses nothing."""
         with self._lock:
@@ -258,7 +268,7 @@ class NodeRow:
     causes: str = ""
     """Causes of drops: `overload 2, pose 1`."""
     reasons: tuple[str, ...] = ()
-    """Reason of the first drop of each cause, after its name, and of poses that images contradict."""
+    """Reason of the first drop of each cause, and of each lasting problem, after its name."""
 
     @classmethod
     def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
@@ -273,11 +283,7 @@ class NodeRow:
             float(summary.get("latency_p95_ms", math.nan)),
             float(summary.get("work_p50_ms", math.nan)),
             ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-            tuple(
-                f"{key.removeprefix('reason.')}: {why}"
-                for key, why in summary.items()
-                if key.startswith("reason.") and why
-            ),
+            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
         )
 
 

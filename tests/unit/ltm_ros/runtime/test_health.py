@@ -8,7 +8,7 @@ import pytest
 
 from ltm_core.base.errors import ImageError, LtmError
 from ltm_ros.runtime import health as module
-from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.health import Health, NodeRow, cause_of
 
 
 def test_a_frame_has_a_message_on_each_topic() -> None:
@@ -72,6 +72,17 @@ def test_trouble_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (health.troubled, health.message) == (True, "unauthorised: HTTP 401")
     health.lasting("")
     assert not health.troubled
+
+
+def test_a_lasting_problem_is_stated_until_it_ends() -> None:
+    health = Health()
+    health.doubt("pose", "off by 3 degrees")
+    health.doubt("pose", "off by 4 degrees")
+    summary = health.summary()
+    assert (summary["reason.pose"], summary["noted.pose"], summary["dropped"]) == ("off by 4 degrees", "2", "0")
+    assert NodeRow.of("votes", summary).reasons == ("pose: off by 4 degrees",)
+    health.doubt("pose", "")
+    assert NodeRow.of("votes", health.summary()).reasons == ()
 
 
 def test_latencies_in_milliseconds_of_the_last_messages() -> None:

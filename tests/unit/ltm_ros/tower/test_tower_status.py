@@ -58,7 +58,7 @@ def test_a_doubted_pose_is_said_where_frames_come() -> None:
 def test_a_pose_that_images_contradict_is_said_of_its_camera(why: str) -> None:
     watch = TowerWatch("ridge", (*NODES, "/ridge/north/fuel_votes"), 120.0)
     votes = Health()
-    votes.gauge("reason.pose_contradicted", why)
+    votes.doubt("pose_contradicted", why)
     for name, health in (healths() | {"/ridge/north/fuel_votes": votes}).items():
         watch.hear(name, False, "ok", health.summary(), now_s=50.0)
     (said,) = [c.wrong for c in status_of(watch).cameras if c.name == "north"]
