@@ -19,7 +19,7 @@ from scipy.special import gammaincinv, ndtr
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fuel.band_values_io import in_landfire_units, read_band
+from ltm_core.fuel.band_values_io import in_landfire_units, read_quantity
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, system_of_codes
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
@@ -215,7 +215,7 @@ def read_landscape(path: Path) -> Landscape:
         problem = map_problem(read_crs(source.crs)) or scale_problem(source.crs, geometry, MOST_EXPORTED)
         if problem is not None:
             raise RasterError(f"{path}: {problem}")
-    read, _ = in_landfire_units((band, read_band(band)) for band in bands.values())
+    read, _ = in_landfire_units((band, read_quantity(band)) for band in bands.values())
     codes = read.pop(bands["codes"].quantity)
     stack = np.stack([codes if name == "codes" else read[name] for name in POSITIONS])
     return Landscape(stack, geometry, system_of_codes(codes))

@@ -12,7 +12,7 @@ from ltm_core.base.types import Float64Array, Int16Array
 from ltm_core.fuel.fuel_bands_io import CODES, FACTORS, PHYSICAL, FuelBand
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import check_size, open_raster
+from ltm_core.raster.raster_io import check_size, open_raster, read_band
 
 _RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "elevation": (-500, 9000), "slope": (0, 90), "aspect": (-1, 360),
@@ -27,7 +27,7 @@ _NAME_IT: Final = "describe its bands as Elev, Slp, Asp, FBFM40, CC, CH, CBH, CB
 _STATE_UNIT: Final = "state its unit in the file, such as `rio edit-info --bidx 1 --units m FILE`"
 
 
-def read_band(band: FuelBand, geometry: GridGeometry | None = None, crs: str | None = None) -> Float64Array:
+def read_quantity(band: FuelBand, geometry: GridGeometry | None = None, crs: str | None = None) -> Float64Array:
     """Return a band's values (H, W) in its own unit, scaled, NaN for nodata, on its own grid or by nearest cell on
     `geometry`. `crs`: of a file that states none.
 
@@ -43,7 +43,8 @@ def read_band(band: FuelBand, geometry: GridGeometry | None = None, crs: str | N
             raise RasterError(f"{band.place}: values are {dtype}; they must be real numbers")
         if geometry is None:
             check_size(source, band.path, source.height, source.width)
-            values = source.read(band.index, masked=True).astype(np.float64).filled(np.nan)
+            stored, masked = read_band(source, band.index)
+            values = np.where(masked, np.nan, stored.astype(np.float64))
         else:
             if source.crs is None and crs is None:
                 raise RasterError(f"{band.path}: the raster has no CRS; give it with `fuel: {{prior: {{crs: ...}}}}`")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Int16Array
-from ltm_core.fuel.band_values_io import in_landfire_units, read_band
+from ltm_core.fuel.band_values_io import in_landfire_units, read_quantity
 from ltm_core.fuel.codes import CUSTOM, FuelSystem, fuel_models, is_custom, of_one_fuel_type, system_of_codes
 from ltm_core.fuel.fuel_bands_io import CODES, FuelBand, meaning, open_bands, quantity_of
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
@@ -32,7 +32,7 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     bands, unused = _bands_of(config)
     # The terrain in a landscape shows whether its bands are where they are expected.
     wanted = [band for band in bands if band.quantity != "elevation" or band.path == config.path]
-    read, remarks = in_landfire_units((band, read_band(band, geometry, config.crs)) for band in wanted)
+    read, remarks = in_landfire_units((band, read_quantity(band, geometry, config.crs)) for band in wanted)
     paths = {band.quantity: band.path for band in bands}
     if "codes" in read:
         codes = read.pop("codes")
@@ -65,7 +65,7 @@ def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array |
     band = next((band for band in _bands_of(config)[0] if band.quantity == "elevation"), None)
     if band is None:
         return None
-    read, _ = in_landfire_units([(band, read_band(band, geometry, config.crs))])
+    read, _ = in_landfire_units([(band, read_quantity(band, geometry, config.crs))])
     heights = read["elevation"]
     return np.where(heights == NODATA, np.float32(np.nan), heights.astype(np.float32))
 

@@ -66,6 +66,7 @@ def canopy(folder: Path, quantity: str, path: Path) -> list[int]:
         ("cover", [-1, 45, 0, 75], "int16", None, {}, [NODATA, 45, 0, 75]),
         ("cover", [0, 45, 0, 75], "uint8", 0, {}, [NODATA, 45, NODATA, 75]),
         ("cover", [9, 45, 0, 75], "uint8", None, {"mask": [[0, 255, 255, 255]]}, [NODATA, 45, 0, 75]),
+        ("cover", [9, 45, 7, 75], "uint8", 7, {"mask": [[0, 255, 255, 255]]}, [NODATA, 45, NODATA, 75]),
         ("cover", [0, 0.45, 0.2, 0.75], "float32", None, {}, [0, 45, 20, 75]),
         ("cover", [0, 450, 200, 750], "uint16", None, {"scale": 0.1}, [0, 45, 20, 75]),
         ("cover", [0, 1, 1, 1], "uint8", None, {"unit": "%"}, [0, 1, 1, 1]),
