@@ -57,6 +57,7 @@ def read_quantity(band: FuelBand, geometry: GridGeometry | None = None, crs: str
                 height=geometry.height,
                 resampling=Resampling.nearest,
                 nodata=np.nan,
+                src_nodata=None,  # with it, GDAL ignores a mask; declared values are removed below
                 tolerance=0.001,
                 dtype="float64",
                 **options,
