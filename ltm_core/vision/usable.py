@@ -28,8 +28,8 @@ _BLANK = 1.5
 _NIGHT = 60.0
 """Grey level below which 95 % of a night image lies."""
 _BLACK_SKY = 40.0
-"""Grey level below which 90 % of the upper quarter of a floodlit or infrared night lies. It applies to a low or unknown
-sun; of 340 photos by day, two from inside cars are as dark there."""
+"""Value of the brightest channel below which 90 % of the upper quarter of a floodlit or infrared night lies. It applies
+to a low or unknown sun; of 340 photos by day, two from inside cars are as dark there."""
 _DIM, _LOW_SUN_DEG = 145.0, 5.0
 """Grey level for a low sun, and the sun's elevation in degrees below which it applies, because the camera has not
 compensated for the missing light. A dark forest is as dim at noon, so neither value is sufficient alone. Chosen on
@@ -106,7 +106,8 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
     coarse = cv2.absdiff(smooth, cv2.GaussianBlur(smooth, (17, 17), 2.8))
     red, green, blue = cv2.split(small)
     burnt = (cv2.min(cv2.min(red, green), blue) >= _BURNT).astype(np.float32)
-    black = (cv2.max(cv2.max(red, green), blue) <= _BLACK).astype(np.float32)
+    brightest = cv2.max(cv2.max(red, green), blue)
+    black = (brightest <= _BLACK).astype(np.float32)
     seen = np.ones(grey.shape, np.bool_)
     if hidden is not None:
         seen = cv2.resize(hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
@@ -119,7 +120,7 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
         return Usability(Unusable.BLANK, np.ones((ROWS, COLUMNS), np.bool_))
     cells = _Cells(seen)
     doubtful = (cells.mean(burnt) >= _REGION) | (cells.mean(black) >= _REGION)
-    upper = levels[: len(levels) // 4][seen[: len(seen) // 4]]
+    upper = brightest[: len(levels) // 4][seen[: len(seen) // 4]]
     black_sky = upper.size > 0 and float(np.percentile(upper, 90)) < _BLACK_SKY
     levels = levels if hidden is None else levels[seen]
     low = sun_deg is not None and sun_deg < _LOW_SUN_DEG

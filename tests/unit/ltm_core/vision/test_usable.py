@@ -55,6 +55,12 @@ def test_a_lit_foreground_below_a_black_sky_is_night_but_not_by_day(colours: tup
     assert [judge(lit, sun_deg=sun).reason for sun in (None, -20.0, 30.0)] == [Unusable.NIGHT, Unusable.NIGHT, None]
 
 
+def test_a_deep_blue_sky_is_not_black() -> None:
+    photo = clear().copy()
+    photo[:HORIZON] = (0, 0, 200)
+    assert judge(photo).reason is None
+
+
 def test_how_high_the_sun_stood_is_told_by_stamp_and_place() -> None:
     at_greenwich = SceneFilter(place=(0.0, np.radians(51.5)))
     noon, evening = (int(np.datetime64(f"2026-06-21T{hour}", "ns").astype(np.int64)) for hour in ("12:00", "20:00"))
