@@ -26,21 +26,29 @@ class PartialCalibration(StrictModel):
     """Known part of a camera's calibration, in pixels of the upright image."""
 
     width: int | None = Field(None, gt=0)
+    """Width of the image in pixels."""
     height: int | None = Field(None, gt=0)
+    """Height of the image in pixels."""
     hfov_deg: float | None = Field(None, gt=0, lt=180)
     """Horizontal field of view in degrees between the image's outer edges; instead of fx."""
     fx: float | None = Field(None, gt=0)
-    """Focal length in pixels; fy is the same unless given."""
+    """Horizontal focal length in pixels."""
     fy: float | None = Field(None, gt=0)
+    """Vertical focal length in pixels; default: fx."""
     cx: float | None = None
-    """Column of the principal point in pixels; default: the image's centre (cy likewise)."""
+    """Column of the principal point in pixels; default: the image's centre."""
     cy: float | None = None
+    """Row of the principal point in pixels; default: the image's centre."""
     k1: float = 0.0
-    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3 (plumb_bob of CameraInfo)."""
+    """First radial distortion after Brown and Conrady (plumb_bob of CameraInfo)."""
     k2: float = 0.0
+    """Second radial distortion."""
     p1: float = 0.0
+    """First tangential distortion."""
     p2: float = 0.0
+    """Second tangential distortion."""
     k3: float = 0.0
+    """Third radial distortion."""
 
     @model_validator(mode="after")
     def _no_contradiction(self) -> Self:
@@ -107,13 +115,15 @@ class PartialPose(StrictModel):
     """Known part of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
 
     x: float | None = None
-    """Easting in `crs`, in metres, without subtracting an origin; y is the northing."""
+    """Easting in `crs`, in metres, without subtracting an origin."""
     y: float | None = None
+    """Northing in `crs`, in metres."""
     crs: str | None = None
     """CRS of x and y; default: that of the site or of the DEM. In EPSG:4326, x and y are longitude and latitude."""
     lon: float | None = Field(None, ge=-180, le=180)
-    """Longitude in WGS 84 degrees, instead of x; lat is the latitude."""
+    """Longitude in WGS 84 degrees, instead of x."""
     lat: float | None = Field(None, ge=-90, le=90)
+    """Latitude in WGS 84 degrees, instead of y."""
     z: float | None = None
     """Height in metres in the DEM's vertical datum."""
     height_above_ground: float | None = Field(None, ge=0)
@@ -121,6 +131,7 @@ class PartialPose(StrictModel):
     azimuth_deg: AzimuthDeg | None = None
     """Azimuth of the optical axis in degrees, clockwise from the north that `azimuth_ref` names."""
     azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
+    """North that `azimuth_deg` is measured from."""
     pitch_deg: PitchDeg | None = None
     """Pitch in degrees, up from the horizon."""
     roll_deg: RollDeg | None = None
@@ -128,9 +139,13 @@ class PartialPose(StrictModel):
     position_sigma: float | None = Field(None, gt=0)
     """Standard deviation of x and of y in metres."""
     height_sigma: float | None = Field(None, gt=0)
+    """Standard deviation of the height in metres."""
     azimuth_sigma_deg: float | None = Field(None, gt=0)
+    """Standard deviation of the azimuth in degrees."""
     pitch_sigma_deg: float | None = Field(None, gt=0)
+    """Standard deviation of the pitch in degrees."""
     roll_sigma_deg: float | None = Field(None, gt=0)
+    """Standard deviation of the roll in degrees."""
 
     @model_validator(mode="after")
     def _no_contradiction(self) -> Self:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from ltm_core.base.errors import PoseError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.geodesy import SiteFrame
@@ -84,18 +84,20 @@ class SensorsConfig(StrictModel):
     """Height in metres of the geoid above the ellipsoid of the fixes; None: the height comes from the terrain."""
     height_above_ground: float = Field(1.6, ge=0)
     """Height in metres above the ground, if no altitude is available."""
-    fix_age: float = Field(15.0, gt=0)
+    fix_age: Expert[float] = Field(15.0, gt=0)
     """Maximum time difference in seconds between a fix and its image."""
-    attitude_age: float = Field(0.1, gt=0)
+    attitude_age: Expert[float] = Field(0.1, gt=0)
     """Maximum time difference in seconds between an attitude and its image."""
-    gps_sigma: float = Field(5.0, gt=0)
+    gps_sigma: Expert[float] = Field(5.0, gt=0)
     """Standard deviation in metres of fixes that state no covariance."""
-    altitude_sigma: float = Field(10.0, gt=0)
-    ground_sigma: float = Field(1.0, gt=0)
+    altitude_sigma: Expert[float] = Field(10.0, gt=0)
+    """Standard deviation in metres of the altitude of such fixes."""
+    ground_sigma: Expert[float] = Field(1.0, gt=0)
     """Standard deviation in metres of a height above the terrain."""
-    compass_sigma_deg: float = Field(8.2, gt=0)
+    compass_sigma_deg: Expert[float] = Field(8.2, gt=0)
     """Standard deviation in degrees of the heading of attitudes that state no covariance."""
-    tilt_sigma_deg: float = Field(1.0, gt=0)
+    tilt_sigma_deg: Expert[float] = Field(1.0, gt=0)
+    """Standard deviation in degrees of pitch and roll of such attitudes."""
 
 
 @dataclass(frozen=True, eq=False)

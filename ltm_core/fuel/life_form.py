@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from pydantic import Field
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array, UInt16Array, UInt32Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
@@ -117,7 +117,7 @@ _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, 
 class GrowthLimits(StrictModel):
     """Limits beyond which labels of plants do not vote; None: no limit."""
 
-    steepest_deg: float | None = Field(50.0, gt=0, lt=90)
+    steepest_deg: Expert[float | None] = Field(50.0, gt=0, lt=90)
     """Slope in degrees over the width of a fuel cell above which labels of grass, shrub and tree are ignored. Of
     LANDFIRE's vegetated cells in the Santa Ana Mountains 0.4, 0.5 and 1.2 % are steeper, near the Tubbs fire at most
     0.2 %, in Vermont none (docs/how/fuel.md)."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import Int16Array
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.life_form import NODATA
@@ -20,6 +20,7 @@ class BarrierConfig(StrictModel):
     """Layer of a GeoPackage with areas or lines that do not burn."""
 
     path: Path
+    """Path of the GeoPackage, relative to the site file."""
     layer: str | None = None
     """Name of the layer in a file with several."""
     kind: Literal["built", "road", "water"]
@@ -44,7 +45,9 @@ class PriorConfig(StrictModel):
     """Path of a landscape (LCP or GeoTIFF of 8 bands), of a single band of fuel codes, or of a folder of single bands
     named as by LANDFIRE, ELMFIRE or GridFire (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
     fbfm40: Path | None = None
+    """Path of a raster of FBFM40 codes."""
     fbfm13: Path | None = None
+    """Path of a raster of FBFM13 codes."""
     cover: Path | None = None
     """Path of the canopy cover in %, as a fraction, in FARSITE's classes, or of LANDFIRE's EVC."""
     height: Path | None = None
@@ -59,7 +62,7 @@ class PriorConfig(StrictModel):
     """Treatment of codes that no fuel system defines, such as 256 for buildings in ELMFIRE: reject the map, set the
     cells to unknown, read 256 as built (91) and reject others, or copy all of them into exports. Codes 14 to 89 are
     custom models in both systems and are always kept."""
-    own_fbfm13: Literal["within_fuel_type", "as_given"] = "within_fuel_type"
+    own_fbfm13: Expert[Literal["within_fuel_type", "as_given"]] = "within_fuel_type"
     """Use of an FBFM13 map beside the FBFM40 one in exports to FBFM13: keep it where both have the same fuel type
     (grass, shrub, timber, slash), or wherever it has a code. LANDFIRE's two maps differ in the type of up to 7 % of the
     cells."""

@@ -20,11 +20,17 @@ class DecayYears(StrictModel):
     """Time constants in years after which evidence of a life form has decreased to 1/e."""
 
     grass: float = Field(2.0, gt=0)
+    """Years for grass cells."""
     shrub: float = Field(6.0, gt=0)
+    """Years for shrub cells."""
     tree: float = Field(15.0, gt=0)
+    """Years for tree cells."""
     bare: float = Field(2.0, gt=0)
+    """Years for bare cells."""
     water: float = Field(10.0, gt=0)
+    """Years for water cells."""
     built: float = Field(20.0, gt=0)
+    """Years for built cells."""
     burned: float = Field(6.0, gt=0)
     """Years for burned cells. `burned_days` limits how long a cell is shown as burned; after that, this applies to what
     has grown since."""
@@ -90,6 +96,7 @@ class FusionRules(StrictModel):
     mask: tuple[int, ...] = NONBURNABLE
     """Prior codes that labels never change."""
     decay_years: DecayYears = DecayYears()
+    """Time constants of evidence by life form, in years."""
 
 
 _UNIT: Final = 256

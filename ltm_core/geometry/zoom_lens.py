@@ -34,21 +34,28 @@ class ZoomPoint(StrictModel):
     hfov_deg: float = Field(gt=0, lt=180)
     """Horizontal field of view in degrees between the image's left and right edges, without distortion."""
     k1: float = 0.0
-    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3."""
+    """First radial distortion after Brown and Conrady."""
     k2: float = 0.0
+    """Second radial distortion."""
     p1: float = 0.0
+    """First tangential distortion."""
     p2: float = 0.0
+    """Second tangential distortion."""
     k3: float = 0.0
+    """Third radial distortion."""
 
 
 class LensConfig(StrictModel):
     """Zoom lens, in pixels of the upright image."""
 
     width: int = Field(gt=0)
+    """Width of the image in pixels."""
     height: int = Field(gt=0)
+    """Height of the image in pixels."""
     cx: float | None = None
     """Column of the principal point in pixels; default: the image's centre."""
     cy: float | None = None
+    """Row of the principal point in pixels; default: the image's centre."""
     zoom: tuple[ZoomPoint, ...] = Field(
         tuple(ZoomPoint(zoom=zoom, hfov_deg=hfov) for zoom, hfov in ALERTCALIFORNIA_ZOOM), min_length=1
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.cameras.sensor_pose import SensorsConfig
 from ltm_core.fuel.life_form import GrowthLimits
@@ -33,7 +33,7 @@ class FuelConfig(StrictModel):
     phase: float = 15.0
     """Offset of the cell edges in metres: edges lie at `phase` modulo `resolution` in the site's CRS (LANDFIRE: 15
     modulo 30)."""
-    max_range: float = Field(6000.0, gt=0)
+    max_range: Expert[float] = Field(6000.0, gt=0)
     """Range in metres beyond which a pixel does not vote, because its footprint is too coarse."""
     growth: GrowthLimits = GrowthLimits()
     """Terrain limits (slope, elevation) above which vegetation labels do not vote."""
@@ -41,9 +41,9 @@ class FuelConfig(StrictModel):
     """Fuel map that evidence starts from; None: nothing is known before it is seen."""
     climate: str = "dry"
     """Name of a file in config/fuel/climates with the fuel models that changed cells get."""
-    fusion: FusionRules = FusionRules()
+    fusion: Expert[FusionRules] = FusionRules()
     """Rules for weighting evidence and changing cells."""
-    label_errors: str | None = None
+    label_errors: Expert[str | None] = None
     """Path of a YAML file with the network's label confusion and its correlations; None: the network's calibration."""
 
 
@@ -86,13 +86,17 @@ class TopicsConfig(StrictModel):
     image: TopicName | None = None
     """Topic in place of `image_raw/compressed` or `image_raw`."""
     camera_info: TopicName | None = None
+    """Topic in place of `camera_info` (CameraInfo)."""
     pose: TopicName | None = None
+    """Topic in place of `pose`."""
     fix: TopicName | None = None
+    """Topic in place of `fix` (NavSatFix)."""
     imu: TopicName | None = None
+    """Topic in place of `imu` (Imu)."""
 
 
 class CameraConfig(StrictModel):
-    image: Literal["auto", "compressed", "raw"] = "auto"
+    image: Expert[Literal["auto", "compressed", "raw"]] = "auto"
     """Image topic: `compressed` is `image_raw/compressed` (JPEG or PNG), `raw` is `image_raw`; `auto` takes what there
     is."""
     topics: TopicsConfig = TopicsConfig()
@@ -118,10 +122,10 @@ class CameraConfig(StrictModel):
     """Connection to the PTZ head and the presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Camera that the node `source` reads and publishes; None: a driver publishes the images."""
-    judge_pictures: bool = True
+    judge_pictures: Expert[bool] = True
     """Whether to classify images as usable, or as night, fog, glare, blank or blurred. Unusable images do not vote,
     change the terrain or fit the pose."""
-    judge_smoke: bool = True
+    judge_smoke: Expert[bool] = True
     """Whether to detect smoke in front of the land in judged images by comparison with earlier ones; smoke does not
     vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 
@@ -192,7 +196,7 @@ class HealthConfig(StrictModel):
     token: Path | None = None
     """File with the token that clients must send (`Authorization: Bearer ...`). A systemd credential with the file's
     name takes precedence."""
-    frame_age: float = Field(120.0, gt=0)
+    frame_age: Expert[float] = Field(120.0, gt=0)
     """Age of the newest frame in seconds above which a camera is not ready."""
 
     @model_validator(mode="after")

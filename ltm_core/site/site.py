@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.settings import LocatingConfig
@@ -68,7 +68,9 @@ ProjectedCrs = Annotated[str, AfterValidator(_projected_crs)]
 
 class Site(StrictModel):
     name: RosName
+    """Name of the site, the first part of its topic names: a-z, 0-9 and _."""
     crs: ProjectedCrs
+    """Projected CRS in metres of all coordinates in this file, for example the UTM zone."""
     origin: tuple[float, float]
     """Origin (x, y) of the map frame in the CRS, in metres. Keep it near the site, so that float32 resolves
     millimetres."""
@@ -78,17 +80,21 @@ class Site(StrictModel):
     """The coarser DEMs of such a list."""
     surface: DemConfig | None = None
     """Raster of the tops of trees and buildings, in metres; where it is nodata, the ground is used."""
-    curvature: bool = True
-    refraction: float = Field(0.13, ge=0, lt=1)
+    curvature: Expert[bool] = True
+    """Whether rays follow the curvature of the earth."""
+    refraction: Expert[float] = Field(0.13, ge=0, lt=1)
+    """Refraction coefficient of the air, as a share of the curvature."""
     possible_ground: PossibleGround = PossibleGround()
     """Maximum height of ground that the DEM does not cover; it decides which pixels are sky."""
     fuel: FuelConfig = FuelConfig()
-    assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
+    """Fuel map of the site."""
+    assumed_pose_error: Expert[PoseErrorConfig] = PoseErrorConfig()
+    """Standard deviations of poses that state no covariance."""
     terrain: TerrainConfig | None = None
     """Settings of the updated terrain; if given, fused depth keeps the surface up to date."""
     locating: LocatingConfig | None = None
     """Settings for locating marks in camera images on the map; None: the node does not run."""
-    labels: str = "labels.yaml"
+    labels: Expert[str] = "labels.yaml"
     """Label set, a file in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
@@ -98,20 +104,23 @@ class Site(StrictModel):
     depth_model: str = ""
     """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
-    processes: Literal["site", "node"] = "site"
+    """Cameras of the site by name."""
+    processes: Expert[Literal["site", "node"]] = "site"
     """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
     node has its own process, for development and for several hosts."""
-    workers: int | None = Field(None, ge=1)
+    workers: Expert[int | None] = Field(None, ge=1)
     """Number of frames that a site's process works on at a time; None: one per core."""
     refine_poses: PoseRefinementConfig | None = None
     """Settings for refining poses; None: poses are used as stated."""
-    limits: MessageLimits = MessageLimits()
-    watchdog: WatchdogConfig = WatchdogConfig()
+    limits: Expert[MessageLimits] = MessageLimits()
+    """Maximum sizes of messages."""
+    watchdog: Expert[WatchdogConfig] = WatchdogConfig()
+    """Times after which a process is restarted."""
     health: HealthConfig | None = None
     """Settings of the HTTP endpoint of `ltm run` for monitoring systems and the status page; None: no endpoint."""
     region: UplinkConfig | None = None
     """Settings for sending votes to the map of a region; None: they are not sent."""
-    nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
+    nodes: Expert[dict[RosName, dict[str, Any]]] = Field(default_factory=dict)
     """Parameters by node type, for example `nodes: {capture: {pose_tolerance: 0.1}}`. A node rejects unknown
     parameters."""
 

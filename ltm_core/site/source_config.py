@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl, urlsplit
 from pydantic import Field, PositiveInt, field_validator, model_validator
 
 from ltm_core.base.redaction import SECRET_KEYS
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 
 
 class SecretConfig(StrictModel):
@@ -50,15 +50,15 @@ class SecretConfig(StrictModel):
 class SourceSettings(StrictModel):
     """Settings of all kinds of sources. Times in seconds."""
 
-    unsynchronised: Literal["hold", "mark", "ignore"] = "mark"
+    unsynchronised: Expert[Literal["hold", "mark", "ignore"]] = "mark"
     """What to do while this computer's clock is not synchronised. `hold`: publish no frame; `mark`: publish and report
     it on `source/info`; `ignore`: publish as usual."""
-    night: Literal["hold", "publish"] = "hold"
+    night: Expert[Literal["hold", "publish"]] = "hold"
     """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
-    stalled_after: float | None = Field(None, gt=0)
+    stalled_after: Expert[float | None] = Field(None, gt=0)
     """Seconds without a usable image after which the camera is reported as stalled; None: three times `every`, at least
     30."""
-    stuck_after: float | None = Field(None, gt=0)
+    stuck_after: Expert[float | None] = Field(None, gt=0)
     """Seconds with the same image after which the camera is reported as stuck; None: six times `every`, at least 120.
     """
 
@@ -100,9 +100,12 @@ class NetworkSettings(SourceSettings):
     """Settings of kinds with a network connection. In the URL, `{user}` and `{password}` are replaced."""
 
     url: str
+    """Address of the image or stream, without user and password."""
     user: str | None = None
+    """User name for the camera."""
     password: SecretConfig | None = None
-    timeout: float = Field(10.0, gt=0, le=60)
+    """Place of the password for the camera."""
+    timeout: Expert[float] = Field(10.0, gt=0, le=60)
     """Timeout in seconds for the connection and for each part of a response. A whole image may take three times as
     long."""
 
@@ -114,7 +117,7 @@ class NetworkSettings(SourceSettings):
 
 
 class HttpSettings(NetworkSettings):
-    authentication: Literal["auto", "basic", "digest"] = "auto"
+    authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
     """HTTP authentication; `auto`: digest if the camera offers it, else basic."""
     ca: Path | None = None
     """PEM file with the certificate of the camera or of its CA, used instead of the system's certificates."""
@@ -131,8 +134,10 @@ class SnapshotConfig(HttpSettings):
     """Camera that returns one image per request."""
 
     kind: Literal["snapshot"]
+    """Way in which images arrive."""
     every: float = Field(10.0, gt=0)
-    oldest: float = Field(1.0, ge=0)
+    """Seconds between two images."""
+    oldest: Expert[float] = Field(1.0, ge=0)
     """Maximum age of an image in seconds at the time of the request; some cameras take one image per second."""
 
 
@@ -146,15 +151,16 @@ class MjpegConfig(HttpSettings):
 
 class RtspConfig(NetworkSettings):
     kind: Literal["rtsp"]
-    frames: Literal["all", "key"] = "key"
+    frames: Expert[Literal["all", "key"]] = "key"
     """Frames to decode. `key`: key frames only, at a tenth of the work; most cameras send one every 1 to 4 s."""
     every: float = Field(0.0, ge=0)
     """Minimum seconds between two frames; 0: all of `frames`."""
-    transport: Literal["tcp", "udp"] = "tcp"
+    transport: Expert[Literal["tcp", "udp"]] = "tcp"
+    """Transport of the stream."""
     clock: Literal["measured", "trusted"] = "measured"
     """How to date frames. `trusted`: the camera keeps its clock by NTP, so its sender reports are used; `measured`: the
     offset of its clock is measured."""
-    least_delay: float = Field(0.02, ge=0, le=5)
+    least_delay: Expert[float] = Field(0.02, ge=0, le=5)
     """Seconds from exposure to arrival of the fastest frame, used to measure the clock's offset."""
 
     @field_validator("url")
@@ -171,14 +177,14 @@ class V4l2Config(SourceSettings):
     """Path of the device. `/dev/v4l/by-id/...` does not change when another camera is plugged in; `/dev/video0` may."""
     every: float = Field(10.0, ge=0)
     """Minimum seconds between two images; 0: every image."""
-    rate: float | None = Field(None, gt=0)
+    rate: Expert[float | None] = Field(None, gt=0)
     """Frame rate per second to set on the camera; None: not changed."""
-    format: str | None = Field(None, pattern=r"[a-z0-9]+")
+    format: Expert[str | None] = Field(None, pattern=r"[a-z0-9]+")
     """Pixel format to set on the camera, with FFmpeg's name: `mjpeg`, `yuyv422`. Many cameras send large images fast
     only as `mjpeg`. None: not changed."""
-    size: tuple[PositiveInt, PositiveInt] | None = None
+    size: Expert[tuple[PositiveInt, PositiveInt] | None] = None
     """Width and height in pixels to set on the camera; None: not changed."""
-    least_delay: float = Field(0.02, ge=0, le=5)
+    least_delay: Expert[float] = Field(0.02, ge=0, le=5)
     """Seconds from exposure to arrival of the fastest image."""
 
     @field_validator("device")
@@ -203,12 +209,12 @@ class FolderConfig(SourceSettings):
     """Format of the time in a file name, as for strptime: `north_%Y%m%d-%H%M%S.jpg`."""
     zone: str = "UTC"
     """Time zone of file names, and of EXIF times without a zone."""
-    oldest: float = Field(600.0, gt=0)
+    oldest: Expert[float] = Field(600.0, gt=0)
     """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
     """
-    complete_within: float = Field(60.0, gt=0)
+    complete_within: Expert[float] = Field(60.0, gt=0)
     """Maximum time in seconds for a file to be complete."""
-    upload: float = Field(10.0, ge=0)
+    upload: Expert[float] = Field(10.0, ge=0)
     """Maximum time in seconds from exposure to the file."""
     clock: Literal["measured", "trusted"] = "measured"
     """How to date images. `trusted`: the camera keeps its clock by NTP, so file names and EXIF are used; `measured`:
@@ -234,13 +240,18 @@ class CameraListConfig(HttpSettings):
     image: str
     """URL of the image; `{id}` is replaced by the camera's identifier."""
     every: float = Field(30.0, gt=0)
-    id_key: str = "id"
-    time_key: str = "last_frame_ts"
+    """Seconds between two requests of the list."""
+    id_key: Expert[str] = "id"
+    """Key of the identifier."""
+    time_key: Expert[str] = "last_frame_ts"
     """Key of the image's time: epoch seconds, epoch milliseconds or ISO 8601."""
-    pan_key: str = "az_current"
-    tilt_key: str = "tilt_current"
-    zoom_key: str = "zoom_current"
-    oldest: float = Field(120.0, ge=0)
+    pan_key: Expert[str] = "az_current"
+    """Key of the azimuth in degrees."""
+    tilt_key: Expert[str] = "tilt_current"
+    """Key of the tilt in degrees."""
+    zoom_key: Expert[str] = "zoom_current"
+    """Key of the zoom."""
+    oldest: Expert[float] = Field(120.0, ge=0)
     """Maximum age of an image in seconds."""
 
     @field_validator("image")
@@ -263,9 +274,9 @@ class PatrolConfig(StrictModel):
 
     presets: tuple[str, ...] = Field(min_length=1)
     """Names of the presets in order; the PTZ head moves to the next one after each image."""
-    arrive_within: float = Field(30.0, gt=0, le=60)
+    arrive_within: Expert[float] = Field(30.0, gt=0, le=60)
     """Seconds after which a PTZ head that has not arrived is reported as stuck."""
-    settle: float = Field(1.0, ge=0, le=20)
+    settle: Expert[float] = Field(1.0, ge=0, le=20)
     """Seconds that the PTZ head must have been still, so that the mast stops swinging and the lens can focus."""
 
 
@@ -276,12 +287,18 @@ class PtzSettings(StrictModel):
     url: str | None = None
     """Address `http://HOST` or `https://HOST`, with the port."""
     user: str | None = None
+    """User name for the PTZ head."""
     password: SecretConfig | None = None
-    authentication: Literal["auto", "basic", "digest"] = "auto"
+    """Place of the password for the PTZ head."""
+    authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
+    """HTTP authentication; `auto`: digest if the camera offers it, else basic."""
     ca: Path | None = None
+    """PEM file with the certificate of the PTZ head or of its CA."""
     check_name: bool = True
-    timeout: float = Field(5.0, gt=0, le=60)
-    tolerance_deg: float | None = Field(None, gt=0)
+    """Whether the certificate must match the host of the URL."""
+    timeout: Expert[float] = Field(5.0, gt=0, le=60)
+    """Timeout in seconds for each request."""
+    tolerance_deg: Expert[float | None] = Field(None, gt=0)
     """Maximum difference in degrees between two readings of a PTZ head at rest; None: the usual value of the kind."""
     patrol: PatrolConfig | None = None
     """Tour of presets; None: the PTZ head is queried but never driven."""
@@ -302,6 +319,7 @@ class VapixConfig(PtzSettings):
     """Axis cameras: degrees, and zoom from 1 to 9999."""
 
     kind: Literal["vapix"]
+    """Protocol of the PTZ head."""
     camera: int = Field(1, ge=1)
     """Number of the camera on a device with several."""
 
@@ -314,18 +332,21 @@ class IsapiConfig(PtzSettings):
     """Units of the PTZ head. `tenths`: tenths of a degree from `status`, which all have, and zoom as ten times the
     magnification; `degrees`: decimals from `absoluteEx`, which newer ones have, and zoom as the magnification."""
     channel: int = Field(1, ge=1)
+    """Number of the channel on a device with several."""
 
 
 class OnvifConfig(PtzSettings):
     """ONVIF cameras. The generic space is -1 to 1 in pan and tilt; the range in degrees depends on the model."""
 
     kind: Literal["onvif"]
-    path: str = Field("/onvif/device_service", pattern=r"/[!-~]*")
+    path: Expert[str] = Field("/onvif/device_service", pattern=r"/[!-~]*")
+    """Path of the device service."""
     profile: str | None = None
     """Token of the media profile; None: the first profile with PTZ."""
     pan_range_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
     """Pan in degrees at the normalised values -1 and 1."""
     tilt_range_deg: tuple[Degrees, Degrees] = (-90.0, 90.0)
+    """Tilt in degrees at the normalised values -1 and 1."""
 
     @model_validator(mode="after")
     def _some_range(self) -> Self:
@@ -341,9 +362,11 @@ class ReolinkConfig(PtzSettings):
 
     kind: Literal["reolink"]
     channel: int = Field(0, ge=0)
+    """Number of the channel on a device with several."""
     pan_steps_per_deg: float = Field(10.0, gt=0)
     """Counts of `Ppos` per degree; see the camera model's manual."""
     tilt_steps_per_deg: float = Field(10.0, gt=0)
+    """Counts of `Tpos` per degree."""
 
 
 PtzConfig = Annotated[VapixConfig | IsapiConfig | OnvifConfig | ReolinkConfig, Field(discriminator="kind")]

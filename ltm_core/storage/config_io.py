@@ -22,6 +22,7 @@ from yaml.composer import Composer
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import shown
+from ltm_core.base.strict_model import with_expert
 from ltm_core.storage.text_io import read_text
 
 LARGEST_FILE = 512 << 10
@@ -201,7 +202,20 @@ def load_yaml(path: Path | str, model: type[Model]) -> Model:
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: expected a mapping of keys to values, got {type(content).__name__}")
-    return checked(model, content, str(path), line_of=lambda keys: line_of(path, keys))
+    try:
+        whole = with_expert(model, content)
+    except ConfigError as error:
+        raise ConfigError(f"{path}:\n{error}") from error
+    tuned = content.get("expert") or {}
+    return checked(
+        model, whole, str(path), lambda keys: line_of(path, ("expert", *keys) if _stands_in(tuned, keys) else keys)
+    )
+
+
+def _stands_in(section: Any, keys: Keys) -> bool:
+    for key in keys:
+        section = section.get(key) if isinstance(section, dict) else None
+    return section is not None
 
 
 def checked(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import Float64Array
 
 
@@ -31,46 +31,46 @@ class TerrainConfig(StrictModel):
 
     resolution: float | None = Field(None, gt=0)
     """Cell size in metres; None: that of the DEM."""
-    min_range: float = Field(20.0, ge=0)
+    min_range: Expert[float] = Field(20.0, ge=0)
     """Minimum range in metres; anything nearer is ignored as an object close to the lens."""
     max_range: float = Field(1500.0, gt=0)
     """Maximum range in metres; beyond it, depth is too coarse to update a cell."""
-    columns: int = Field(960, ge=1)
+    columns: Expert[int] = Field(960, ge=1)
     """Maximum number of columns of an image that are used, evenly spaced; rows have the same spacing."""
-    threshold: float = Field(1.5, gt=0)
+    threshold: Expert[float] = Field(1.5, gt=0)
     """Minimum change of height in metres to report."""
-    confidence: float = Field(3.0, gt=0)
+    confidence: Expert[float] = Field(3.0, gt=0)
     """Standard deviations by which a change must be significant; also the gate between agreement and contradiction."""
-    alone: float = Field(5.0, gt=0)
+    alone: Expert[float] = Field(5.0, gt=0)
     """Standard deviations by which a change that only one camera has seen must be significant. A network is off by more
     than five of its sigmas about as often as noise is by more than three, and two cameras seldom err in the same place.
     """
-    min_area: float = Field(25.0, ge=0)
+    min_area: Expert[float] = Field(25.0, ge=0)
     """Minimum area of a connected change in square metres."""
-    reference_sigma: float = Field(0.3, gt=0)
+    reference_sigma: Expert[float] = Field(0.3, gt=0)
     """Standard deviation of the heights of the DEM and of the surface raster in metres."""
-    independent_after: float = Field(3600.0, gt=0)
+    independent_after: Expert[float] = Field(3600.0, gt=0)
     """Seconds after which two observations by one camera are independent."""
-    settle: float = Field(600.0, ge=0)
+    settle: Expert[float] = Field(600.0, ge=0)
     """Minimum seconds over which two cameras must agree, so that moving objects are gone."""
-    repeated_error_share: float = Field(0.95, ge=0, le=1)
+    repeated_error_share: Expert[float] = Field(0.95, ge=0, le=1)
     """Share of the variance of a depth that all observations of one camera have in common and that no averaging
     reduces. A network makes the same error in any light; 0: errors are new each time, as with a range finder (then
     `alone` need not exceed `confidence`)."""
-    memory: float = Field(8.0, ge=1)
+    memory: Expert[float] = Field(8.0, ge=1)
     """Number of observations that a cell's mean remembers."""
-    lasting: float = Field(365.0 * 86400.0, gt=0)
+    lasting: Expert[float] = Field(365.0 * 86400.0, gt=0)
     """Seconds in which an observation's weight falls to 1/e; over years, plants grow and rivers move their banks."""
-    tallest: float = Field(60.0, gt=0)
+    tallest: Expert[float] = Field(60.0, gt=0)
     """Maximum height of objects on the ground in metres; anything higher is smoke, a bird or an aircraft."""
-    register_frames: bool = True
+    register_frames: Expert[bool] = True
     """Whether to turn each frame, within its pose's uncertainty, to agree best with the reference."""
-    cache_mb: float = Field(100.0, ge=32)
+    cache_mb: Expert[float] = Field(100.0, ge=32)
     """Memory for cells in MB; other cells stay in the store."""
     trace_confirmed: bool = False
     """Whether depth is traced, and heights are exported, with the surface that views have confirmed; False: with `dem`
     and `surface` as given. Needs a folder for the node's state."""
-    confirm_every: float = Field(600.0, ge=0)
+    confirm_every: Expert[float] = Field(600.0, ge=0)
     """Minimum seconds of frame time between two versions of the confirmed surface."""
-    views_mb: float = Field(34.0, ge=0)
+    views_mb: Expert[float] = Field(34.0, ge=0)
     """Memory in MB for the expected views of fixed cameras; a view takes 17 MB at 1080p."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 
 
 class PossibleGround(StrictModel):
@@ -15,11 +15,11 @@ class PossibleGround(StrictModel):
     above it all goes on, and is sky once nothing lies ahead; one that comes down to it is unknown.
     """
 
-    steepest: float = Field(1.5, gt=0)
+    steepest: Expert[float] = Field(1.5, gt=0)
     """Maximum slope of unknown ground in metres per metre."""
     highest: float | None = None
     """Maximum height of ground for tens of kilometres beyond the DEM, in metres in its vertical datum."""
-    margin: float = Field(100.0, ge=0)
+    margin: Expert[float] = Field(100.0, ge=0)
     """Metres above the DEM's highest ground that are assumed if `highest` is not given."""
 
     def limit(self, top: float) -> float:

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.uplink.envelope import NAME
 
@@ -23,6 +23,7 @@ class BrokerConfig(StrictModel):
     host: str = Field(min_length=1, max_length=253)
     """Host name or address of the broker, as stated in its certificate."""
     port: int = Field(8883, ge=1, le=65535)
+    """TCP port of the broker."""
     ca: Path
     """Certificate of the authority (PEM), relative to the file that names it."""
     certificate: Path
@@ -31,7 +32,7 @@ class BrokerConfig(StrictModel):
     key: Path
     """Private key (PEM), relative to the file that names it. A systemd credential with the file's name takes
     precedence."""
-    keepalive: int = Field(15, ge=5, le=600)
+    keepalive: Expert[int] = Field(15, ge=5, le=600)
     """Keep-alive interval in seconds; a connection that is silent for 1.5 times as long is closed."""
 
 
@@ -43,9 +44,10 @@ class UplinkConfig(StrictModel):
     tower: Name
     """Name of this tower, the common name of its certificate."""
     broker: BrokerConfig
-    outbox_bytes: int = Field(1 << 30, ge=1 << 20)
+    """Broker of the region."""
+    outbox_bytes: Expert[int] = Field(1 << 30, ge=1 << 20)
     """Maximum size of the outbox in bytes; beyond it, the oldest evidence is thinned."""
-    outbox_days: float = Field(7.0, gt=0)
+    outbox_days: Expert[float] = Field(7.0, gt=0)
     """Days after which an unsent frame is dropped; a region accepts none that is older."""
 
     @model_validator(mode="after")

@@ -56,11 +56,14 @@ class ViewMask(StrictModel):
     """Mask for one viewing direction of a turning camera, for example a preset of its patrol."""
 
     name: str = Field(min_length=1, max_length=80)
+    """Name of the view, for example that of its preset."""
     azimuth_deg: AzimuthDeg
     """Azimuth of the optical axis in degrees, clockwise from grid north as in the pose."""
     pitch_deg: PitchDeg
+    """Pitch of the optical axis in degrees, up from the horizon."""
     hfov_deg: float | None = Field(None, gt=0, lt=180)
     """Horizontal field of view in degrees in this view, within 3 %; None: the lens does not zoom."""
     within_deg: float = Field(0.5, gt=0, le=10)
     """Maximum angle in degrees between an image's axis and this direction for the mask to apply."""
     mask: MaskConfig
+    """Mask of the view: a PNG or polygons, as of a camera."""

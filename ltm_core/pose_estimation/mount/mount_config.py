@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.cameras.camera_config import PoseConfig
 from ltm_core.cameras.plausibility import PitchDeg
 from ltm_core.geometry.geodesy import SiteFrame
@@ -34,6 +34,7 @@ class MountConfig(PoseConfig):
     tilt_zero_deg: PitchDeg = 0.0
     """Angle in degrees added to each tilt, positive upwards."""
     tilt_zero_sigma_deg: float = Field(0.3, gt=0)
+    """Standard deviation of `tilt_zero_deg` in degrees."""
     pan_sign: Sign = 1
     """Sign of pan: 1 if pan grows clockwise as seen from above, else -1."""
     tilt_sign: Sign = 1
@@ -133,17 +134,17 @@ class PoseRefinementConfig(StrictModel):
 
     every: float = Field(10.0, ge=0)
     """Minimum seconds between two images that are used."""
-    gather: int = Field(6, ge=2)
+    gather: Expert[int] = Field(6, ge=2)
     """Number of clear images from which a mount's error is estimated jointly."""
-    most_gathered: int = Field(12, ge=2)
+    most_gathered: Expert[int] = Field(12, ge=2)
     """Maximum number of images to gather if fewer leave the error ambiguous."""
-    judged: int = Field(6, ge=1)
+    judged: Expert[int] = Field(6, ge=1)
     """Number of most recent clear images that are checked for a slip once the mount's error is known."""
-    slipped: int = Field(4, ge=1)
+    slipped: Expert[int] = Field(4, ge=1)
     """Number of these images that must contradict the mount before it is reported as slipped."""
-    least_slip_deg: float = Field(0.2, gt=0)
+    least_slip_deg: Expert[float] = Field(0.2, gt=0)
     """Minimum deviation in degrees for an image to contradict the mount."""
-    slip_sigmas: float = Field(3.0, gt=0)
+    slip_sigmas: Expert[float] = Field(3.0, gt=0)
     """Minimum deviation in standard deviations for an image to contradict the mount."""
-    slip_sigma_deg: float = Field(3.0, gt=0)
+    slip_sigma_deg: Expert[float] = Field(3.0, gt=0)
     """Standard deviation of the angles of a slip in degrees."""
