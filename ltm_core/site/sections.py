@@ -96,7 +96,7 @@ class TopicsConfig(StrictModel):
 
 
 class CameraConfig(StrictModel):
-    image: Expert[Literal["auto", "compressed", "raw"]] = "auto"
+    image: Literal["auto", "compressed", "raw"] = "auto"
     """Image topic: `compressed` is `image_raw/compressed` (JPEG or PNG), `raw` is `image_raw`; `auto` takes what there
     is."""
     topics: TopicsConfig = TopicsConfig()
@@ -122,10 +122,10 @@ class CameraConfig(StrictModel):
     """Connection to the PTZ head and the presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Camera that the node `source` reads and publishes; None: a driver publishes the images."""
-    judge_pictures: Expert[bool] = True
+    judge_pictures: bool = True
     """Whether to classify images as usable, or as night, fog, glare, blank or blurred. Unusable images do not vote,
     change the terrain or fit the pose."""
-    judge_smoke: Expert[bool] = True
+    judge_smoke: bool = True
     """Whether to detect smoke in front of the land in judged images by comparison with earlier ones; smoke does not
     vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 

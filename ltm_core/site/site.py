@@ -120,7 +120,7 @@ class Site(StrictModel):
     """Settings of the HTTP endpoint of `ltm run` for monitoring systems and the status page; None: no endpoint."""
     region: UplinkConfig | None = None
     """Settings for sending votes to the map of a region; None: they are not sent."""
-    nodes: Expert[dict[RosName, dict[str, Any]]] = Field(default_factory=dict)
+    nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
     """Parameters by node type, for example `nodes: {capture: {pose_tolerance: 0.1}}`. A node rejects unknown
     parameters."""
 

@@ -199,7 +199,8 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
         "dem": {"path": "dem.tif"},
         "possible_ground": {"highest": 0.0},
         "model": NETWORK,
-        "fuel": {"prior": {"path": "prior.tif"}, "max_range": 3000.0},
+        "fuel": {"prior": {"path": "prior.tif"}},
+        "expert": {"fuel": {"max_range": 3000.0}},
         "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}, "capture": {"drop_repeated": True}},
         "cameras": cameras,
     }

@@ -75,10 +75,13 @@ def _of_laboratory(*names: str) -> Callable[[Path], list[bytes]]:
 def _site(folder: Path) -> list[bytes]:
     content = yaml.safe_load(write_small_site(folder, recording=False).path.read_text())
     content |= {
-        "fuel": {"max_range": 3000.0, "growth": {"steepest_deg": 45.0, "tree_line_m": 900.0}},
+        "fuel": {"growth": {"tree_line_m": 900.0}},
         "terrain": {"resolution": 10.0},
-        "limits": {"pixels": 1_000_000},
-        "assumed_pose_error": {"angle_deg": 0.2},
+        "expert": {
+            "fuel": {"max_range": 3000.0, "growth": {"steepest_deg": 45.0}},
+            "limits": {"pixels": 1_000_000},
+            "assumed_pose_error": {"angle_deg": 0.2},
+        },
     }
     content["cameras"]["mast"]["mask"] = [{"class": "lens", "polygon": [[0, 0], [40, 0], [0, 30]], "reason": "hood"}]
     return [(folder / "site.yaml").read_bytes(), yaml.safe_dump(content).encode()]

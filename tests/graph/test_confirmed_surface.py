@@ -34,7 +34,7 @@ PARTS = (POSED_CAMERA_INFO, POSED_POSE, MEASURED_SIGMA, MEASURED_DEPTH)
 def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_taken_back(
     ros_domain: int, tmp_path: Path
 ) -> None:
-    terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
+    terrain = {"trace_confirmed": True}
     nodes = {"terrain": {"max_behind": 1e9, "folder": "kept", "depth_from_elsewhere": True}}
     small = write_terrain_site(tmp_path, False, terrain=terrain, nodes=nodes)
     whole = describe(small.site, small.path)

@@ -64,7 +64,8 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
     keys = yaml.safe_load(small_site.path.read_text())
     # A node that hangs is missed after 10 s, and shall be so until a person has asked, however long that takes: the
     # runner leaves it to the test (`test_watchdog` has the runner end it).
-    more = {"health": {"port": port, "frame_age": 3600.0}, "locating": {}, "watchdog": {"silent": 3600.0}}
+    more = {"health": {"port": port}, "locating": {}}
+    more["expert"] = {"health": {"frame_age": 3600.0}, "watchdog": {"silent": 3600.0}}
     path.write_text(yaml.safe_dump(keys | more))
     command = [sys.executable, "-c", LTM, "run", str(path), "--only", "tower", "--state", str(folder / "state")]
     with (folder / "console").open("w") as console:

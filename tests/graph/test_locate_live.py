@@ -57,9 +57,9 @@ def write_site(folder: Path) -> Path:
         "crs": "EPSG:32611",
         "origin": [4e5, 38e5],
         "dem": {"path": "dem.tif"},
-        "curvature": False,
         "cameras": {name: {} for name in TOWERS},
-        "locating": {"dem_sigma": 0.5},
+        "locating": {},
+        "expert": {"curvature": False, "locating": {"dem_sigma": 0.5}},
         "refine_poses": {},
     }
     path = folder / "site.yaml"

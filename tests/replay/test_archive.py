@@ -152,7 +152,7 @@ def test_a_corrected_pose_works_that_camera_alone(own_site: SmallSite, tmp_path:
 def test_other_rules_of_fusion_work_no_frame_again(own_site: SmallSite, tmp_path: Path) -> None:
     options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
     before = reprocessed(options)
-    edited(own_site, lambda site: site.update(fuel={"fusion": {"frame_cap": 3.0}}))
+    edited(own_site, lambda site: site.update(expert={"fuel": {"fusion": {"frame_cap": 3.0}}}))
     after = reprocessed(options)
     assert after.worked == 0
     assert after.digest == replayed(own_site.bag, own_site.path, tmp_path / "state") != before.digest

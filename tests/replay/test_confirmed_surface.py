@@ -46,7 +46,7 @@ def content(bag: Path) -> list[tuple[str, int, Any]]:
 
 def test_a_replay_goes_over_to_the_confirmed_surface_and_repeats_to_the_bit(tmp_path: Path) -> None:
     (tmp_path / "site").mkdir()
-    terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
+    terrain = {"trace_confirmed": True}
     small = write_fusing_site(tmp_path / "site", False, terrain=terrain)
     bag, summaries = replayed(small, tmp_path / "first")
     again, _ = replayed(small, tmp_path / "again")

@@ -33,7 +33,7 @@ SITE = {
     "terrain": {},
     # Rendered poses are exact, and come without a covariance. By the default, 0.3 degrees, half of the felled cells
     # would be found.
-    "assumed_pose_error": {"angle_deg": 0.1, "position": 0.3},
+    "expert": {"assumed_pose_error": {"angle_deg": 0.1, "position": 0.3}},
     "fuel": {"prior": "prior.tif"},
     "cameras": {"left": {}, "middle": {}, "right": {}},
 }

@@ -87,4 +87,4 @@ def write_grass_site(folder: Path) -> Path:
     errors = yaml.safe_load(lab_config("assumed_labels.yaml").read_text())
     errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
     (folder / "errors.yaml").write_text(yaml.safe_dump(errors))
-    return write_site(folder, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})
+    return write_site(folder, fuel={"prior": "prior.tif"}, expert={"fuel": {"label_errors": "errors.yaml"}})

@@ -34,7 +34,7 @@ def write_terrain_site(folder: Path, recording: bool = True, **content: Any) -> 
     """The small site with a section `terrain`; `content`: more of its file."""
     small = write_small_site(folder, recording)
     whole = yaml.safe_load(small.path.read_text())
-    whole["terrain"] = {"threshold": 2.0, "register_frames": False}
+    whole |= {"terrain": {}, "expert": {"terrain": {"threshold": 2.0, "register_frames": False}}}
     small.path.write_text(yaml.safe_dump(whole | content))
     return SmallSite(small.folder)
 

@@ -42,7 +42,7 @@ def test_defaults(tmp_path: Path) -> None:
     assert (site.fuel.resolution, site.fuel.phase, site.fuel.max_range) == (30.0, 15.0, 6000.0)
     assert (site.frame.crs, site.frame.x_origin, site.frame.y_origin) == ("EPSG:32611", 346_000.0, 3_783_000.0)
     assert site.bend == pytest.approx(0.87 / 2 / 6_371_008.8)
-    assert load(tmp_path, curvature=False).bend == 0.0
+    assert load(tmp_path, expert={"curvature": False}).bend == 0.0
 
 
 def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +78,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "pitch_deg": -95}}}}, ["-95", "-90"]),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "roll_deg": 200}}}}, ["200", "180"]),
-        ({"refraction": 1.0}, ["refraction", "got 1.0"]),
+        ({"expert": {"refraction": 1.0}}, ["refraction", "got 1.0"]),
         ({"cameras": {"a": {"image": "mjpeg"}}}, ["cameras.a.image", "got 'mjpeg'"]),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "azimuth_deg": 0}}}}, ["either z or height_above_ground"]),
         (

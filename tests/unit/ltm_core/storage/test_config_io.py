@@ -21,7 +21,7 @@ def load(tmp_path: Path, text: str) -> FuelConfig:
 
 
 def test_only_what_differs_is_stated(tmp_path: Path) -> None:
-    assert load(tmp_path, "max_range: 4500") == FuelConfig(max_range=4500.0)
+    assert load(tmp_path, "resolution: 20") == FuelConfig(resolution=20.0)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_missing_and_nested_keys_are_named() -> None:
 
 def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as raised:
-        load(tmp_path, "# sizes\nresolution: 30\nfusion:\n  # how\n  memory_days: often\nphase: wide\n")
+        load(tmp_path, "# sizes\nresolution: 30\ngrowth:\n  # how\n  tree_line: high\nphase: wide\n")
     assert "got 'wide', line 6)" in str(raised.value)
     assert "line 5" in str(raised.value)
 

@@ -67,7 +67,7 @@ def test_other_errors_of_the_network_give_other_evidence(tmp_path: Path) -> None
     for wrong in (0.1, 0.2):
         errors = {"source": "made up", "shares": {"grass": {"grass": 1 - wrong, "built": wrong}}}
         (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
-        content["fuel"] = content.get("fuel", {}) | {"label_errors": str(tmp_path / "errors.yaml")}
+        content["expert"] = {"fuel": {"label_errors": str(tmp_path / "errors.yaml")}}
         site.path.write_text(yaml.safe_dump(content))
         found.append(evidence_digest(load_site(site.path)))
     assert found[0] != found[1]

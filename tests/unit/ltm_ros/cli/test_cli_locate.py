@@ -41,7 +41,7 @@ def site(folder: Path, turned: str = "") -> Path:
         }
     content = {"name": "hollow", "crs": "EPSG:32611", "origin": [4e5, 38e5], "dem": {"path": "dem.tif"}}
     path = folder / "site.yaml"
-    path.write_text(yaml.safe_dump(content | {"curvature": False, "cameras": cameras}))
+    path.write_text(yaml.safe_dump(content | {"expert": {"curvature": False}, "cameras": cameras}))
     return path
 
 

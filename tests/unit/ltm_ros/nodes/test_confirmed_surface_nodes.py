@@ -42,7 +42,7 @@ SURFACE = site_topic(NAME, TERRAIN_SURFACE)
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
-    terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
+    terrain = {"trace_confirmed": True}
     nodes = {"terrain": {"max_behind": 1e9, "folder": "kept", "depth_from_elsewhere": True}}
     return write_terrain_site(tmp_path_factory.mktemp("site"), False, terrain=terrain, nodes=nodes)
 

@@ -58,7 +58,7 @@ def write_site(folder: Path, **more: Any) -> Path:
         "crs": "EPSG:32611",
         "origin": [4e5, 38e5],
         "dem": {"path": "dem.tif"},
-        "curvature": False,
+        "expert": {"curvature": False},
         "cameras": {name: {} for name in TOWERS},
     }
     path = folder / "site.yaml"

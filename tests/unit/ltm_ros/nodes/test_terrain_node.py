@@ -110,7 +110,8 @@ def test_a_camera_tells_by_its_labels_that_a_wood_is_gone(tmp_path: Path) -> Non
     correlation = {"cell": 0.78, "stand": 0.33, "view": 0.72, "network": 0.34}
     record = {"source": "assumed by this test", "photos": 1, "shares": rows, "correlation": correlation}
     (tmp_path / "errors.yaml").write_text(yaml.safe_dump(record))
-    wooded = write_terrain_site(tmp_path, surface={"path": "tops.tif"}, fuel={"label_errors": "errors.yaml"})
+    rules = {"fuel": {"label_errors": "errors.yaml"}, "terrain": {"threshold": 2.0, "register_frames": False}}
+    wooded = write_terrain_site(tmp_path, surface={"path": "tops.tif"}, expert=rules)
     tops = Dem(2 * wooded.dem.elevation - sunk(wooded).elevation, wooded.dem.geometry)
     with rasterio.open(tmp_path / "dem.tif") as bare, rasterio.open(tmp_path / "tops.tif", "w", **bare.profile) as file:
         file.write(tops.elevation.astype(bare.dtypes[0]), 1)
