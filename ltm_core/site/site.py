@@ -105,7 +105,7 @@ class Site(StrictModel):
     """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     """Cameras of the site by name."""
-    processes: Expert[Literal["site", "node"]] = "site"
+    processes: Literal["site", "node"] = "site"
     """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
     node has its own process, for development and for several hosts."""
     workers: Expert[int | None] = Field(None, ge=1)

@@ -22,7 +22,9 @@ def watched(folder: Path, shipped: Path) -> Path:
     for unused in ("depth_model", "fuel"):
         content.pop(unused, None)
     path = folder / "site.yaml"
-    path.write_text(yaml.safe_dump(content | {"refine_poses": {"every": 0.0}, "expert": {"refine_poses": {"gather": 3}}}))
+    path.write_text(
+        yaml.safe_dump(content | {"refine_poses": {"every": 0.0}, "expert": {"refine_poses": {"gather": 3}}})
+    )
     return path
 
 

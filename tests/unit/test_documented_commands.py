@@ -19,6 +19,7 @@ import typer
 import yaml
 
 from ltm_core.base.resources import project_path
+from ltm_core.base.strict_model import with_expert
 from ltm_core.site.site import Site
 from ltm_core.tracing.trace_io import PictureConfig
 from ltm_core.uplink.config import RegionConfig
@@ -293,9 +294,9 @@ def test_yaml_keys_exist(page: Path) -> None:
             PictureConfig.model_validate(given)
         elif "towers" in given:
             RegionConfig.model_validate(given)
-        elif given.keys() <= SITE_KEYS:
+        elif given.keys() <= SITE_KEYS | {"expert"}:
             whole = {"name": "a", "crs": "EPSG:32611", "origin": [0, 0], "dem": {"path": "d.tif"}, "cameras": {"a": {}}}
-            site = Site.model_validate(whole | given)
+            site = Site.model_validate(with_expert(Site, whole | given))
             for node, parameters in site.nodes.items():
                 config = importlib.import_module(f"ltm_ros.nodes.{node}").NODE.config
                 assert set(parameters) <= set(config.model_fields), node

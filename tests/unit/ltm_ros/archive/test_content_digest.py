@@ -94,8 +94,9 @@ def test_limits_of_growth_are_in_the_names_of_votes(tmp_path: Path) -> None:
     small = write_small_site(tmp_path, recording=False)
     content = yaml.safe_load(small.path.read_text())
     found = {votes_digest(small.site, "mast", TracingConfig(), LabellingConfig())}
-    for growth in ({"steepest_deg": 49.0}, {"tree_line_m": 2400.0}, {"steepest_deg": None}):
-        small.path.write_text(yaml.safe_dump(content | {"fuel": {"growth": growth}}))
+    for part, growth in (({}, {"tree_line_m": 2400.0}), ({"steepest_deg": 49.0}, {}), ({"steepest_deg": None}, {})):
+        changes = {"fuel": {"growth": growth}, "expert": {"fuel": {"growth": part}}}
+        small.path.write_text(yaml.safe_dump(content | changes))
         found.add(votes_digest(load_site(small.path), "mast", TracingConfig(), LabellingConfig()))
     assert len(found) == 4
 

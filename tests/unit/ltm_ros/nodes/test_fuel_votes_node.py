@@ -42,6 +42,8 @@ def frames_counted(
     content = yaml.safe_load(small.path.read_text())
     content |= {"dem": {"path": str(small.folder / "dem.tif")}, "model": str(small.folder / content["model"])}
     path = folder / "site.yaml"
+    slope = {name: growth.pop(name) for name in ("steepest_deg",) if name in growth}
+    content["expert"] = {"fuel": {"growth": slope}}
     path.write_text(yaml.safe_dump(content | {"fuel": {"growth": growth}}))
     outlet, health = Kept(), Health()
     handler = FuelVotesHandler(JoinConfig(site=str(path), camera="mast"), outlet, health)

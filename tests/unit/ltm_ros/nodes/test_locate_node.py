@@ -58,7 +58,7 @@ def write_site(folder: Path, **more: Any) -> Path:
         "crs": "EPSG:32611",
         "origin": [4e5, 38e5],
         "dem": {"path": "dem.tif"},
-        "expert": {"curvature": False},
+        "expert": {"curvature": False, "locating": {"dem_sigma": 0.5}},
         "cameras": {name: {} for name in TOWERS},
     }
     path = folder / "site.yaml"
@@ -69,7 +69,7 @@ def write_site(folder: Path, **more: Any) -> Path:
 class Running:
     def __init__(self, folder: Path, **content: Any) -> None:
         self.kept, self.health = Kept(), Health()
-        site = str(write_site(folder, locating={"dem_sigma": 0.5}, **content))
+        site = str(write_site(folder, locating={}, **content))
         self.node = LocateHandler(LocateConfig(site=site), self.kept, self.health)
         self.kept.now = STAMP + 60 * SECOND
 
