@@ -58,7 +58,7 @@ def write_site(folder: Path, **more: Any) -> Path:
         "crs": "EPSG:32611",
         "origin": [4e5, 38e5],
         "dem": {"path": "dem.tif"},
-        "expert": {"curvature": False, "locating": {"dem_sigma": 0.5}},
+        "expert": {"curvature": False},
         "cameras": {name: {} for name in TOWERS},
     }
     path = folder / "site.yaml"
@@ -69,7 +69,8 @@ def write_site(folder: Path, **more: Any) -> Path:
 class Running:
     def __init__(self, folder: Path, **content: Any) -> None:
         self.kept, self.health = Kept(), Health()
-        site = str(write_site(folder, locating={}, **content))
+        tuning = {"curvature": False, "locating": {"dem_sigma": 0.5}}
+        site = str(write_site(folder, locating={}, **({"expert": tuning} | content)))
         self.node = LocateHandler(LocateConfig(site=site), self.kept, self.health)
         self.kept.now = STAMP + 60 * SECOND
 
@@ -327,7 +328,9 @@ def test_a_region_without_a_stamp_after_the_clock_was_set_back(tmp_path: Path) -
 def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> None:
     """Its mask would be made in that size: four gigabytes."""
     mask = [{"class": "caption", "polygon": [[0, 0], [80, 0], [80, 30], [0, 30]]}]
-    running = Running(tmp_path, cameras={name: {"mask": mask} for name in TOWERS}, limits={"pixels": 3_000_000})
+    running = Running(
+        tmp_path, cameras={name: {"mask": mask} for name in TOWERS}, expert={"limits": {"pixels": 3_000_000}}
+    )
     seen = seen_by("north")
     running.pose(seen)
     huge = camera_to_msg(replace(CAMERA, width=65_535, height=65_535), STAMP, "north_optical")
