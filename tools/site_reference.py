@@ -149,7 +149,8 @@ def table(rows: list[Key]) -> str:
     lines = ["| key | type | default | meaning |", "|---|---|---|---|"]
     for key in rows:
         only = f" Only for {', '.join(f'`{kind}`' for kind in key.kinds)}." if key.kinds else ""
-        cells = (f"`{key.path}`", key.type, f"`{key.default}`" if key.default else "", key.meaning + only)
+        default = f"`{key.default}`" if key.default not in ("", "required") else key.default
+        cells = (f"`{key.path}`", key.type, default, key.meaning + only)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines)
 
