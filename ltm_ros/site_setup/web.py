@@ -1,0 +1,338 @@
+"""Query the web services of data sources, and download files: retries, resume, cache, checksums and limits."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+
+from ltm_core.base.redaction import plain, redacted
+from ltm_core.storage.disk_io import free_bytes
+from ltm_ros.runtime.retry import Backoff
+from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress
+
+TRIES = 5
+"""Number of attempts at each request."""
+LONGEST_WAIT_S = 60.0
+"""Maximum pause that a service may demand (Retry-After)."""
+_ANSWER_BYTES = 32 << 20
+"""Maximum size of an answer that is read into memory."""
+MOST_BYTES = 8 << 30
+"""Maximum size of a download."""
+SPARE_BYTES = 64 << 20
+"""Free space that stays on the disk."""
+_LATER = (408, 425, 429, 500, 502, 503, 504)
+"""Statuses after which the same request may succeed."""
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+T = TypeVar("T")
+
+
+class AgainError(Exception):
+    """An attempt failed in a way that may pass."""
+
+    def __init__(self, why: str, wait_s: float = 0.0) -> None:
+        super().__init__(why)
+        self.wait_s = wait_s
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A file on a server."""
+
+    url: str
+    size: int
+    version: str
+    """ETag or modification time; empty if the server states neither."""
+    ranges: bool
+    """Whether the server delivers parts of the file."""
+
+
+def cache_folder() -> Path:
+    """Return the folder in which fetched data are kept, so that a second or an interrupted run fetches only the rest."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ltm/sites"
+
+
+def digest(*parts: object) -> str:
+    """Return a short name for a request."""
+    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()[:24]
+
+
+def check_room(folder: Path, needed: int) -> None:
+    """Raise FetchError unless the disk of `folder` has room for `needed` bytes."""
+    free = free_bytes(folder)
+    if free < needed + SPARE_BYTES:
+        raise FetchError(
+            f"{folder}: {needed / 1e6:.0f} MB are needed and {free / 1e6:.0f} MB are free; make room, or keep the "
+            "cache elsewhere (XDG_CACHE_HOME)"
+        )
+
+
+class Web:
+    """HTTP client of the sources. Proxies are those of the environment (HTTPS_PROXY, NO_PROXY).
+
+    Args:
+        cache: folder for downloads.
+        first_pause_s: pause after the first failed attempt, seconds; it doubles with each further one.
+        timeout_s: time limit for a connection, and for each part of an answer, seconds.
+    """
+
+    def __init__(self, cache: Path | None = None, first_pause_s: float = 1.0, timeout_s: float = 90.0) -> None:
+        self.cache = cache_folder() if cache is None else cache
+        self.bytes_read = 0
+        """Bytes of all answers so far."""
+        self.timeout_s = timeout_s
+        self.first_pause_s = first_pause_s
+        self._client = httpx.Client(
+            follow_redirects=True, timeout=httpx.Timeout(timeout_s, connect=min(20.0, timeout_s)),
+            headers={"User-Agent": "ltm-init", "Accept-Encoding": "identity"},
+        )  # fmt: skip
+
+    def tried(self, place: str, attempt: Callable[[], T]) -> T:
+        """Return what `attempt` returns; repeat it with growing pauses while it raises AgainError. Raises FetchError."""
+        backoff = Backoff(self.first_pause_s, LONGEST_WAIT_S)
+        for left in reversed(range(TRIES)):
+            try:
+                return attempt()
+            except AgainError as error:
+                if not left:
+                    raise FetchError(
+                        f"{place}: {error} ({TRIES} attempts); try again later, or choose another source"
+                    ) from error
+                time.sleep(max(backoff.failed(), min(error.wait_s, LONGEST_WAIT_S)))
+        raise AssertionError  # not reached
+
+    def get(self, url: str, params: Mapping[str, str] | None = None) -> bytes:
+        """Return the body of an answer. Raises NoCoverageError (404, 204), FetchError."""
+        return self.tried(_host(url), lambda: self._body(url, params))
+
+    def json(self, url: str, params: Mapping[str, str] | None = None) -> Any:
+        """Return the value of a JSON answer; an invalid one is requested again. Raises as `get` does."""
+
+        def attempt() -> Any:
+            body = self._body(url, params)
+            try:
+                return json.loads(body)
+            except ValueError as error:
+                raise AgainError(f"the answer is not JSON ({_said(body)})") from error
+
+        return self.tried(_host(url), attempt)
+
+    def remote(self, url: str) -> Remote | None:
+        """Return size and version of a file; None if it does not exist. Its first byte is read, as some servers do not
+        answer HEAD. Raises FetchError."""
+
+        def attempt() -> Remote:
+            with self._answer(url, headers={"Range": "bytes=0-0"}) as response:
+                total = re.fullmatch(r"bytes 0-0/(\d+)", response.headers.get("Content-Range", ""))
+                size = int(total[1]) if total else int(response.headers.get("Content-Length") or 0)
+                version = response.headers.get("ETag") or response.headers.get("Last-Modified") or ""
+                return Remote(str(response.url), size, version, total is not None)
+
+        try:
+            return self.tried(_host(url), attempt)
+        except NoCoverageError:
+            return None
+
+    def download(
+        self,
+        url: str,
+        params: Mapping[str, str] | None = None,
+        *,
+        remote: Remote | None = None,
+        sha256: str = "",
+        most: int = MOST_BYTES,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Return the file of a URL in the cache, fetched whole. A download of a known `remote` continues where it
+        stopped. Raises NoCoverageError, FetchError; a file with a wrong checksum is removed."""
+        path = self.cache / digest(url, sorted((params or {}).items()), remote and remote.version, sha256)
+        if not path.exists():
+            partial = path.with_suffix(".part")
+            self.make_cache()
+            self.tried(_host(url), lambda: self._fill(partial, url, params, remote, most, progress))
+            if sha256:
+                self._compare(partial, url, sha256)
+            partial.replace(path)
+        return path
+
+    def make_cache(self) -> None:
+        """Make the folder of the cache. Raises FetchError."""
+        try:
+            self.cache.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FetchError(
+                f"{self.cache}: cannot be made ({error.strerror}); keep the cache elsewhere (XDG_CACHE_HOME)"
+            ) from error
+
+    def _compare(self, path: Path, url: str, sha256: str) -> None:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+        if found != sha256:
+            path.unlink()
+            raise FetchError(
+                f"{redacted(url)}: its SHA-256 is {found}, expected {sha256}; check the address and the sum"
+            )
+
+    def _fill(
+        self,
+        partial: Path,
+        url: str,
+        params: Mapping[str, str] | None,
+        remote: Remote | None,
+        most: int,
+        progress: Progress | None,
+    ) -> None:
+        with partial.open("ab") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise FetchError(f"{partial}: another process is fetching this file; wait until it ends") from error
+            have = file.tell()
+            if remote is None or not (remote.ranges and remote.version) or have > remote.size:
+                have = 0
+            elif have == remote.size:
+                return
+            headers = {"Range": f"bytes={have}-", "If-Range": remote.version} if have and remote else {}
+            with self._answer(url, params, headers) as response:
+                if response.status_code != 206:
+                    have = 0
+                file.truncate(have)
+                total = have + int(response.headers.get("Content-Length") or 0)
+                check_room(partial.parent, total - have)
+                self._copy(response, file, have, most, progress)
+            if remote is not None and file.tell() != remote.size:
+                raise AgainError(f"delivered {file.tell()} of {remote.size} bytes")
+
+    def _copy(self, response: httpx.Response, file: Any, have: int, most: int, progress: Progress | None) -> None:
+        total = have + int(response.headers.get("Content-Length") or 0)
+        try:
+            for chunk in self._chunks(response):
+                file.write(chunk)
+                have += len(chunk)
+                if have > most:
+                    raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
+                if progress is not None:
+                    progress(have, total)
+            file.flush()
+        except OSError as error:
+            if error.errno in _FULL:
+                with suppress(OSError):
+                    file.truncate(0)
+            raise FetchError(f"{file.name}: cannot be written ({error.strerror}); make room on the disk") from error
+
+    def _body(self, url: str, params: Mapping[str, str] | None) -> bytes:
+        body = bytearray()
+        with self._answer(url, params) as response:
+            for chunk in self._chunks(response):
+                body += chunk
+                if len(body) > _ANSWER_BYTES:
+                    raise FetchError(
+                        f"{_host(url)}: an answer of more than {_ANSWER_BYTES} bytes; request a smaller area"
+                    )
+        return bytes(body)
+
+    def _chunks(self, response: httpx.Response) -> Any:
+        try:
+            for chunk in response.iter_bytes(1 << 18):
+                self.bytes_read += len(chunk)
+                yield chunk
+        except httpx.HTTPError as error:
+            raise AgainError(_trouble(error)) from error
+
+    def _answer(
+        self, url: str, params: Mapping[str, str] | None = None, headers: Mapping[str, str] | None = None
+    ) -> _Answer:
+        return _Answer(self._client, url, params, headers)
+
+
+class _Answer:
+    """Open a GET request, and close it at the end of the block. Statuses other than success raise."""
+
+    def __init__(
+        self, client: httpx.Client, url: str, params: Mapping[str, str] | None, headers: Mapping[str, str] | None
+    ) -> None:
+        try:
+            whole = httpx.URL(url).copy_merge_params(dict(params or {})) if params else httpx.URL(url)
+        except httpx.InvalidURL as error:
+            raise FetchError(f"{redacted(url)}: not a valid URL ({error})") from error
+        self._stream = client.stream("GET", whole, headers=dict(headers or {}))
+
+    def __enter__(self) -> httpx.Response:
+        try:
+            response = self._stream.__enter__()
+        except httpx.HTTPError as error:
+            raise AgainError(_trouble(error)) from error
+        try:
+            _check_status(response)
+        except BaseException:
+            self._stream.__exit__(None, None, None)
+            raise
+        return response
+
+    def __exit__(self, *reason: Any) -> None:
+        self._stream.__exit__(*reason)
+
+
+def _check_status(response: httpx.Response) -> None:
+    status, host = response.status_code, response.url.host
+    if response.is_success and status != 204:
+        return
+    said = ""
+    with suppress(httpx.HTTPError):
+        said = _said(next(response.iter_bytes(2000), b""))
+    reason = f"HTTP {status}" + (f": {said}" if said else "")
+    if status in _LATER:
+        wait = response.headers.get("Retry-After", "")
+        raise AgainError(reason, float(wait) if wait.isdecimal() else 0.0)
+    if status in (204, 404):
+        raise NoCoverageError(f"{host} has no data for this request ({reason}); choose another source or area")
+    if status in (401, 403):
+        raise FetchError(f"{host} rejected the request ({reason}); check the key in the environment, or the proxy")
+    raise FetchError(f"{host} rejected the request ({reason}); change the area or the source")
+
+
+def _said(body: bytes) -> str:
+    """Return the text of an error page on one line."""
+    text = re.sub(r"<[^>]*>", " ", body[:2000].decode("utf-8", "replace"))
+    return redacted(plain(" ".join(text.split()), 300))
+
+
+def _trouble(error: httpx.HTTPError) -> str:
+    if isinstance(error, httpx.TimeoutException):
+        return "no answer in time"
+    if isinstance(error, httpx.ConnectError):
+        return f"no connection ({redacted(str(error))})"
+    return f"the connection broke ({redacted(str(error))})"
+
+
+def _host(url: str) -> str:
+    return httpx.URL(url).host or redacted(url)
+
+
+def put_into(folder: Path, cached: Path, name: str) -> Path:
+    """Return a copy of a cached file in `folder`; a hard link where the disk allows it. Raises FetchError."""
+    path = folder / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        try:
+            os.link(cached, path)
+        except OSError:
+            shutil.copyfile(cached, path)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise FetchError(f"{path}: cannot be written ({error.strerror}); make room, or name another folder") from error
+    return path
