@@ -14,9 +14,19 @@ from typing import Any
 from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.raster.raster_io import open_raster, read_band
-from ltm_ros.site_setup.request import Area, Bounds, FetchError, Fetched, NoCoverageError, Part, Plan, Progress
+from ltm_ros.site_setup.request import (
+    METRES_PER_DEGREE,
+    Area,
+    Bounds,
+    Fetched,
+    FetchError,
+    NoCoverageError,
+    Part,
+    Plan,
+    Progress,
+)
 from ltm_ros.site_setup.source import Source, filled, no_progress
-from ltm_ros.site_setup.web import AgainError, check_room, digest, put_into
+from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
 from ltm_ros.site_setup.windows import write_band
 
 _JOB_S = 1800.0
@@ -60,11 +70,9 @@ class WholeFileSource(Source):
                 return not read_band(source, 1)[1].all()
         except RasterError as error:
             with path.open("rb") as file:
-                head = plain(" ".join(re.sub(r"<[^>]*>", " ", file.read(600).decode("utf-8", "replace")).split()), 200)
+                said = in_words(file.read(600))
             path.unlink()
-            raise FetchError(
-                f"{redacted(part.url)}: the answer is not a GeoTIFF ({head}); check the request"
-            ) from error
+            raise FetchError(f"{redacted(part.url)}: not a GeoTIFF ({said}); check the request") from error
 
 
 class OpenTopographySource(WholeFileSource):
@@ -74,9 +82,8 @@ class OpenTopographySource(WholeFileSource):
         west, south, east, north = area.padded(4 * self.resolution_m).bounds_lonlat
         bounds = f"south={south:.6f}&north={north:.6f}&west={west:.6f}&east={east:.6f}"
         url = f"{self.address}{'&' if '?' in self.address else '?'}{bounds}&outputFormat=GTiff"
-        width, height = area.size_m
-        size = round(4 * width * height / self.resolution_m**2)  # of float32, before compression
-        return Plan(area, (Part(url, f"{self.name}.tif", max(size, 1 << 16)),), (), self.year)
+        cells = (east - west) * (north - south) * (METRES_PER_DEGREE / self.resolution_m) ** 2
+        return Plan(area, (Part(url, f"{self.name}.tif", round(4 * cells) + (1 << 16)),), (), self.year)
 
     def _secret(self, part: Part) -> dict[str, str]:
         return {"API_Key": self.key}
@@ -99,9 +106,8 @@ class CoverageSource(WholeFileSource):
 
     def _part(self, base: str, coverage: str, grid: _Grid, area: Area) -> Part:
         (left, bottom, right, top), cells = grid.cut(area, self.name)
-        subsets = (
-            f"&subset={grid.labels[0]}({left:.10g},{right:.10g})&subset={grid.labels[1]}({bottom:.10g},{top:.10g})"
-        )
+        x, y = grid.labels
+        subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
         query = "&".join(f"{key}={value}" for key, value in _wcs("GetCoverage", coverageId=coverage).items())
         url = f"{base}{'&' if '?' in base else '?'}{query}{subsets}&format=image/tiff"
         return Part(url, f"{coverage.rpartition('__')[2]}.tif", 4 * cells + 4096)
@@ -119,9 +125,9 @@ class _Grid:
         crs = re.search(r'srsName="[^"]*?(?:EPSG/[^/"]*/|EPSG::?)(\d+)"', envelope[0]) if envelope else None
         labels = re.search(r'axisLabels="([^"]+)"', envelope[0]) if envelope else None
         numbers = {name: _numbers(xml, name) for name in ("lowerCorner", "upperCorner", "pos", "offsetVector")}
-        if crs is None or labels is None or len(labels[1].split()) != 2 or any(len(n) < 2 for n in numbers.values()):
-            said = plain(" ".join(re.sub(r"<[^>]*>", " ", xml).split()), 200)
-            raise FetchError(f"{place}: no grid is described ({said}); check the address")
+        lengths = tuple(len(found) for found in numbers.values())
+        if crs is None or labels is None or len(labels[1].split()) != 2 or lengths != (2, 2, 2, 4):
+            raise FetchError(f"{place}: no grid is described ({in_words(xml.encode())}); check the address")
         self.crs, names = f"EPSG:{crs[1]}", labels[1].split()
         x = 0 if names[0].lower() in ("x", "e", "east", "easting", "lon", "long", "longitude") else 1
         self.labels = (names[x], names[1 - x])
@@ -224,9 +230,8 @@ class LandfireSource(WholeFileSource):
                 raise FetchError(f"{self.name}: the job was rejected ({plain(str(answer), 300)}); change the area")
             noted.write_text(json.dumps({"job": job}))
             url = self._finished(noted)
-        assert url is not None
-        remote = self.web.remote(url)
-        if remote is None:  # archives are deleted after some days
+        remote = None if url is None else self.web.remote(url)
+        if url is None or remote is None:  # archives are deleted after some days
             noted.unlink(missing_ok=True)
             raise FetchError(f"{self.name}: the result of the job is gone from the server; run the command again")
         return self.web.download(url, remote=remote, progress=progress)

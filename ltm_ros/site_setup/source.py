@@ -14,8 +14,8 @@ from ltm_core.base.redaction import plain, redacted
 from ltm_ros.site_setup.request import (
     Area,
     Bounds,
-    FetchError,
     Fetched,
+    FetchError,
     NoCoverageError,
     Part,
     Plan,
@@ -52,16 +52,11 @@ class Source:
 
     def __init__(self, name: str, config: SourceConfig, web: Web) -> None:
         self.name, self.config, self.web = name, config, web
+        self.kinds, self.address, self.licence = config.kinds, config.address, config.licence
+        self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
         self.passed_over: tuple[str, ...] = ()
         """Preferred sources that were not used, each with its reason."""
         self._plans: dict[Area, Plan] = {}
-
-    kinds = property(lambda self: self.config.kinds)
-    licence = property(lambda self: self.config.licence)
-    resolution_m = property(lambda self: self.config.resolution_m)
-    vertical_crs = property(lambda self: self.config.vertical_crs)
-    year = property(lambda self: self.config.year)
-    address = property(lambda self: self.config.address)
 
     def covers(self, area: Area) -> str:
         """Return why the source cannot be used for an area; empty if it can. May query the service.
@@ -258,9 +253,9 @@ def filled(template: str, names: dict[str, str]) -> str:
 
 
 def _degree_names(west: float, south: float, step: float) -> dict[str, str]:
-    names = {}
+    names: dict[str, str] = {}
     for name, value, digits, letters in (
-        ("south", south, 2, "NS"), ("north", south + step, 2, "NS"), ("west", west, 3, "EW"), ("east", west + step, 3, "EW"),
+        ("south", south, 2, "NS"), ("north", south + step, 2, "NS"), ("west", west, 3, "EW"),
     ):  # fmt: skip
         text = f"{letters[value < 0]}{abs(round(value)):0{digits}d}"
         names |= {name: text.lower(), name.upper(): text}

@@ -61,7 +61,7 @@ class Remote:
 
 
 def cache_folder() -> Path:
-    """Return the folder in which fetched data are kept, so that a second or an interrupted run fetches only the rest."""
+    """Return the folder of fetched data; a second or an interrupted run fetches only the rest."""
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ltm/sites"
 
 
@@ -101,7 +101,7 @@ class Web:
         )  # fmt: skip
 
     def tried(self, place: str, attempt: Callable[[], T]) -> T:
-        """Return what `attempt` returns; repeat it with growing pauses while it raises AgainError. Raises FetchError."""
+        """Return what `attempt` returns; repeat it, with growing pauses, after an AgainError. Raises FetchError."""
         backoff = Backoff(self.first_pause_s, LONGEST_WAIT_S)
         for left in reversed(range(TRIES)):
             try:
@@ -126,7 +126,7 @@ class Web:
             try:
                 return json.loads(body)
             except ValueError as error:
-                raise AgainError(f"the answer is not JSON ({_said(body)})") from error
+                raise AgainError(f"the answer is not JSON ({in_words(body)})") from error
 
         return self.tried(_host(url), attempt)
 
@@ -292,7 +292,7 @@ def _check_status(response: httpx.Response) -> None:
         return
     said = ""
     with suppress(httpx.HTTPError):
-        said = _said(next(response.iter_bytes(2000), b""))
+        said = in_words(next(response.iter_bytes(2000), b""))
     reason = f"HTTP {status}" + (f": {said}" if said else "")
     if status in _LATER:
         wait = response.headers.get("Retry-After", "")
@@ -304,7 +304,7 @@ def _check_status(response: httpx.Response) -> None:
     raise FetchError(f"{host} rejected the request ({reason}); change the area or the source")
 
 
-def _said(body: bytes) -> str:
+def in_words(body: bytes) -> str:
     """Return the text of an error page on one line."""
     text = re.sub(r"<[^>]*>", " ", body[:2000].decode("utf-8", "replace"))
     return redacted(plain(" ".join(text.split()), 300))
