@@ -131,6 +131,18 @@ class SourceConfig(StrictModel):
 
 
 @dataclass(frozen=True)
+class Remote:
+    """A file on a server."""
+
+    url: str
+    size: int
+    version: str
+    """ETag or modification time; empty if the server states neither."""
+    ranges: bool
+    """Whether the server delivers parts of the file."""
+
+
+@dataclass(frozen=True)
 class Part:
     """One file, or one window of a file, that a plan reads."""
 
@@ -138,8 +150,8 @@ class Part:
     name: str
     """File name of the result, without a folder."""
     expected_bytes: int
-    version: str = ""
-    """Changes with the content (ETag)."""
+    remote: Remote | None = None
+    """The file on the server, if it exists before the request."""
     window: tuple[int, int, int, int] | None = None
     """First column, first row, columns and rows; none: the whole file."""
     tile: str = ""

@@ -22,7 +22,7 @@ from ltm_ros.site_setup.request import (
     Progress,
     SourceConfig,
 )
-from ltm_ros.site_setup.web import Remote, Web, put_into
+from ltm_ros.site_setup.web import Web, put_into
 from ltm_ros.site_setup.windows import MOST_CELLS, fetch_parts, plan_window
 
 _PAGE = 100
@@ -231,7 +231,7 @@ class UrlSource(Source):
         remote = self.web.remote(self.address)
         if remote is None:
             raise NoCoverageError(f"{redacted(self.address)}: no such file")
-        part = Part(remote.url, _file_name(self.address), remote.size, remote.version)
+        part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
@@ -239,8 +239,7 @@ class UrlSource(Source):
         if not self.config.sha256:
             return super().fetch(plan, folder, progress)
         (part,), before = plan.parts, self.web.bytes_read
-        remote = Remote(part.url, part.expected_bytes, part.version, ranges=True)
-        path = self.web.download(part.url, remote=remote, sha256=self.config.sha256, progress=progress)
+        path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part], before)
 
 

@@ -9,10 +9,10 @@ import json
 import os
 import re
 import shutil
+import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,7 +21,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.storage.disk_io import free_bytes
 from ltm_ros.runtime.retry import Backoff
-from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress
+from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress, Remote
 
 TRIES = 5
 """Number of attempts at each request."""
@@ -48,18 +48,6 @@ class AgainError(Exception):
         self.wait_s = wait_s
 
 
-@dataclass(frozen=True)
-class Remote:
-    """A file on a server."""
-
-    url: str
-    size: int
-    version: str
-    """ETag or modification time; empty if the server states neither."""
-    ranges: bool
-    """Whether the server delivers parts of the file."""
-
-
 def cache_folder() -> Path:
     """Return the folder of fetched data; a second or an interrupted run fetches only the rest."""
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ltm/sites"
@@ -80,6 +68,23 @@ def check_room(folder: Path, needed: int) -> None:
         )
 
 
+@contextmanager
+def only_writer(path: Path) -> Iterator[Any]:
+    """Open a file of the cache for appending, and keep other processes from it. Raises FetchError."""
+    with path.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise FetchError(f"{path}: another process is fetching this file; wait until it ends") from error
+        try:
+            yield file
+        except OSError as error:
+            if error.errno in _FULL:
+                with suppress(OSError):
+                    file.truncate(0)
+            raise FetchError(f"{path}: cannot be written ({error.strerror}); make room on the disk") from error
+
+
 class Web:
     """HTTP client of the sources. Proxies are those of the environment (HTTPS_PROXY, NO_PROXY).
 
@@ -93,6 +98,7 @@ class Web:
         self.cache = cache_folder() if cache is None else cache
         self.bytes_read = 0
         """Bytes of all answers so far."""
+        self._lock = threading.Lock()
         self.timeout_s = timeout_s
         self.first_pause_s = first_pause_s
         self._client = httpx.Client(
@@ -138,13 +144,29 @@ class Web:
             with self._answer(url, headers={"Range": "bytes=0-0"}) as response:
                 total = re.fullmatch(r"bytes 0-0/(\d+)", response.headers.get("Content-Range", ""))
                 size = int(total[1]) if total else int(response.headers.get("Content-Length") or 0)
-                version = response.headers.get("ETag") or response.headers.get("Last-Modified") or ""
-                return Remote(str(response.url), size, version, total is not None)
+                return Remote(str(response.url), size, _version(response), total is not None)
 
         try:
             return self.tried(_host(url), attempt)
         except NoCoverageError:
             return None
+
+    def piece(self, remote: Remote, first: int, length: int) -> bytes:
+        """Return bytes of a remote file. Raises FetchError."""
+        last = min(first + length, remote.size) - 1
+
+        def attempt() -> bytes:
+            with self._answer(remote.url, headers={"Range": f"bytes={first}-{last}"}) as response:
+                if response.status_code != 206:
+                    raise AgainError("the server delivered the whole file instead of a part")
+                if _version(response) != remote.version:
+                    raise FetchError(f"{redacted(remote.url)}: changed on the server meanwhile; run the command again")
+                body = b"".join(self._chunks(response))
+                if len(body) != last + 1 - first:
+                    raise AgainError(f"delivered {len(body)} of {last + 1 - first} bytes")
+                return body
+
+        return self.tried(_host(remote.url), attempt)
 
     def download(
         self,
@@ -195,11 +217,7 @@ class Web:
         most: int,
         progress: Progress | None,
     ) -> None:
-        with partial.open("ab") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise FetchError(f"{partial}: another process is fetching this file; wait until it ends") from error
+        with only_writer(partial) as file:
             have = file.tell()
             if remote is None or not (remote.ranges and remote.version) or have > remote.size:
                 have = 0
@@ -218,20 +236,14 @@ class Web:
 
     def _copy(self, response: httpx.Response, file: Any, have: int, most: int, progress: Progress | None) -> None:
         total = have + int(response.headers.get("Content-Length") or 0)
-        try:
-            for chunk in self._chunks(response):
-                file.write(chunk)
-                have += len(chunk)
-                if have > most:
-                    raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
-                if progress is not None:
-                    progress(have, total)
-            file.flush()
-        except OSError as error:
-            if error.errno in _FULL:
-                with suppress(OSError):
-                    file.truncate(0)
-            raise FetchError(f"{file.name}: cannot be written ({error.strerror}); make room on the disk") from error
+        for chunk in self._chunks(response):
+            file.write(chunk)
+            have += len(chunk)
+            if have > most:
+                raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
+            if progress is not None:
+                progress(have, total)
+        file.flush()
 
     def _body(self, url: str, params: Mapping[str, str] | None) -> bytes:
         body = bytearray()
@@ -246,8 +258,9 @@ class Web:
 
     def _chunks(self, response: httpx.Response) -> Any:
         try:
-            for chunk in response.iter_bytes(1 << 18):
-                self.bytes_read += len(chunk)
+            for chunk in response.iter_bytes():
+                with self._lock:
+                    self.bytes_read += len(chunk)
                 yield chunk
         except httpx.HTTPError as error:
             raise AgainError(_trouble(error)) from error
@@ -302,6 +315,10 @@ def _check_status(response: httpx.Response) -> None:
     if status in (401, 403):
         raise FetchError(f"{host} rejected the request ({reason}); check the key in the environment, or the proxy")
     raise FetchError(f"{host} rejected the request ({reason}); change the area or the source")
+
+
+def _version(response: httpx.Response) -> str:
+    return response.headers.get("ETag") or response.headers.get("Last-Modified") or ""
 
 
 def in_words(body: bytes) -> str:

@@ -1,9 +1,15 @@
-"""Read windows of remote GeoTIFF files (/vsicurl/), and write them as whole files on their own grid."""
+"""Read windows of remote GeoTIFF files by range requests, and write them as whole files on their own grid.
+
+Only the directory of a file and the blocks of the window are fetched, into a sparse copy that GDAL then reads. Thus
+sizes are known before and exact afterwards, each request is repeated on its own, and an interrupted window continues.
+"""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,33 +22,23 @@ from ltm_core.base.redaction import redacted
 from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_core.storage.disk_io import written_whole
 from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress
-from ltm_ros.site_setup.web import AgainError, Remote, Web, check_room, digest, put_into
+from ltm_ros.site_setup.web import Remote, Web, check_room, digest, only_writer, put_into
 
 MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""
 MOST_CELLS = 1 << 28
 """Maximum number of cells of an area: 16 km per side at 1 m."""
-_HEADER_BYTES = 32 << 10
-"""GDAL reads this much when it opens a file."""
+_HEADER_BYTES = 256 << 10
+"""The directory of a Cloud Optimized GeoTIFF, with the sizes of 20,000 blocks, is at its beginning."""
+_LEADER_BYTES = 4
+"""Cloud Optimized GeoTIFFs repeat the size of a block before it, and its end after it."""
+_GAP_BYTES = 4 << 10
+_RANGE_BYTES = 4 << 20
+"""Blocks with gaps up to the one are fetched together, up to the other."""
+_CONNECTIONS = 4
 
-
-@contextmanager
-def open_window_source(url: str, web: Web) -> Iterator[Any]:
-    """Open a remote GeoTIFF; other formats could name files and hosts. Raises RasterError."""
-    import rasterio
-
-    seconds = math.ceil(web.timeout_s)
-    settings = {
-        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
-        "GDAL_INGESTED_BYTES_AT_OPEN": _HEADER_BYTES,
-        "GDAL_HTTP_MERGE_CONSECUTIVE_RANGES": "YES",
-        "GDAL_HTTP_CONNECTTIMEOUT": min(20, seconds),
-        "GDAL_HTTP_TIMEOUT": seconds,
-        "CPL_VSIL_CURL_USE_HEAD": "NO",
-        "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/",  # a failed read would be remembered
-    }
-    with rasterio.Env(**settings), open_raster(f"/vsicurl/{url}", driver="GTiff") as source:
-        yield source
+Window = tuple[int, int, int, int]
+"""First column, first row, columns and rows."""
 
 
 def plan_window(remote: Remote, area: Area, name: str, tile: str, web: Web) -> Part | None:
@@ -55,50 +51,34 @@ def plan_window(remote: Remote, area: Area, name: str, tile: str, web: Web) -> P
             f"{redacted(remote.url)}: the server does not deliver parts of files (HTTP ranges); download the file, and "
             "give it to ltm init"
         )
-
-    def attempt() -> Part | None:
-        try:
-            with open_window_source(remote.url, web) as source:
-                window = window_of(source, area)
-                if window is None:
-                    return None
-                size = _block_bytes(source, window)
-        except RasterError as error:
-            raise AgainError(redacted(str(error))) from error
-        return Part(remote.url, name, size, remote.version, window, tile)
-
-    web.bytes_read += min(_HEADER_BYTES, remote.size)
-    return web.tried(redacted(remote.url), attempt)
+    web.make_cache()
+    path = web.cache / f"{digest(remote.url, remote.version, 'header')}.part"
+    with only_writer(path):
+        _write_header(path, remote, web)
+        with _opened(path, remote.url) as source:
+            window = window_of(source, area)
+            size = 0 if window is None else sum(last - first for first, last in _block_ranges(source, window))
+        path.unlink()
+    return (
+        None if window is None else Part(remote.url, name, size + min(_HEADER_BYTES, remote.size), remote, window, tile)
+    )
 
 
-def window_of(source: Any, area: Area) -> tuple[int, int, int, int] | None:
-    """Return the whole cells of a raster that cover an area, with a margin: column, row, columns, rows."""
+def window_of(source: Any, area: Area) -> Window | None:
+    """Return the whole cells of a raster that cover an area, with a margin; None if there is none."""
     from rasterio.warp import transform_bounds
 
     if source.crs is None:
         raise FetchError(f"{redacted(source.name)}: has no CRS; choose another source")
     west, south, east, north = transform_bounds("EPSG:4326", source.crs, *area.bounds_lonlat, densify_pts=21)
-    inverse = ~source.transform
-    corners = [inverse * (x, y) for x in (west, east) for y in (south, north)]
-    first, last = np.min(corners, axis=0), np.max(corners, axis=0)
+    corners = np.array([[west, west, east, east], [south, north, south, north], np.ones(4)])
+    first, *_, last = np.sort(np.reshape(~source.transform, (3, 3))[:2] @ corners).T
     if (first >= (source.width, source.height)).any() or (last <= 0).any():
         return None
     column, row = (max(math.floor(v) - MARGIN_CELLS, 0) for v in first)
     right = min(math.ceil(last[0]) + MARGIN_CELLS, source.width)
     bottom = min(math.ceil(last[1]) + MARGIN_CELLS, source.height)
     return column, row, right - column, bottom - row
-
-
-def _block_bytes(source: Any, window: tuple[int, int, int, int]) -> int:
-    """Return the compressed size of the blocks that a window touches."""
-    column, row, columns, rows = window
-    height, width = source.block_shapes[0]
-    sizes = (
-        source.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=1)
-        for y in range(row // height, (row + rows - 1) // height + 1)
-        for x in range(column // width, (column + columns - 1) // width + 1)
-    )
-    return sum(int(size or 0) for size in sizes)
 
 
 def fetch_parts(
@@ -116,7 +96,7 @@ def fetch_parts(
     for part in parts:
         before = known.get(part.tile)
         if before is None or not before.all():
-            path = fetch_window(part, web, nodata, tags)
+            path = _fetch_window(part, web, lambda read, done=done: progress(done + read, total), nodata, tags)
             with open_raster(path, driver="GTiff") as source:
                 here = ~read_band(source, 1)[1]
             if here.any():
@@ -131,29 +111,114 @@ def fetch_parts(
     return files, used
 
 
-def fetch_window(part: Part, web: Web, nodata: float | None, tags: dict[str, str]) -> Path:
+def _fetch_window(part: Part, web: Web, progress: Any, nodata: float | None, tags: dict[str, str]) -> Path:
     """Return the file of a window in the cache. Raises FetchError."""
-    path = web.cache / f"{digest(part.url, part.version, part.window, nodata)}.tif"
+    from rasterio.windows import Window as Cells
+
+    remote, window = part.remote, part.window
+    if remote is None or window is None:
+        raise FetchError(f"{part.name}: the plan has no window; plan again")
+    path = web.cache / f"{digest(remote.url, remote.version, window, nodata)}.tif"
     if path.exists():
         return path
-
-    def attempt() -> None:
-        from rasterio.windows import Window
-
-        assert part.window is not None
-        try:
-            with open_window_source(part.url, web) as source:
-                window = Window(*part.window)
-                values, unknown = read_band(source, 1, window)
-                web.bytes_read += part.expected_bytes
-                declared = source.nodatavals[0]
-                write_band(path, values, unknown, source, window, nodata if declared is None else declared, tags)
-        except RasterError as error:
-            raise AgainError(redacted(str(error))) from error
-
     web.make_cache()
-    web.tried(redacted(part.url), attempt)
+    sparse = path.with_suffix(".part")
+    with only_writer(sparse):
+        _write_header(sparse, remote, web)
+        with _opened(sparse, remote.url) as source:
+            ranges = _block_ranges(source, window)
+        _write_ranges(sparse, ranges, remote, web, progress)
+        try:
+            with _opened(sparse, remote.url) as source:
+                cells = Cells(*window)
+                values = source.read(1, window=cells)
+                declared = nodata if source.nodatavals[0] is None else source.nodatavals[0]
+                unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, bool)
+                if declared is not None and not np.isnan(declared):
+                    unknown |= values == values.dtype.type(declared)
+                write_band(path, values, unknown, source, cells, declared, tags)
+        finally:  # what cannot be read now is not kept for the next run
+            sparse.unlink()
+            _journal(sparse).unlink(missing_ok=True)
     return path
+
+
+def _write_header(path: Path, remote: Remote, web: Web) -> None:
+    """Write the beginning of a remote GeoTIFF to a sparse file, and its directory if that is elsewhere."""
+    head = web.piece(remote, 0, _HEADER_BYTES)
+    order = "<" if head[:1] == b"I" else ">"
+    if head[:4] not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+") or len(head) < 16:
+        raise FetchError(f"{redacted(remote.url)}: not a GeoTIFF; check the address of the source")
+    big = head[2:4] in (b"+\0", b"\0+")
+    (directory,) = struct.unpack(f"{order}Q", head[8:16]) if big else struct.unpack(f"{order}I", head[4:8])
+    pieces = {0: head}
+    if len(head) <= directory < remote.size:
+        pieces[directory] = web.piece(remote, directory, _HEADER_BYTES)
+    with path.open("r+b") as file:
+        for first, piece in pieces.items():
+            file.seek(first)
+            file.write(piece)
+        file.truncate(remote.size)
+
+
+@contextmanager
+def _opened(path: Path, url: str) -> Iterator[Any]:
+    """Open a sparse copy; other formats than GeoTIFF could name files and hosts. Raises FetchError."""
+    from rasterio.enums import MaskFlags
+
+    try:
+        with open_raster(path, driver="GTiff") as source:
+            if MaskFlags.per_dataset in source.mask_flag_enums[0]:
+                raise FetchError(f"{redacted(url)}: has a mask beside its values; download it, and give it to ltm init")
+            yield source
+    except RasterError as error:
+        raise FetchError(f"{redacted(url)}: not a GeoTIFF that can be read ({error}); choose another source") from error
+
+
+def _block_ranges(source: Any, window: Window) -> list[tuple[int, int]]:
+    """Return where in the file the blocks of a window are, as few ranges. Raises FetchError if it is not stated."""
+    column, row, columns, rows = window
+    height, width = source.block_shapes[0]
+    blocks = []
+    for y in range(row // height, (row + rows - 1) // height + 1):
+        for x in range(column // width, (column + columns - 1) // width + 1):
+            first, size = (
+                int(source.get_tag_item(f"BLOCK_{what}_{x}_{y}", "TIFF", bidx=1) or 0) for what in ("OFFSET", "SIZE")
+            )
+            if size:
+                blocks.append((max(first - _LEADER_BYTES, 0), first + size + _LEADER_BYTES))
+    if not blocks:
+        raise FetchError(f"{redacted(source.name)}: no data in the window, or not a Cloud Optimized GeoTIFF")
+    ranges: list[tuple[int, int]] = []
+    for first, last in sorted(blocks):
+        if ranges and first <= ranges[-1][1] + _GAP_BYTES and last - ranges[-1][0] <= _RANGE_BYTES:
+            ranges[-1] = ranges[-1][0], max(last, ranges[-1][1])
+        else:
+            ranges.append((first, last))
+    return ranges
+
+
+def _journal(sparse: Path) -> Path:
+    return sparse.with_suffix(".ranges")
+
+
+def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, web: Web, progress: Any) -> None:
+    """Fetch ranges of a file into its sparse copy, but not those that an interrupted run has already."""
+    journal = _journal(sparse)
+    have = set(journal.read_text().split()) if journal.exists() else set()
+    missing = [(first, last) for first, last in ranges if f"{first}-{last}" not in have]
+    done = sum(last - first for first, last in set(ranges) - set(missing))
+    with sparse.open("r+b") as file, journal.open("a") as noted, ThreadPoolExecutor(_CONNECTIONS) as pool:
+        for at in range(0, len(missing), _CONNECTIONS):
+            few = missing[at : at + _CONNECTIONS]
+            pieces = pool.map(lambda span: web.piece(remote, span[0], span[1] - span[0]), few)
+            for (first, last), piece in zip(few, pieces, strict=True):
+                file.seek(first)
+                file.write(piece)
+                file.flush()
+                noted.write(f"{first}-{last}\n")
+                done += len(piece)
+                progress(done)
 
 
 def write_band(
@@ -168,7 +233,7 @@ def write_band(
 ) -> None:
     """Write one band of a raster, or a window of it, as a GeoTIFF that appears whole or not at all.
 
-    Raises FetchError if the disk does not take it.
+    Raises FetchError or ConfigError if the disk does not take it.
     """
     from rasterio.io import MemoryFile
 

@@ -68,6 +68,13 @@ def grid(west: float, north: float, step: float, width: int, height: int) -> tup
     return np.meshgrid(x, y)
 
 
+class _QuietServer(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Clients that hang up are usual."""
+
+
 class SiteServices:
     """All services on one port of loopback. What a test sets is how they behave."""
 
@@ -94,8 +101,7 @@ class SiteServices:
         self.bytes_sent = 0
         self._polls: dict[str, int] = {}
         self._lock = threading.Lock()
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
-        self._server.daemon_threads = True
+        self._server = _QuietServer(("127.0.0.1", 0), _handler(self))
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}"
         threading.Thread(target=self._server.serve_forever, args=(0.02,), daemon=True).start()
 
