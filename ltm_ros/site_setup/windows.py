@@ -21,8 +21,8 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import redacted
 from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_core.storage.disk_io import written_whole
-from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress
-from ltm_ros.site_setup.web import Remote, Web, check_room, digest, only_writer, put_into
+from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress, Remote
+from ltm_ros.site_setup.web import Web, check_room, digest, only_writer, put_into
 
 MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""

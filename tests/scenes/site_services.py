@@ -216,8 +216,8 @@ class SiteServices:
                  "version": f"LF{year}", "conus": True, "ak": year < 2024, "hi": False, "geoAreas": "All"}
                 for year in self.fuel_years for layer in (*LAYERS, "EVT")
             ]  # fmt: skip
-            season = {**listed[0], "layerName": "LF2025_FBFM40_SP26", "acronym": "FBFM40", "version": "LF2025"}
-            return _json(200, {"products": [*listed, season]})
+            season = [{**some, "layerName": f"LF2025_{some['acronym']}_SP26", "version": "LF2025"} for some in listed]
+            return _json(200, {"products": [*listed, *season]})
         if path == "/job/submit":
             if "@" not in query.get("Email", ""):
                 return _json(400, {"message": "Email is required", "success": False})
@@ -308,9 +308,9 @@ def _handler(services: SiteServices) -> type[BaseHTTPRequestHandler]:
             if cut is not None and len(body) > 1:
                 body, self.close_connection = body[: len(body) // 2], True
                 services.cut[cut] -= 1
-            self.wfile.write(body)
             with services._lock:
                 services.bytes_sent += len(body)
+            self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
             pass

@@ -178,7 +178,7 @@ def test_after_an_interruption_only_the_missing_blocks_are_fetched(
 
 
 def test_a_file_that_a_cog_writer_laid_out_is_read(services: SiteServices, tmp_path: Path) -> None:
-    """With overviews, leaders before the blocks, a scale and a unit."""
+    """With overviews, leaders before the blocks, and a unit."""
     heights = plane(*grid(-119.0, 35.0, STEP, 360, 360)).astype(np.float32)
     path = tmp_path / "cog.tif"
     with rasterio.open(
@@ -190,9 +190,10 @@ def test_a_file_that_a_cog_writer_laid_out_is_read(services: SiteServices, tmp_p
     services.files["/cog/GLO30_N34_00_W119.tif"] = path.read_bytes()
     source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
     fetched = source.fetch(source.plan(Area((-118.699, 34.301, -118.301, 34.699))), tmp_path / "out")
-    values, about = opened(fetched.files[0])
+    values, _ = opened(fetched.files[0])
     np.testing.assert_array_equal(values, heights[105:255, 105:255])
-    assert about.units == ("metre",)
+    with rasterio.open(fetched.files[0]) as raster:
+        assert raster.units == ("metre",)
 
 
 def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services: SiteServices, tmp_path: Path) -> None:
