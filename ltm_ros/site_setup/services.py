@@ -8,6 +8,7 @@ import re
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -101,10 +102,12 @@ class CoverageSource(WholeFileSource):
             address = filled(self.address, {"layer": layer, "year": str(self.year)})
             base, _, coverage = address.partition("#")
             about = self.web.get(base, _wcs("DescribeCoverage", coverageId=coverage)).decode("utf-8", "replace")
-            parts.append(self._part(base, coverage, _Grid(about, f"{redacted(base)}, coverage {coverage}"), area))
+            parts.append(
+                self._part(base, coverage, CoverageGrid(about, f"{redacted(base)}, coverage {coverage}"), area)
+            )
         return Plan(area, tuple(parts), (), self.year)
 
-    def _part(self, base: str, coverage: str, grid: _Grid, area: Area) -> Part:
+    def _part(self, base: str, coverage: str, grid: CoverageGrid, area: Area) -> Part:
         (left, bottom, right, top), cells = grid.cut(area, self.name)
         x, y = grid.labels
         subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
@@ -117,7 +120,7 @@ def _wcs(request: str, **parameters: str) -> dict[str, str]:
     return {"service": "WCS", "version": "2.0.1", "request": request, **parameters}
 
 
-class _Grid:
+class CoverageGrid:
     """Grid of a coverage as DescribeCoverage states it. Raises FetchError."""
 
     def __init__(self, xml: str, place: str) -> None:
@@ -207,7 +210,7 @@ class LandfireSource(WholeFileSource):
             files = self._rasters(archive, part, folder)
             if files:
                 year = int(part.name[2:6])
-                return self._fetched(Plan(plan.area, plan.parts, plan.notes, year), files, [part], before)
+                return self._fetched(replace(plan, year=year), files, [part], before)
         raise NoCoverageError(f"{self.name}: every cell of the area is unknown in all years; choose another source")
 
     def _fetched(self, plan: Plan, files: list[Path], used: list[Part], bytes_before: int) -> Fetched:

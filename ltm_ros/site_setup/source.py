@@ -6,7 +6,8 @@ import math
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ltm_ros.site_setup.request import (
     Bounds,
     Fetched,
     FetchError,
+    Kind,
     NoCoverageError,
     Part,
     Plan,
@@ -28,6 +30,8 @@ from ltm_ros.site_setup.windows import MOST_CELLS, fetch_parts, plan_window
 _PAGE = 100
 _MOST_ITEMS = 1000
 """Maximum number of items of a catalogue for an area."""
+_OLD_YEARS = 3
+"""Age up to which a fuel map is used without a remark."""
 _ALMOST_ALL = 0.99
 """Share of an area from which it counts as covered."""
 
@@ -90,7 +94,11 @@ class Source:
         if area not in self._plans:
             self._plans[area] = self._planned(area)
         plan = self._plans[area]
-        return Plan(plan.area, plan.parts, (*self.passed_over, *plan.notes), plan.year)
+        notes = [*self.passed_over, *plan.notes]
+        age = 0 if plan.year is None else datetime.now(UTC).year - plan.year
+        if Kind.FUEL in self.kinds and age > _OLD_YEARS:
+            notes.append(f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing")
+        return replace(plan, notes=tuple(notes))
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         """Fetch a plan into `folder`; files appear there whole or not at all. Raises NoCoverageError, FetchError."""

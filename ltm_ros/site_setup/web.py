@@ -144,7 +144,7 @@ class Web:
             with self._answer(url, headers={"Range": "bytes=0-0"}) as response:
                 total = re.fullmatch(r"bytes 0-0/(\d+)", response.headers.get("Content-Range", ""))
                 size = int(total[1]) if total else int(response.headers.get("Content-Length") or 0)
-                return Remote(str(response.url), size, _version(response), total is not None)
+                return Remote(url, size, _version(response), total is not None)
 
         try:
             return self.tried(_host(url), attempt)
@@ -256,47 +256,27 @@ class Web:
                     )
         return bytes(body)
 
-    def _chunks(self, response: httpx.Response) -> Any:
-        try:
-            for chunk in response.iter_bytes():
-                with self._lock:
-                    self.bytes_read += len(chunk)
-                yield chunk
-        except httpx.HTTPError as error:
-            raise AgainError(_trouble(error)) from error
+    def _chunks(self, response: httpx.Response) -> Iterator[bytes]:
+        for chunk in response.iter_bytes():
+            with self._lock:
+                self.bytes_read += len(chunk)
+            yield chunk
 
+    @contextmanager
     def _answer(
         self, url: str, params: Mapping[str, str] | None = None, headers: Mapping[str, str] | None = None
-    ) -> _Answer:
-        return _Answer(self._client, url, params, headers)
-
-
-class _Answer:
-    """Open a GET request, and close it at the end of the block. Statuses other than success raise."""
-
-    def __init__(
-        self, client: httpx.Client, url: str, params: Mapping[str, str] | None, headers: Mapping[str, str] | None
-    ) -> None:
+    ) -> Iterator[httpx.Response]:
+        """Open a GET request. Raises as `_check_status` does, AgainError if there is no answer, FetchError."""
         try:
-            whole = httpx.URL(url).copy_merge_params(dict(params or {})) if params else httpx.URL(url)
+            whole = httpx.URL(url).copy_merge_params(params) if params else httpx.URL(url)
         except httpx.InvalidURL as error:
             raise FetchError(f"{redacted(url)}: not a valid URL ({error})") from error
-        self._stream = client.stream("GET", whole, headers=dict(headers or {}))
-
-    def __enter__(self) -> httpx.Response:
         try:
-            response = self._stream.__enter__()
+            with self._client.stream("GET", whole, headers=headers) as response:
+                _check_status(response)
+                yield response
         except httpx.HTTPError as error:
             raise AgainError(_trouble(error)) from error
-        try:
-            _check_status(response)
-        except BaseException:
-            self._stream.__exit__(None, None, None)
-            raise
-        return response
-
-    def __exit__(self, *reason: Any) -> None:
-        self._stream.__exit__(*reason)
 
 
 def _check_status(response: httpx.Response) -> None:

@@ -15,7 +15,7 @@ from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opene
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.fuel.fuel_bands_io import open_bands
 from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError
-from ltm_ros.site_setup.services import LandfireSource
+from ltm_ros.site_setup.services import CoverageGrid, LandfireSource
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
 from ltm_ros.site_setup.web import Web
@@ -290,6 +290,52 @@ def test_place_decides_the_source(
     else:
         with pytest.raises(NoCoverageError):
             choose(Kind.FUEL, area, sources=listed)
+
+
+def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(
+        np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
+    )
+    services.statuses["/tnm/"] = [502] * 99
+    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path))
+    assert source.name == "usgs_3dep_10m"
+    assert "502" in source.plan(HERE).notes[0]
+
+
+def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
+    services.fuel_years = {2016: 1.0}
+    source = choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
+    assert "2016" in source.plan(HERE).notes[0]
+
+
+def test_requests_go_through_the_proxy_of_the_environment(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HTTP_PROXY", services.url)
+    services.files["/f"] = PLAIN_FILE
+    assert Web(tmp_path / "cache").get("http://elevation.invalid/f") == PLAIN_FILE
+
+
+@pytest.mark.parametrize(
+    ("labels", "low", "high", "first", "steps"),
+    [
+        ("Long Lat", "-10 40", "0 50", "-9.9 49.9", ("0.2 0", "0 -0.2")),
+        ("Lat Long", "40 -10", "50 0", "49.9 -9.9", ("0 0.2", "-0.2 0")),
+    ],
+)
+def test_a_coverage_is_cut_at_the_edges_of_its_cells(
+    labels: str, low: str, high: str, first: str, steps: tuple[str, str]
+) -> None:
+    xml = f"""<c:d xmlns:g="gml"><g:Envelope axisLabels="{labels}" srsName="urn:ogc:def:crs:EPSG::4326">
+      <g:lowerCorner>{low}</g:lowerCorner><g:upperCorner>{high}</g:upperCorner></g:Envelope><g:pos>{first}</g:pos>
+      <g:offsetVector>{steps[0]}</g:offsetVector><g:offsetVector>{steps[1]}</g:offsetVector></c:d>"""
+    grid = CoverageGrid(xml, "here")
+    assert grid.labels == ("Long", "Lat")
+    bounds, cells = grid.cut(Area((-5.05, 44.95, -4.35, 45.25)), "here")
+    assert bounds == pytest.approx((-5.6, 44.4, -3.8, 45.8))
+    assert cells == 9 * 7
 
 
 def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
