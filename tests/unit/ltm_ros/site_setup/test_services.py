@@ -13,6 +13,7 @@ import rasterio
 from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.resources import project_path
 from ltm_core.fuel.fuel_bands_io import open_bands
 from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError
 from ltm_ros.site_setup.services import CoverageGrid, LandfireSource
@@ -336,6 +337,13 @@ def test_a_coverage_is_cut_at_the_edges_of_its_cells(
     bounds, cells = grid.cut(Area((-5.05, 44.95, -4.35, 45.25)), "here")
     assert bounds == pytest.approx((-5.6, 44.4, -3.8, 45.8))
     assert cells == 9 * 7
+
+
+def test_the_page_lists_the_sources() -> None:
+    page = project_path("docs/site.md").read_text(encoding="utf-8")
+    listed = load_sources()
+    assert {kind for source in listed for kind in source.kinds} == set(Kind)
+    assert not [source.name for source in listed if f"`{source.name}`" not in page]
 
 
 def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
