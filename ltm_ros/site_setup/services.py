@@ -25,6 +25,7 @@ from ltm_ros.site_setup.request import (
     Part,
     Plan,
     Progress,
+    shifted,
 )
 from ltm_ros.site_setup.source import Source, filled, no_progress
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
@@ -50,7 +51,8 @@ class WholeFileSource(Source):
         before, files, used, done = self.web.bytes_read, [], [], 0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
-            path = self.web.download(part.url, self._secret(part), most=2 * part.expected_bytes)
+            within = shifted(progress, done, plan.expected_bytes)
+            path = self.web.download(part.url, self._secret(part), most=2 * part.expected_bytes, progress=within)
             if self._known_cells(path, part):
                 files.append(put_into(folder, path, part.name))
                 used.append(part)

@@ -124,10 +124,12 @@ class Source:
         share = _share_covered(area, boxes) if len(boxes) == len(items) else 1.0
         if share < _ALMOST_ALL:
             raise NoCoverageError(f"{self.name} covers {share:.0%} of the area")
-        parts = []
+        parts: list[Part] = []
         for item in items:
             remote = self.web.remote(item.url)
-            part = None if remote is None else plan_window(remote, area, item.name, item.tile, self.web)
+            taken = any(part.name == item.name for part in parts)  # items in folders of their own may have one name
+            name = f"{len(parts)}_{item.name}" if taken else item.name
+            part = None if remote is None else plan_window(remote, area, name, item.tile, self.web)
             if part is not None:
                 parts.append(part)
         if not parts:

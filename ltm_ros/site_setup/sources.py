@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 
 from pydantic import Field
@@ -78,8 +79,9 @@ def choose(kind: Kind, area: Area, wanted: str | None = None, sources: Sequence[
         except FetchError as error:
             reason = str(error)
         if not reason:
-            source.passed_over = tuple(reasons)
-            return source
+            chosen = copy(source)  # the same source may serve another kind, with other reasons
+            chosen.passed_over = tuple(reasons)
+            return chosen
         reasons.append(f"{source.name} is not used: {reason}")
     listed = "".join(f"\n  {reason}" for reason in reasons)
     raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")

@@ -21,7 +21,7 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import redacted
 from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_core.storage.disk_io import written_whole
-from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress, Remote
+from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress, Remote, shifted
 from ltm_ros.site_setup.web import Web, check_room, digest, only_writer, put_into
 
 MARGIN_CELLS = 3
@@ -96,7 +96,7 @@ def fetch_parts(
     for part in parts:
         before = known.get(part.tile)
         if before is None or not before.all():
-            path = _fetch_window(part, web, lambda read, done=done: progress(done + read, total), nodata, tags)
+            path = _fetch_window(part, web, shifted(progress, done, total), nodata, tags)
             with open_raster(path, driver="GTiff") as source:
                 here = ~read_band(source, 1)[1]
             if here.any():
@@ -111,7 +111,7 @@ def fetch_parts(
     return files, used
 
 
-def _fetch_window(part: Part, web: Web, progress: Any, nodata: float | None, tags: dict[str, str]) -> Path:
+def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None, tags: dict[str, str]) -> Path:
     """Return the file of a window in the cache. Raises FetchError."""
     from rasterio.windows import Window as Cells
 
@@ -202,7 +202,7 @@ def _journal(sparse: Path) -> Path:
     return sparse.with_suffix(".ranges")
 
 
-def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, web: Web, progress: Any) -> None:
+def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, web: Web, progress: Progress) -> None:
     """Fetch ranges of a file into its sparse copy, but not those that an interrupted run has already."""
     journal = _journal(sparse)
     have = set(journal.read_text().split()) if journal.exists() else set()
@@ -218,7 +218,7 @@ def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, w
                 file.flush()
                 noted.write(f"{first}-{last}\n")
                 done += len(piece)
-                progress(done)
+                progress(done, done)
 
 
 def write_band(

@@ -285,7 +285,7 @@ SITE_KEYS = set(Site.model_fields)
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_yaml_keys_exist(page: Path, tmp_path: Path) -> None:
-    """YAML that is a pose file, a region, data sources, a site or a part of one: it has no key that the system does not know."""
+    """YAML that is a pose file, a region, data sources, a site or a part of one has no unknown key."""
     for block in blocks(page, "yaml"):
         given = yaml.safe_load(block.text)
         if not isinstance(given, dict):

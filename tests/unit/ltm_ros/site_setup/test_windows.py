@@ -146,10 +146,10 @@ def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
 def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteServices, tmp_path: Path) -> None:
     for number, west in enumerate((-119, -118)):
         heights = plane(*grid(west, 35.0, STEP, 360, 360)).astype(np.float32)
-        services.add_stac_item(f"glo{number}.tif", geotiff(heights, "EPSG:4326", west, 35.0, STEP))
+        services.add_stac_item(f"{number}/dem.tif", geotiff(heights, "EPSG:4326", west, 35.0, STEP))
     source = named(services, tmp_path, "earth_search_glo30", resolution_m=277.0)
     fetched = source.fetch(source.plan(AREA), tmp_path / "out")
-    assert {path.name for path in fetched.files} == {"glo0.tif", "glo1.tif"}
+    assert {path.name for path in fetched.files} == {"dem.tif", "1_dem.tif"}
     assert all(url.startswith(services.url) for url in fetched.urls)
 
 
