@@ -7,6 +7,7 @@ import math
 import re
 import time
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -27,7 +28,7 @@ from ltm_ros.site_setup.request import (
     Progress,
     shifted,
 )
-from ltm_ros.site_setup.source import Source, filled, no_progress
+from ltm_ros.site_setup.source import Source, filled, list_in, no_progress
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
 from ltm_ros.site_setup.windows import write_band
 
@@ -104,9 +105,8 @@ class CoverageSource(WholeFileSource):
             address = filled(self.address, {"layer": layer, "year": str(self.year)})
             base, _, coverage = address.partition("#")
             about = self.web.get(base, _wcs("DescribeCoverage", coverageId=coverage)).decode("utf-8", "replace")
-            parts.append(
-                self._part(base, coverage, CoverageGrid(about, f"{redacted(base)}, coverage {coverage}"), area)
-            )
+            grid = CoverageGrid(about, f"{redacted(base)}, coverage {coverage}")
+            parts.append(self._part(base, coverage, grid, area))
         return Plan(area, tuple(parts), (), self.year)
 
     def _part(self, base: str, coverage: str, grid: CoverageGrid, area: Area) -> Part:
@@ -130,13 +130,13 @@ class CoverageGrid:
         crs = re.search(r'srsName="[^"]*?(?:EPSG/[^/"]*/|EPSG::?)(\d+)"', envelope[0]) if envelope else None
         labels = re.search(r'axisLabels="([^"]+)"', envelope[0]) if envelope else None
         numbers = {name: _numbers(xml, name) for name in ("lowerCorner", "upperCorner", "pos", "offsetVector")}
-        lengths = tuple(len(found) for found in numbers.values())
-        if crs is None or labels is None or len(labels[1].split()) != 2 or lengths != (2, 2, 2, 4):
+        found = [len(values) >= (4 if name == "offsetVector" else 2) for name, values in numbers.items()]
+        if crs is None or labels is None or len(labels[1].split()) != 2 or not all(found):
             raise FetchError(f"{place}: no grid is described ({in_words(xml.encode())}); check the address")
         self.crs, names = f"EPSG:{crs[1]}", labels[1].split()
         x = 0 if names[0].lower() in ("x", "e", "east", "easting", "lon", "long", "longitude") else 1
         self.labels = (names[x], names[1 - x])
-        low, high, first, steps = numbers.values()
+        low, high, first, steps = numbers.values()  # GML has them in the order of the axes
         self.step = max(abs(steps[x]), abs(steps[x + 2])), max(abs(steps[1 - x]), abs(steps[3 - x]))
         self.low, self.high = (low[x], low[1 - x]), (high[x], high[1 - x])
         self.origin = first[x] - self.step[0] / 2, first[1 - x] - self.step[1] / 2
@@ -186,12 +186,8 @@ class LandfireSource(WholeFileSource):
 
     def _layers(self, area: Area) -> dict[int, list[str]]:
         """Return the names of the wanted layers by year, of years that have all that the newest has."""
-        answer = self.web.json(f"{self.address}/products")
-        products = answer.get("products") if isinstance(answer, dict) else None
-        if not isinstance(products, list):
-            raise FetchError(f"{self.name}: no list of products ({plain(str(answer), 200)}); try again later")
         found: dict[int, dict[str, str]] = {}
-        for product in products:
+        for product in list_in(self.web.json(f"{self.address}/products"), "products", self.name):
             if not (isinstance(product, dict) and product.get(_region(area))):
                 continue
             layer, acronym = str(product.get("layerName")), str(product.get("acronym"))
@@ -285,7 +281,9 @@ class LandfireSource(WholeFileSource):
                 raster.write_bytes(box.read(members[0]))
             with open_raster(raster, driver="GTiff") as source:
                 return list(self._bands(source, part.url.split(";"), folder))
-        except (zipfile.BadZipFile, RasterError, OSError) as error:
+        except OSError as error:
+            raise FetchError(f"{raster}: cannot be written ({error.strerror}); make room on the disk") from error
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, RasterError) as error:
             archive.unlink(missing_ok=True)
             raise FetchError(f"{self.name}: the archive is damaged ({error}); run the command again") from error
         finally:

@@ -174,10 +174,7 @@ class NationalMapSource(Source):
             "max": str(_PAGE),
         }  # fmt: skip
         for first in range(0, _MOST_ITEMS, _PAGE):
-            answer = self.web.json(self.address, {**query, "offset": str(first)})
-            items = answer.get("items") if isinstance(answer, dict) else None
-            if not isinstance(items, list):
-                raise FetchError(f"{self.name}: the catalogue failed ({plain(str(answer), 200)}); try again later")
+            items = list_in(self.web.json(self.address, {**query, "offset": str(first)}), "items", self.name)
             yield from (item for item in map(self._item, items) if item is not None)
             if len(items) < _PAGE:
                 return
@@ -204,11 +201,7 @@ class StacSource(Source):
         seen = 0
         while url:
             answer = self.web.json(url, params)
-            features = answer.get("features") if isinstance(answer, dict) else None
-            if not isinstance(features, list):
-                raise FetchError(
-                    f"{self.name}: not the answer of a STAC API ({plain(str(answer), 200)}); check the address"
-                )
+            features = list_in(answer, "features", self.name)
             yield from (item for item in map(self._item, features) if item is not None)
             seen += len(features)
             links = [link for link in answer.get("links", []) if link.get("rel") == "next"]
@@ -251,6 +244,14 @@ class UrlSource(Source):
         (part,), before = plan.parts, self.web.bytes_read
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part], before)
+
+
+def list_in(answer: Any, key: str, name: str) -> list[Any]:
+    """Return the list below a key of a JSON answer. Raises FetchError if the service `name` answered otherwise."""
+    values = answer.get(key) if isinstance(answer, dict) else None
+    if not isinstance(values, list):
+        raise FetchError(f"{name}: no {key} in the answer ({plain(str(answer), 200)}); try again later")
+    return values
 
 
 def filled(template: str, names: dict[str, str]) -> str:

@@ -301,15 +301,16 @@ def _handler(services: SiteServices) -> type[BaseHTTPRequestHandler]:
                     first, last = int(wanted[1]), min(int(wanted[2] or len(body) - 1), len(body) - 1)
                     headers["Content-Range"] = f"bytes {first}-{last}/{len(body)}"
                     status, body = 206, body[first : last + 1]
+            headers["Content-Length"] = str(len(body))
+            with services._lock:
+                if cut is not None and len(body) > 1:
+                    body, self.close_connection = body[: len(body) // 2], True
+                    services.cut[cut] -= 1
+                services.bytes_sent += len(body)
             self.send_response(status)
-            for name, value in {**headers, "Content-Length": str(len(body))}.items():
+            for name, value in headers.items():
                 self.send_header(name, value)
             self.end_headers()
-            if cut is not None and len(body) > 1:
-                body, self.close_connection = body[: len(body) // 2], True
-                services.cut[cut] -= 1
-            with services._lock:
-                services.bytes_sent += len(body)
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
