@@ -28,8 +28,11 @@ MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""
 MOST_CELLS = 1 << 28
 """Maximum number of cells of an area: 16 km per side at 1 m."""
-_HEADER_BYTES = 256 << 10
-"""The directory of a Cloud Optimized GeoTIFF, with the sizes of 20,000 blocks, is at its beginning."""
+_HEADER_BYTES = 64 << 10
+"""Cloud Optimized GeoTIFFs have their directories here."""
+_VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+"""Sizes of the values in a directory by type; others have one byte."""
+_MOST_VALUES_BYTES = 64 << 20
 _LEADER_BYTES = 4
 """Cloud Optimized GeoTIFFs repeat the size of a block before it, and its end after it."""
 _GAP_BYTES = 4 << 10
@@ -144,16 +147,33 @@ def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None
 
 
 def _write_header(path: Path, remote: Remote, web: Web) -> None:
-    """Write the beginning of a remote GeoTIFF to a sparse file, and its directory if that is elsewhere."""
+    """Write to a sparse file what GDAL needs to open a remote GeoTIFF: its beginning, and its first directory with all
+    values, wherever they are. Blocks whose sizes were missing would be read as unknown cells."""
     head = web.piece(remote, 0, _HEADER_BYTES)
-    order = "<" if head[:1] == b"I" else ">"
+    big = head[2:4] in (b"+\0", b"\0+")
     if head[:4] not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+") or len(head) < 16:
         raise FetchError(f"{redacted(remote.url)}: not a GeoTIFF; check the address of the source")
-    big = head[2:4] in (b"+\0", b"\0+")
-    (directory,) = struct.unpack(f"{order}Q", head[8:16]) if big else struct.unpack(f"{order}I", head[4:8])
     pieces = {0: head}
-    if len(head) <= directory < remote.size:
-        pieces[directory] = web.piece(remote, directory, _HEADER_BYTES)
+
+    def read(first: int, length: int) -> bytes:
+        for at, piece in pieces.items():
+            if at <= first and first + length <= at + len(piece):
+                return piece[first - at : first - at + length]
+        if first + length > remote.size or length > _MOST_VALUES_BYTES:
+            raise FetchError(f"{redacted(remote.url)}: not a valid GeoTIFF; choose another source")
+        pieces[first] = web.piece(remote, first, length)
+        return pieces[first]
+
+    def unpacked(layout: str, first: int, count: int = 1) -> Iterator[tuple[Any, ...]]:
+        whole = ("<" if head[:1] == b"I" else ">") + layout
+        return struct.iter_unpack(whole, read(first, count * struct.calcsize(whole)))
+
+    ((directory,),) = unpacked("Q", 8) if big else unpacked("I", 4)
+    ((entries,),) = unpacked("Q" if big else "H", directory)
+    for _, kind, count, at in unpacked("HHQQ" if big else "HHII", directory + (8 if big else 2), entries):
+        length = count * _VALUE_BYTES.get(kind, 1)
+        if length > (8 if big else 4):
+            read(at, length)
     with path.open("r+b") as file:
         for first, piece in pieces.items():
             file.seek(first)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from rasterio.io import MemoryFile
 from rasterio.warp import transform
 from scenes.site_services import SiteServices, geotiff, grid, opened
 
@@ -177,21 +178,31 @@ def test_after_an_interruption_only_the_missing_blocks_are_fetched(
     assert not list((tmp_path / "cache").glob("*.part")) + list((tmp_path / "cache").glob("*.ranges"))
 
 
-def test_a_file_that_a_cog_writer_laid_out_is_read(services: SiteServices, tmp_path: Path) -> None:
-    """With overviews, leaders before the blocks, and a unit."""
-    heights = plane(*grid(-119.0, 35.0, STEP, 360, 360)).astype(np.float32)
-    path = tmp_path / "cog.tif"
+@pytest.mark.parametrize("layout", ["COG", "directories at the end", "BigTIFF", "big-endian", "strips"])
+def test_files_of_all_layouts_are_read(layout: str, services: SiteServices, tmp_path: Path) -> None:
+    """With overviews, leaders before the blocks, a unit; larger than what is read first."""
+    noise = np.random.default_rng(5).integers(0, 1 << 20, (720, 720)).astype(np.float32)
+    path = tmp_path / "layout.tif"
+    options = {
+        "COG": {"driver": "COG", "BLOCKSIZE": 128},
+        "BigTIFF": {"BIGTIFF": "YES", "tiled": True, "blockxsize": 64, "blockysize": 64},
+        "big-endian": {"ENDIANNESS": "BIG"},
+    }
     with rasterio.open(
-        path, "w", driver="COG", width=360, height=360, count=1, dtype="float32", crs="EPSG:4326", BLOCKSIZE=128,
-        transform=rasterio.transform.from_origin(-119.0, 35.0, STEP, STEP), COMPRESS="DEFLATE",
+        path, "w", width=720, height=720, count=1, dtype="float32", crs="EPSG:4326", COMPRESS="DEFLATE",
+        transform=rasterio.transform.from_origin(-119.0, 35.0, 1 / 720, 1 / 720), **options.get(layout, {}),
     ) as sink:  # fmt: skip
-        sink.write(heights, 1)
+        sink.write(noise, 1)
         sink.set_band_unit(1, "metre")
+    if layout == "directories at the end":
+        with rasterio.open(path, "r+") as sink:
+            sink.build_overviews([2, 4])
+            sink.update_tags(AFTERWARDS="x" * 3000)
     services.files["/cog/GLO30_N34_00_W119.tif"] = path.read_bytes()
-    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
+    source = named(services, tmp_path, "copernicus_glo30", resolution_m=154.0)
     fetched = source.fetch(source.plan(Area((-118.699, 34.301, -118.301, 34.699))), tmp_path / "out")
     values, _ = opened(fetched.files[0])
-    np.testing.assert_array_equal(values, heights[105:255, 105:255])
+    np.testing.assert_array_equal(values, noise[213:507, 213:507])
     with rasterio.open(fetched.files[0]) as raster:
         assert raster.units == ("metre",)
 
@@ -224,7 +235,7 @@ def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteService
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "busy"])
+@pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
 def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     trouble: str, services: SiteServices, tmp_path: Path
 ) -> None:
@@ -235,6 +246,15 @@ def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
         services.ranges = False
     elif trouble == "no GeoTIFF":
         services.files["/cog/GLO30_N34_00_W119.tif"] = b"<VRTDataset><SourceFilename>/etc/passwd</SourceFilename>" * 99
+    elif trouble == "a mask":
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), MemoryFile() as memory:
+            with memory.open(
+                driver="GTiff", width=360, height=360, count=1, dtype="float32", crs="EPSG:4326",
+                transform=rasterio.transform.from_origin(-119.0, 35.0, STEP, STEP),
+            ) as sink:  # fmt: skip
+                sink.write(np.ones((1, 360, 360), np.float32))
+                sink.write_mask(np.eye(360, dtype=np.uint8) * 255)
+            services.files["/cog/GLO30_N34_00_W119.tif"] = bytes(memory.getbuffer())
     else:
         services.statuses["/cog/"] = [503] * 10_000
     with pytest.raises(LtmError):
