@@ -33,6 +33,7 @@ _HEADER_BYTES = 64 << 10
 _VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 """Sizes of the values in a directory by type; others have one byte."""
 _MOST_VALUES_BYTES = 64 << 20
+_MOST_DIRECTORIES = 40
 _LEADER_BYTES = 4
 """Cloud Optimized GeoTIFFs repeat the size of a block before it, and its end after it."""
 _GAP_BYTES = 4 << 10
@@ -147,7 +148,7 @@ def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None
 
 
 def _write_header(path: Path, remote: Remote, web: Web) -> None:
-    """Write to a sparse file what GDAL needs to open a remote GeoTIFF: its beginning, and its first directory with all
+    """Write to a sparse file what GDAL needs to open a remote GeoTIFF: its beginning, and its directories with all
     values, wherever they are. Blocks whose sizes were missing would be read as unknown cells."""
     head = web.piece(remote, 0, _HEADER_BYTES)
     big = head[2:4] in (b"+\0", b"\0+")
@@ -168,12 +169,18 @@ def _write_header(path: Path, remote: Remote, web: Web) -> None:
         whole = ("<" if head[:1] == b"I" else ">") + layout
         return struct.iter_unpack(whole, read(first, count * struct.calcsize(whole)))
 
-    ((directory,),) = unpacked("Q", 8) if big else unpacked("I", 4)
-    ((entries,),) = unpacked("Q" if big else "H", directory)
-    for _, kind, count, at in unpacked("HHQQ" if big else "HHII", directory + (8 if big else 2), entries):
-        length = count * _VALUE_BYTES.get(kind, 1)
-        if length > (8 if big else 4):
-            read(at, length)
+    pointer, number, entry = ("Q", "Q", "HHQQ") if big else ("I", "H", "HHII")
+    ((directory,),) = unpacked(pointer, 8 if big else 4)
+    for _ in range(_MOST_DIRECTORIES):  # of the raster, its overviews and its mask
+        if not directory:
+            break
+        ((entries,),) = unpacked(number, directory)
+        table = directory + struct.calcsize(number)
+        for _, kind, count, at in unpacked(entry, table, entries):
+            length = count * _VALUE_BYTES.get(kind, 1)
+            if length > struct.calcsize(pointer):
+                read(at, length)
+        ((directory,),) = unpacked(pointer, table + entries * struct.calcsize(f"<{entry}"))
     with path.open("r+b") as file:
         for first, piece in pieces.items():
             file.seek(first)
