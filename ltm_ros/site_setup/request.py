@@ -86,6 +86,10 @@ Progress = Callable[[int, int], None]
 """Receives the bytes fetched so far and the bytes expected."""
 
 
+def no_progress(done: int, total: int) -> None:
+    """Ignore the progress."""
+
+
 def shifted(progress: Progress, done: int, total: int) -> Progress:
     """Return the progress of one part, as that of a plan of `total` bytes of which `done` are fetched already."""
     return lambda read, _: progress(done + read, total)

@@ -26,9 +26,10 @@ from ltm_ros.site_setup.request import (
     Part,
     Plan,
     Progress,
+    no_progress,
     shifted,
 )
-from ltm_ros.site_setup.source import Source, filled, list_in, no_progress
+from ltm_ros.site_setup.source import Source, filled, list_in
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
 from ltm_ros.site_setup.windows import write_band
 

@@ -23,6 +23,7 @@ from ltm_ros.site_setup.request import (
     Plan,
     Progress,
     SourceConfig,
+    no_progress,
 )
 from ltm_ros.site_setup.web import Web, put_into
 from ltm_ros.site_setup.windows import MOST_CELLS, fetch_parts, plan_window
@@ -34,10 +35,6 @@ _OLD_YEARS = 3
 """Age up to which a fuel map is used without a remark."""
 _ALMOST_ALL = 0.99
 """Share of an area from which it counts as covered."""
-
-
-def no_progress(done: int, total: int) -> None:
-    """Ignore the progress."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,7 +23,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.storage.disk_io import free_bytes
 from ltm_ros.runtime.retry import Backoff
-from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress, Remote
+from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress, Remote, no_progress
 
 TRIES = 5
 """Number of attempts at each request."""
@@ -103,24 +104,24 @@ class Web:
         self.bytes_read = 0
         """Bytes of all answers so far."""
         self._lock = threading.Lock()
-        self.timeout_s = timeout_s
-        self.first_pause_s = first_pause_s
-        self._client = httpx.Client(
-            follow_redirects=True, timeout=httpx.Timeout(timeout_s, connect=min(20.0, timeout_s)),
-            headers={"User-Agent": "ltm-init", "Accept-Encoding": "identity"},
-        )  # fmt: skip
+        self._first_pause_s = first_pause_s
+        limits = httpx.Timeout(timeout_s, connect=min(20.0, timeout_s))
+        headers = {"User-Agent": "ltm-init", "Accept-Encoding": "identity"}
+        try:
+            self._client = httpx.Client(follow_redirects=True, timeout=limits, headers=headers)
+        except (ValueError, ImportError, httpx.InvalidURL) as error:
+            raise FetchError(f"the proxy in HTTPS_PROXY or ALL_PROXY cannot be used ({error}); correct it") from error
 
     def tried(self, place: str, attempt: Callable[[], T]) -> T:
         """Return what `attempt` returns; repeat it, with growing pauses, after an AgainError. Raises FetchError."""
-        backoff = Backoff(self.first_pause_s, LONGEST_WAIT_S)
-        for left in reversed(range(TRIES)):
+        backoff = Backoff(self._first_pause_s, LONGEST_WAIT_S)
+        for tries in count(1):
             try:
                 return attempt()
             except AgainError as error:
-                if not left:
-                    raise FetchError(
-                        f"{place}: {error} ({TRIES} attempts); try again later, or choose another source"
-                    ) from error
+                if tries >= TRIES:
+                    later = "try again later, or choose another source"
+                    raise FetchError(f"{place}: {error} ({tries} attempts); {later}") from error
                 time.sleep(max(backoff.failed(), min(error.wait_s, LONGEST_WAIT_S)))
         raise AssertionError  # not reached
 
@@ -180,7 +181,7 @@ class Web:
         remote: Remote | None = None,
         sha256: str = "",
         most: int = MOST_BYTES,
-        progress: Progress | None = None,
+        progress: Progress = no_progress,
     ) -> Path:
         """Return the file of a URL in the cache, fetched whole. A download of a known `remote` continues where it
         stopped. Raises NoCoverageError, FetchError; a file with a wrong checksum is removed."""
@@ -189,8 +190,13 @@ class Web:
             partial = path.with_suffix(".part")
             self.make_cache()
             self.tried(_host(url), lambda: self._fill(partial, url, params, remote, most, progress))
-            if sha256:
-                self._compare(partial, url, sha256)
+            with partial.open("rb") as file:
+                found = hashlib.file_digest(file, "sha256").hexdigest() if sha256 else ""
+            if found != sha256:
+                partial.unlink()
+                raise FetchError(
+                    f"{redacted(url)}: SHA-256 is {found}, expected {sha256}; check the address and the sum"
+                )
             partial.replace(path)
         return path
 
@@ -203,15 +209,6 @@ class Web:
                 f"{self.cache}: cannot be made ({error.strerror}); keep the cache elsewhere (XDG_CACHE_HOME)"
             ) from error
 
-    def _compare(self, path: Path, url: str, sha256: str) -> None:
-        with path.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
-        if found != sha256:
-            path.unlink()
-            raise FetchError(
-                f"{redacted(url)}: its SHA-256 is {found}, expected {sha256}; check the address and the sum"
-            )
-
     def _fill(
         self,
         partial: Path,
@@ -219,7 +216,7 @@ class Web:
         params: Mapping[str, str] | None,
         remote: Remote | None,
         most: int,
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         with only_writer(partial) as file:
             have = file.tell()
@@ -234,20 +231,15 @@ class Web:
                 file.truncate(have)
                 total = have + int(response.headers.get("Content-Length") or 0)
                 check_room(partial.parent, total - have)
-                self._copy(response, file, have, most, progress)
+                for chunk in self._chunks(response):
+                    file.write(chunk)
+                    have += len(chunk)
+                    if have > most:
+                        raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
+                    progress(have, total)
+                file.flush()
             if remote is not None and file.tell() != remote.size:
                 raise AgainError(f"delivered {file.tell()} of {remote.size} bytes")
-
-    def _copy(self, response: httpx.Response, file: Any, have: int, most: int, progress: Progress | None) -> None:
-        total = have + int(response.headers.get("Content-Length") or 0)
-        for chunk in self._chunks(response):
-            file.write(chunk)
-            have += len(chunk)
-            if have > most:
-                raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
-            if progress is not None:
-                progress(have, total)
-        file.flush()
 
     def _body(self, url: str, params: Mapping[str, str] | None) -> bytes:
         body = bytearray()
@@ -255,9 +247,7 @@ class Web:
             for chunk in self._chunks(response):
                 body += chunk
                 if len(body) > _ANSWER_BYTES:
-                    raise FetchError(
-                        f"{_host(url)}: an answer of more than {_ANSWER_BYTES} bytes; request a smaller area"
-                    )
+                    raise FetchError(f"{_host(url)}: more than {_ANSWER_BYTES} bytes; request a smaller area")
         return bytes(body)
 
     def _chunks(self, response: httpx.Response) -> Iterator[bytes]:
@@ -271,10 +261,7 @@ class Web:
         self, url: str, params: Mapping[str, str] | None = None, headers: Mapping[str, str] | None = None
     ) -> Iterator[httpx.Response]:
         """Open a GET request. Raises as `_check_status` does, AgainError if there is no answer, FetchError."""
-        try:
-            whole = httpx.URL(url).copy_merge_params(params) if params else httpx.URL(url)
-        except httpx.InvalidURL as error:
-            raise FetchError(f"{redacted(url)}: not a valid URL ({error})") from error
+        whole = httpx.URL(url).copy_merge_params(params) if params else httpx.URL(url)
         try:
             with self._client.stream("GET", whole, headers=headers) as response:
                 _check_status(response)
@@ -320,7 +307,10 @@ def _trouble(error: httpx.HTTPError) -> str:
 
 
 def _host(url: str) -> str:
-    return httpx.URL(url).host or redacted(url)
+    try:
+        return httpx.URL(url).host or redacted(url)
+    except (httpx.InvalidURL, UnicodeError) as error:
+        raise FetchError(f"{redacted(url)}: not a valid URL ({error}); correct the address of the source") from error
 
 
 def put_into(folder: Path, cached: Path, name: str) -> Path:

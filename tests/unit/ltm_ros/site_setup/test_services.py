@@ -319,6 +319,19 @@ def test_requests_go_through_the_proxy_of_the_environment(
     assert Web(tmp_path / "cache").get("http://elevation.invalid/f") == PLAIN_FILE
 
 
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:1080", "nonsense://127.0.0.1:1"])
+def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ALL_PROXY", proxy)
+    with pytest.raises(FetchError, match="PROXY"):
+        Web()
+
+
+@pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
+def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
+    with pytest.raises(LtmError):
+        choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address}))
+
+
 @pytest.mark.parametrize(
     ("labels", "low", "high", "first", "steps"),
     [
