@@ -9,6 +9,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -39,6 +40,8 @@ _POLL_S = 5.0
 """Pause between queries of its state, seconds."""
 _MOST_EXPANDED = 2 << 30
 """Maximum size of the rasters in an archive, bytes."""
+_ALMOST_ALL = 0.95
+"""Share of known cells from which an edition is complete for an area."""
 _CONUS, _ALASKA, _HAWAII = "conus", "ak", "hi"
 _FUEL_CRS = {_CONUS: "5070", _ALASKA: "3338"}
 """EPSG codes of LANDFIRE's own grids; the service would resample to a grid of its own otherwise."""
@@ -201,16 +204,26 @@ class LandfireSource(WholeFileSource):
         return {y: [ls[a] for a in order if a in ls] for y, ls in found.items() if len(ls) == most}
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch the newest year that has data for the area. Raises NoCoverageError, FetchError."""
-        before = self.web.bytes_read
+        """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
+
+        An edition is published region by region. Raises NoCoverageError, FetchError.
+        """
+        before, best, most = self.web.bytes_read, None, 0.0
         check_room(folder, plan.expected_bytes)
-        for part in plan.parts:
+        for part in plan.parts[:2]:
             archive = self._archive(part, plan.area, progress)
-            files = self._rasters(archive, part, folder)
-            if files:
-                year = int(part.name[2:6])
-                return self._fetched(replace(plan, year=year), files, [part], before)
-        raise NoCoverageError(f"{self.name}: every cell of the area is unknown in all years; choose another source")
+            with self._raster(archive, part) as source:
+                known = 1.0 - float(read_band(source, 1)[1].mean())
+            if known > most:
+                best, most = (part, archive), known
+            if known > _ALMOST_ALL:
+                break
+        if best is None:
+            raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
+        part, archive = best
+        with self._raster(archive, part) as source:
+            files = list(self._bands(source, part.url.split(";"), folder))
+        return self._fetched(replace(plan, year=int(part.name[2:6])), files, [part], before)
 
     def _fetched(self, plan: Plan, files: list[Path], used: list[Part], bytes_before: int) -> Fetched:
         named = [Part(f"{self.address}/job/submit?Layer_List={part.url}", part.name, 0) for part in used]
@@ -266,22 +279,21 @@ class LandfireSource(WholeFileSource):
             f"{self.name}: job {plain(job, 60)} is not finished after {_JOB_S:.0f} s; run the command again"
         )
 
-    def _rasters(self, archive: Path, part: Part, folder: Path) -> list[Path]:
-        """Return one file for each band of the raster in an archive, named by its layer; none if no code is known."""
+    @contextmanager
+    def _raster(self, archive: Path, part: Part) -> Iterator[Any]:
+        """Open the raster in an archive, which has a band for each layer. Raises FetchError."""
         raster = self.web.cache / f"{digest(archive.name, 'raster')}.tif"
         try:
             with zipfile.ZipFile(archive) as box:
-                members = [
-                    member for member in box.infolist() if PurePosixPath(member.filename).suffix.lower() == ".tif"
-                ]
+                members = [m for m in box.infolist() if PurePosixPath(m.filename).suffix.lower() == ".tif"]
                 if len(members) != 1 or members[0].file_size > _MOST_EXPANDED:
-                    raise FetchError(
-                        f"{self.name}: the archive has {len(members)} rasters, expected 1; try again later"
-                    )
+                    raise FetchError(f"{self.name}: {len(members)} rasters in the archive, expected 1; try again later")
                 check_room(self.web.cache, members[0].file_size)
                 raster.write_bytes(box.read(members[0]))
             with open_raster(raster, driver="GTiff") as source:
-                return list(self._bands(source, part.url.split(";"), folder))
+                if source.count != part.url.count(";") + 1:
+                    raise FetchError(f"{self.name}: {source.count} bands for {part.url}; try again later")
+                yield source
         except OSError as error:
             raise FetchError(f"{raster}: cannot be written ({error.strerror}); make room on the disk") from error
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, RasterError) as error:
@@ -291,10 +303,6 @@ class LandfireSource(WholeFileSource):
             raster.unlink(missing_ok=True)
 
     def _bands(self, source: Any, layers: list[str], folder: Path) -> Iterator[Path]:
-        if source.count != len(layers):
-            raise FetchError(f"{self.name}: {source.count} bands for {len(layers)} layers; try again later")
-        if read_band(source, 1)[1].all():
-            return
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
         folder.mkdir(parents=True, exist_ok=True)
         for band, layer in enumerate(layers, start=1):

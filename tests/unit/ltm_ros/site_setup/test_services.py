@@ -81,13 +81,17 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     assert not outside
 
 
-def test_a_year_without_data_for_the_area_gives_way_to_an_older_one(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("known", "year"),
+    [({2022: 1.0, 2024: 0.0, 2023: 1.0}, 2023), ({2023: 1.0, 2024: 0.5}, 2023), ({2023: 0.4, 2024: 0.5}, 2024)],
+)
+def test_the_newest_edition_that_is_complete_for_the_area_is_used(
+    known: dict[int, float], year: int, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    services.fuel_years = {2022: 1.0, 2024: 0.0, 2023: 1.0}
+    services.fuel_years = known
     source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
-    assert source.fetch(source.plan(HERE), tmp_path / "out").year == 2023
+    assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
 
 
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
