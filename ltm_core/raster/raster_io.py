@@ -33,8 +33,9 @@ cell. A file may state any size without containing its tiles."""
 def open_raster(path: Path | str, driver: str | None = None) -> Iterator[Any]:
     """Open a raster of any kind for reading: the only function that does so. Read its bands with `read_band`.
 
-    `driver`: the only format that is accepted, for files of unknown origin. Any GDAL error in the block becomes a RasterError that names the file; so does a file without a band (netCDF and HDF
-    hold several rasters), and a mosaic of which a file is missing.
+    `driver`: the only format that is accepted, for files of unknown origin. Any GDAL error in the block becomes a
+    RasterError that names the file; so does a file without a band (netCDF and HDF hold several rasters), and a mosaic
+    of which a file is missing.
     """
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
