@@ -179,14 +179,14 @@ class NationalMapSource(Source):
     def _item(self, about: Any) -> Item | None:
         try:
             url, box = str(about["downloadURL"]), about["boundingBox"]
-            bounds = tuple(float(box[key]) for key in ("minX", "minY", "maxX", "maxY"))
+            bounds = (float(box["minX"]), float(box["minY"]), float(box["maxX"]), float(box["maxY"]))
             date = str(about.get("publicationDate") or about.get("dateCreated") or "")
         except (KeyError, TypeError, ValueError):
             return None
         if not re.fullmatch(r"https?://[^\s?]+\.tiff?", url, re.IGNORECASE):
             return None
         tile = re.search(r"x\d+y\d+", url.rpartition("/")[2])
-        return Item(url, _file_name(url), tile[0] if tile else "", bounds, date)  # type: ignore[arg-type]
+        return Item(url, _file_name(url), tile[0] if tile else "", bounds, date)
 
 
 class StacSource(Source):
