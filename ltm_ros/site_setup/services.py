@@ -57,7 +57,7 @@ class WholeFileSource(Source):
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
             within = shifted(progress, done, plan.expected_bytes)
-            path = self.web.download(part.url, self._secret(part), most=2 * part.expected_bytes, progress=within)
+            path = self.web.download(part.url, self._secret(part), most=4 * part.expected_bytes, progress=within)
             if self._known_cells(path, part):
                 files.append(put_into(folder, path, part.name))
                 used.append(part)
@@ -119,7 +119,7 @@ class CoverageSource(WholeFileSource):
         subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
         query = "&".join(f"{key}={value}" for key, value in _wcs("GetCoverage", coverageId=coverage).items())
         url = f"{base}{'&' if '?' in base else '?'}{query}{subsets}&format=image/tiff"
-        return Part(url, f"{coverage.rpartition('__')[2]}.tif", 4 * cells + 4096)
+        return Part(url, f"{coverage.rpartition('__')[2]}.tif", 2 * cells + 4096)
 
 
 def _wcs(request: str, **parameters: str) -> dict[str, str]:

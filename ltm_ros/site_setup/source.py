@@ -65,12 +65,14 @@ class Source:
         Raises FetchError if the service fails.
         """
         width, height = area.size_m
-        cells, km2 = width * height / self.resolution_m**2, width * height / 1e6
         west, south, east, north = area.bounds_lonlat
+        # The cells of web maps shrink towards the poles.
+        cell = self.resolution_m * (math.cos(math.radians((south + north) / 2)) if self.config.quadkey_zoom else 1.0)
+        cells, km2 = width * height / cell**2, width * height / 1e6
         if not any(w <= west and s <= south and east <= e and north <= n for w, s, e, n in self.config.coverage):
             return "the area is not within its coverage"
         if cells > MOST_CELLS:
-            return f"{cells / 1e6:.0f} million cells of {self.resolution_m:g} m, at most {MOST_CELLS / 1e6:.0f} million"
+            return f"{cells / 1e6:.0f} million cells of {cell:.3g} m, at most {MOST_CELLS / 1e6:.0f} million"
         if km2 > self.config.most_km2:
             return f"the area has {km2:.0f} km2, at most {self.config.most_km2:.0f} are delivered"
         if self.config.key and not self.key:
