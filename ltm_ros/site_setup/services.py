@@ -27,7 +27,6 @@ from ltm_ros.site_setup.request import (
     Part,
     Plan,
     Progress,
-    no_progress,
     shifted,
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
@@ -51,8 +50,7 @@ _LATITUDE_OF_ALASKA, _LONGITUDE_OF_HAWAII = 51.0, -150.0
 class WholeFileSource(Source):
     """A source whose parts are whole files that the service makes for the area."""
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch the files of a plan into `folder`. Raises NoCoverageError, FetchError."""
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         before, files, used, done = self.web.bytes_read, [], [], 0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
@@ -203,7 +201,7 @@ class LandfireSource(WholeFileSource):
         order = self.config.layers
         return {y: [ls[a] for a in order if a in ls] for y, ls in found.items() if len(ls) == most}
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
         An edition is published region by region. Raises NoCoverageError, FetchError.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -57,6 +57,8 @@ class Source:
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
         self.passed_over: tuple[str, ...] = ()
         """Preferred sources that were not used, each with its reason."""
+        self.next_source: Callable[[], Source] | None = None
+        """Chooses the next source, if this one was not asked for by its name."""
         self._plans: dict[Area, Plan] = {}
 
     def covers(self, area: Area) -> str:
@@ -100,7 +102,20 @@ class Source:
         return replace(plan, notes=tuple(notes))
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch a plan into `folder`; files appear there whole or not at all. Raises NoCoverageError, FetchError."""
+        """Fetch a plan into `folder`; files appear there whole or not at all.
+
+        If every cell turns out to be unknown, as beyond a border, the data come from the next source (`Fetched` names
+        it). Raises NoCoverageError, FetchError.
+        """
+        try:
+            return self._fetch(plan, folder, progress)
+        except NoCoverageError:
+            if self.next_source is None:
+                raise
+            other = self.next_source()
+            return other.fetch(other.plan(plan.area), folder, progress)
+
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         before = self.web.bytes_read
         self.web.make_cache()
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
@@ -236,10 +251,9 @@ class UrlSource(Source):
         part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch the window, or the whole file if it has a checksum."""
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         if not self.config.sha256:
-            return super().fetch(plan, folder, progress)
+            return super()._fetch(plan, folder, progress)
         (part,), before = plan.parts, self.web.bytes_read
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part], before)

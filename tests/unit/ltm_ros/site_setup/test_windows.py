@@ -260,6 +260,23 @@ def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteService
     assert not (tmp_path / "out").exists()
 
 
+def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    unknown = np.full((360, 360), -9999.0, np.float32)
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
+    area = Area.around(-118.5, 34.5, 8000.0)
+    listed = sources(services, tmp_path)
+    source = choose(Kind.ELEVATION, area, sources=listed)
+    with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
+        source.fetch(source.plan(area), tmp_path / "out")
+    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
+    source = choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    fetched = source.fetch(source.plan(area), tmp_path / "out")
+    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
+    assert fetched.vertical_crs == "EPSG:3855"
+
+
 @pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
 def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     trouble: str, services: SiteServices, tmp_path: Path
