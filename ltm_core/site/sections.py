@@ -6,7 +6,7 @@ import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
@@ -15,7 +15,14 @@ from ltm_core.fuel.life_form import GrowthLimits
 from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
-from ltm_core.site.source_config import NetworkSettings, PtzConfig, SnapshotConfig, SourceConfig
+from ltm_core.site.source_config import (
+    NetworkSettings,
+    PtzConfig,
+    SecretConfig,
+    SnapshotConfig,
+    SourceConfig,
+    url_without_secrets,
+)
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
@@ -207,4 +214,67 @@ class HealthConfig(StrictModel):
             raise ValueError(
                 f"address {self.address} is reachable from other hosts: give certificate, key and token, or 127.0.0.1"
             )
+        return self
+
+
+class MqttAlertsConfig(StrictModel):
+    """MQTT 5 broker that receives alerts on the topic `ltm/SITE/alerts`. Only a broker on this computer is used without
+    TLS, unless `ca` or `certificate` is given.
+    """
+
+    host: str = Field(min_length=1, max_length=253)
+    """Host name or address of the broker."""
+    port: int | None = Field(None, ge=1, le=65535)
+    """TCP port of the broker; None: 8883, without TLS 1883."""
+    user: str | None = None
+    """User name at the broker."""
+    password: SecretConfig | None = None
+    """Place of the password."""
+    ca: Path | None = None
+    """Certificate of the broker's authority (PEM), relative to the site file; None: the system's authorities."""
+    certificate: Path | None = None
+    """Certificate of this client (PEM), relative to the site file; None: none is sent."""
+    key: Path | None = None
+    """Private key (PEM) of `certificate`. A systemd credential with the file's name takes precedence."""
+
+    @property
+    def tls(self) -> bool:
+        if self.ca is not None or self.certificate is not None:
+            return True
+        try:
+            return not ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host != "localhost"
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Self:
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("give certificate and key together")
+        if self.password is not None and self.user is None:
+            raise ValueError("password needs user")
+        return self
+
+
+class AlertsConfig(StrictModel):
+    """Receivers of a JSON message for each change of state of a camera, pose, node, disk, clock or link."""
+
+    webhook: str | None = None
+    """URL (http, https) that receives each message by POST; `{token}` in it is replaced."""
+    token: SecretConfig | None = None
+    """Place of the webhook's token; it is sent as `Authorization: Bearer`, or in the URL in place of `{token}`."""
+    mqtt: MqttAlertsConfig | None = None
+
+    @field_validator("webhook")
+    @classmethod
+    def _url(cls, url: str | None) -> str | None:
+        if url is not None:
+            url_without_secrets(url.replace("{token}", "{password}"), ("http", "https"))
+        return url
+
+    @model_validator(mode="after")
+    def _receiver(self) -> Self:
+        if self.webhook is None and self.mqtt is None:
+            raise ValueError("give webhook, mqtt or both")
+        if self.token is None and self.webhook is not None and "{token}" in self.webhook:
+            raise ValueError("the webhook contains {token}: give token: {credential: NAME} (or environment, file)")
         return self

@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.site.sections import CameraConfig, DemConfig
+from ltm_core.site.sections import AlertsConfig, CameraConfig, DemConfig
 from ltm_core.site.site import Site
-from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings
+from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings, SecretConfig
 from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.text_io import read_text
@@ -45,6 +45,8 @@ def load_site(path: Path | str) -> Site:
         given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
         files = {name: path.parent / file for name, file in given.items() if file is not None}
         changes["health"] = site.health.model_copy(update=files)
+    if site.alerts is not None:
+        changes["alerts"] = _alerts_beside(site.alerts, path.parent)
     if site.region is not None:
         broker = broker_beside(site.region.broker, path.parent)
         changes["region"] = site.region.model_copy(update={"broker": broker})
@@ -96,11 +98,28 @@ def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
             changes["path"] = folder / section.path
         if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
             changes["ca"] = folder / section.ca
-        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
-            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
+        if isinstance(section, NetworkSettings | PtzSettings) and section.password is not None:
+            changes["password"] = _secret_beside(section.password, folder)
         if section is not None and changes:
             found[name] = section.model_copy(update=changes)
     return camera.model_copy(update=found) if found else camera
+
+
+def _secret_beside(secret: SecretConfig, folder: Path) -> SecretConfig:
+    return secret if secret.file is None else secret.model_copy(update={"file": folder / secret.file})
+
+
+def _alerts_beside(alerts: AlertsConfig, folder: Path) -> AlertsConfig:
+    changes: dict[str, object] = {}
+    if alerts.token is not None:
+        changes["token"] = _secret_beside(alerts.token, folder)
+    if (broker := alerts.mqtt) is not None:
+        given = {name: getattr(broker, name) for name in ("ca", "certificate", "key")}
+        files: dict[str, object] = {name: folder / file for name, file in given.items() if file is not None}
+        if broker.password is not None:
+            files["password"] = _secret_beside(broker.password, folder)
+        changes["mqtt"] = broker.model_copy(update=files)
+    return alerts.model_copy(update=changes)
 
 
 def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replace: bool = True) -> None:

@@ -24,10 +24,9 @@ from ltm_core.site.source_config import (
 )
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.connection import host_of, with_configured_host
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits

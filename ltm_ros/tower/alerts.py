@@ -1,0 +1,213 @@
+"""Send a JSON message to a webhook and an MQTT broker for each change of state of a tower.
+
+Each receiver has its own queue and thread, so that neither can delay the other, or the node.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import ssl
+import sys
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime
+from typing import Any, Final
+from urllib.parse import quote, urlsplit
+
+from ltm_core.base.errors import LtmError
+from ltm_core.base.redaction import redacted
+from ltm_core.site.sections import AlertsConfig, MqttAlertsConfig
+from ltm_core.site.source_config import SecretConfig
+from ltm_ros.cameras.protocols.credentials import Login, read_secret
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.retry import Backoff
+from ltm_ros.runtime.ros_environment import secret
+from ltm_ros.tower.machine import Condition
+
+HOLD_S: Final = 30.0
+"""Seconds that a state must last before it is sent, so that a single late frame causes no message."""
+MOST_QUEUED: Final = 1000
+"""Maximum number of undelivered messages of a receiver; the oldest are dropped."""
+LONGEST_RETRY_S: Final = 300.0
+TIMEOUT_S: Final = 10.0
+
+
+class AlertError(LtmError):
+    """A receiver did not take a message; it is sent again later."""
+
+
+class ChangeWatch:
+    """Turns conditions into messages: one for each state that differs from the last one sent, and has lasted
+    `HOLD_S`. States without a problem are assumed at the start, which has a message of its own.
+    """
+
+    def __init__(self, site: str) -> None:
+        self._site = site
+        self._started = False
+        self._seen: dict[tuple[str, str], tuple[str, float, float]] = {}
+        """Latest state, and its begin by the monotonic and by the system clock."""
+        self._sent: dict[tuple[str, str], str] = {}
+
+    def messages(self, conditions: Iterable[Condition], now_s: float, time_s: float) -> Iterator[dict[str, Any]]:
+        """Yield the messages that are due. `now_s`: by a monotonic clock; `time_s`: by the system clock."""
+        if not self._started:
+            self._started = True
+            yield self._message(Condition("tower", self._site, "started", ""), None, time_s)
+        for condition in conditions:
+            key = condition.kind, condition.name
+            if key not in self._seen or self._seen[key][0] != condition.state:
+                self._seen[key] = condition.state, now_s, time_s
+            state, begin_s, since_s = self._seen[key]
+            before = self._sent.get(key)
+            if state == before or now_s - begin_s < HOLD_S:
+                continue
+            self._sent[key] = state
+            if before is not None or condition.problem:
+                yield self._message(condition, before, since_s)
+
+    def _message(self, condition: Condition, before: str | None, since_s: float) -> dict[str, Any]:
+        return {
+            "site": self._site,
+            "kind": condition.kind,
+            "name": condition.name,
+            "state": condition.state,
+            "previous": before,
+            "problem": bool(condition.problem),
+            "since": f"{datetime.fromtimestamp(since_s, UTC):%Y-%m-%dT%H:%M:%SZ}",
+            "text": condition.problem or f"{condition.kind} {condition.name}: {condition.state}",
+        }
+
+
+class AlertQueue:
+    """Delivers messages to one receiver in order, in its own thread, and again after each failure."""
+
+    def __init__(self, name: str, deliver: Callable[[bytes], None], health: Health, first_retry_s: float = 2.0) -> None:
+        self._name, self._deliver, self._health = name, deliver, health
+        self._queue: deque[bytes] = deque()
+        self._backoff = Backoff(first_retry_s, LONGEST_RETRY_S, random.Random())
+        self._wake, self._closing = threading.Event(), threading.Event()
+        threading.Thread(target=self._run, name=f"alerts {name}", daemon=True).start()
+
+    def offer(self, message: dict[str, Any]) -> None:
+        """Queue a message."""
+        if len(self._queue) >= MOST_QUEUED:
+            self._queue.popleft()
+            self._health.drop("alert", f"{self._name}: {MOST_QUEUED} messages are queued; check the receiver")
+        self._queue.append(json.dumps(message).encode())
+        self._wake.set()
+
+    def close(self) -> None:
+        """Stop the thread after the delivery in progress; queued messages are lost."""
+        self._closing.set()
+        self._wake.set()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self._wake.wait()
+            self._wake.clear()
+            while self._queue and not self._closing.is_set():
+                self._closing.wait(self._attempt(self._queue.popleft()))
+
+    def _attempt(self, content: bytes) -> float:
+        """Deliver a message, or queue it as the next one; return the pause in seconds."""
+        try:
+            self._deliver(content)
+        except LtmError as error:
+            why = str(error)
+        except Exception as error:  # a bug must not end the thread, and with it all later messages
+            print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
+            why = "internal error, see the log"
+        else:
+            self._backoff.succeeded()
+            self._health.note("alert_sent")
+            return 0.0
+        self._queue.appendleft(content)
+        pause_s = self._backoff.failed()
+        self._health.trouble("alert", f"{self._name}: {why}; next attempt in {pause_s:.0f} s")
+        return pause_s
+
+
+class AlertSender:
+    """Sends the messages of a tower to the receivers of its section `alerts`."""
+
+    def __init__(self, config: AlertsConfig, site: str, health: Health) -> None:
+        self._watch = ChangeWatch(site)
+        self._queues = [AlertQueue(name, deliver, health) for name, deliver in receivers(config, site)]
+
+    def look(self, conditions: Iterable[Condition], now_s: float, time_s: float) -> None:
+        """Queue the messages that are due; see `ChangeWatch.messages`."""
+        for message in self._watch.messages(conditions, now_s, time_s):
+            for queue in self._queues:
+                queue.offer(message)
+
+    def close(self) -> None:
+        for queue in self._queues:
+            queue.close()
+
+
+def receivers(config: AlertsConfig, site: str) -> Iterator[tuple[str, Callable[[bytes], None]]]:
+    """Yield name and delivery of each receiver; a delivery raises LtmError if the message was not taken."""
+    if (url := config.webhook) is not None:
+        yield f"webhook {urlsplit(url).netloc}", lambda content: post(url, config.token, content)
+    if (broker := config.mqtt) is not None:
+        topic, client = f"ltm/{site}/alerts", f"ltm-{site}-alerts"
+        yield f"MQTT broker {broker.host}", lambda content: publish(broker, topic, client, content)
+
+
+def post(url: str, token: SecretConfig | None, content: bytes) -> None:
+    """Send a message to a webhook. Raises AlertError without the token, UnauthorisedError if it cannot be read."""
+    import httpx
+
+    known = None if token is None else read_secret(token)
+    value = "" if known is None else known.reveal()
+    headers = {"content-type": "application/json", "user-agent": "ltm"}
+    if value and "{token}" not in url:
+        headers["authorization"] = f"Bearer {value}"
+    try:
+        # A redirect would send the token to another host.
+        with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
+            answer = client.post(url.replace("{token}", quote(value, safe="")), headers=headers, content=content)
+    except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
+        said = Login(None, known).redact(error)
+        raise AlertError(f"not reachable ({type(error).__name__}: {said})") from None
+    if not answer.is_success:
+        raise AlertError(f"answered HTTP {answer.status_code}; check the URL and its token")
+
+
+def publish(config: MqttAlertsConfig, topic: str, client_id: str, content: bytes) -> None:
+    """Publish a message and wait for the broker's acknowledgement. Raises AlertError, or UnauthorisedError if the
+    password cannot be read.
+
+    It connects for each message: they are rare, and an open connection would have to be watched.
+    """
+    import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
+    client.connect_timeout = TIMEOUT_S
+    rejected: list[str] = []
+    client.on_connect = lambda _client, _data, _flags, reason, _properties: (
+        rejected.append(str(reason)) if reason.is_failure else None
+    )
+    try:
+        if config.user is not None:
+            client.username_pw_set(config.user, read_secret(config.password).reveal() if config.password else None)
+        if config.tls:
+            context = ssl.create_default_context(cafile=None if config.ca is None else str(config.ca))
+            if config.certificate is not None and config.key is not None:
+                context.load_cert_chain(config.certificate, secret(config.key))
+            client.tls_set_context(context)
+        client.connect(config.host, config.port or (8883 if config.tls else 1883))
+        client.loop_start()
+        sent = client.publish(topic, content, qos=1)
+        sent.wait_for_publish(TIMEOUT_S)
+        if not sent.is_published():
+            raise AlertError(f"rejected: {rejected[0]}" if rejected else f"no acknowledgement in {TIMEOUT_S:.0f} s")
+    except (OSError, ValueError, RuntimeError) as error:
+        raise AlertError(f"not reachable ({type(error).__name__}: {error})") from None
+    finally:
+        client.disconnect()
+        client.loop_stop()
