@@ -12,6 +12,7 @@ import importlib
 import inspect
 import textwrap
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ from ltm_ros.launching.graph import NODE_TYPES, NODES_MODULE, OWN_PARAMETERS
 
 FILE = Path(__file__).parents[1] / "config/sites/example.yaml"
 HEADER = """\
-# A site file with every key and its default, written by tools/site_file.py. Do not copy it: begin with minimal.yaml, and
-# take from here what you need. A key that you omit has the default shown here. docs/site.md explains the file.
+# A site file with every key and its default, written by tools/site_file.py. Do not copy it: begin with minimal.yaml,
+# and take from here what you need. A key that you omit has the default shown here. docs/site.md explains the file.
 """
 LOGIN = {"user": "viewer", "password": {"credential": "north"}}
 FIXED = {
@@ -102,9 +103,10 @@ EXAMPLE: dict[str, Any] = {
 @cache
 def explained(owner: type) -> dict[str, str]:
     """Return the docstring of each field that a class defines."""
-    (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body)  # type: ignore[attr-defined]
+    (defined,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    body = defined.body if isinstance(defined, ast.ClassDef) else []
     found = {}
-    for field, text in zip(body, body[1:], strict=False):
+    for field, text in pairwise(body):
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
             found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
     return found
@@ -121,7 +123,7 @@ class SiteFile:
         """Add the keys of a section: those that occur for the first time, and those that are stated."""
         kind = type(model)
         for name, field in kind.model_fields.items():
-            owner = next(base for base in reversed(kind.__mro__) if name in base.__dict__.get("__annotations__", {}))
+            owner = next(base for base in reversed(kind.__mro__) if name in inspect.get_annotations(base))
             new = (owner, name) not in self._shown
             if name in leave_out or not (new or name in model.model_fields_set):
                 continue

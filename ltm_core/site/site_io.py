@@ -14,7 +14,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import AlertsConfig, CameraConfig, DemConfig
 from ltm_core.site.site import Site
 from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings, SecretConfig
-from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml
+from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.text_io import read_text
 from ltm_core.uplink.config import broker_beside
@@ -129,8 +129,7 @@ def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replac
     unchanged, if the result is no site, or without `replace` if a section exists with another content.
     """
     path = Path(path)
-    text = read_text(path, LARGEST_FILE, ConfigError)
-    present = stated_sections(text, camera, str(path))
+    text, present = read_text(path, LARGEST_FILE, ConfigError), stated_sections(path, camera)
     changed = {key: section for key, section in sections.items() if present.get(key) != section}
     if not replace and (differing := [key for key in changed if key in present]):
         raise ConfigError(
@@ -142,9 +141,9 @@ def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replac
     _replace(path, text)
 
 
-def stated_sections(text: str, camera: str, place: str) -> dict[str, Any]:
-    """Return what the text of a site file states about a camera; empty without the camera."""
-    node = parse_yaml(text, place)
+def stated_sections(path: Path, camera: str) -> dict[str, Any]:
+    """Return what a site file states about a camera; empty without the camera. Raises ConfigError, see `read_yaml`."""
+    node = read_yaml(path)
     for key in ("cameras", camera):
         node = node.get(key) if isinstance(node, dict) else None
     return node if isinstance(node, dict) else {}

@@ -52,15 +52,14 @@ def probe(
     from rich.markup import escape
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.site.site_io import LARGEST_FILE, dumped, stated_sections, write_camera
-    from ltm_core.storage.text_io import read_text
+    from ltm_core.site.site_io import dumped, stated_sections, write_camera
     from ltm_ros.cameras.probe import completed, lacking, site_entry
     from ltm_ros.cameras.probe import probe as ask
     from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: the site file to write and the camera's name in it")
-    present = {} if site is None else stated_sections(read_text(site, LARGEST_FILE, ConfigError), camera, str(site))
+    present = {} if site is None else stated_sections(site, camera)
     placing = _placing(lonlat, height, azimuth, pitch, hfov)
     address = _checked_address(url)
     secret, kept = _secret(user, password_env, password_file, camera)

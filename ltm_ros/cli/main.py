@@ -151,8 +151,8 @@ def metavar_of(name: str, text: str, is_path: bool) -> str:
     if named := next((metavar for metavar, names in METAVARS.items() if name in names.split()), None):
         return named
     if is_path:
-        kinds = re.findall(r"file|folder", text.lower().partition(".")[0])
-        return (kinds or ["file"])[0].upper()
+        kind = re.search(r"file|folder", text.lower().partition(".")[0])
+        return kind[0].upper() if kind else "FILE"
     unit = next((unit for unit in UNITS if re.search(rf"\b{unit}\b", text)), name)
     return unit.upper()
 

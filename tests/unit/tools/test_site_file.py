@@ -44,5 +44,3 @@ def test_it_loads_and_has_every_key() -> None:
 def test_the_minimal_file_has_eight_lines(tmp_path: Path) -> None:
     assert len(MINIMAL.read_text(encoding="utf-8").splitlines()) == 8
     assert load_site(MINIMAL).health is not None
-
-
