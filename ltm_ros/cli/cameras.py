@@ -263,9 +263,9 @@ def _print_found(console: Console, found: Found) -> None:
         rows.append((what, escape(plain(told))))
 
     if found.source is not None:
-        row("pictures", f"{found.source['kind']} at {found.source['url']}")
+        row("images", f"{found.source['kind']} at {found.source['url']}")
     for address in found.stated:
-        row("stated", redacted(address))
+        row("reported address", redacted(address))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))
