@@ -79,7 +79,7 @@ class HealthNode(Node):  # type: ignore[misc]
             self._marks = Marks(self, site.name, cameras, self._pictures.shown, self._health)
             routes["POST /mark"] = self._marks.take
         self._alerts = None
-        if site.alerts is not None:
+        if site.alerts is not None and not self.get_parameter("use_sim_time").value:  # no alerts of a replay
             self._alerts = AlertSender(site.alerts, site.name, self._health)
             self.create_timer(1.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
         log = self.get_logger()

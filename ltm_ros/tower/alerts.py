@@ -167,8 +167,9 @@ def post(url: str, token: SecretConfig | None, content: bytes) -> None:
     if value and "{token}" not in url:
         headers["authorization"] = f"Bearer {value}"
     try:
-        # A redirect would send the token to another host.
-        with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
+        # With the system's authorities. A redirect would send the token to another host.
+        context = ssl.create_default_context()
+        with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False, verify=context) as client:
             answer = client.post(url.replace("{token}", quote(value, safe="")), headers=headers, content=content)
     except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
         said = Login(None, known).redact(error)
