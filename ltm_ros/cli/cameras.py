@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 PROMPTED = "LTM_CAMERA_PASSWORD"
 """Environment variable of this process that holds a password typed at the prompt."""
 
+CREDENTIALS = Path("/etc/ltm/credentials")
+"""Folder whose files systemd passes to an installed tower; a site file names them as credentials."""
+
 cameras = typer.Typer(no_args_is_help=True, help="Discover, probe and watch the cameras of a site, and take snapshots.")
 
 
@@ -230,8 +233,9 @@ def _secret(
         secret = SecretConfig(environment=password_env)
         return secret, secret
     if password_file is not None:
-        secret = SecretConfig(file=password_file.expanduser().absolute())
-        return secret, secret
+        file = password_file.expanduser().absolute()
+        secret = SecretConfig(file=file)
+        return secret, SecretConfig(credential=file.name) if file.parent == CREDENTIALS else secret
     os.environ[PROMPTED] = typer.prompt(f"password of {user}", hide_input=True)
     return SecretConfig(environment=PROMPTED), SecretConfig(environment=_variable(camera))
 

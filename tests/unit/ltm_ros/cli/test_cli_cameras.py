@@ -25,6 +25,7 @@ from ltm_core.site.site_io import load_site, write_camera
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cameras.discovery import discover
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cli import cameras
 from ltm_ros.cli.cameras_watch import state_table
 from ltm_ros.cli.main import cli
 
@@ -214,6 +215,17 @@ def test_a_password_is_typed_and_neither_shown_nor_written(camera: HttpCamera) -
     said = run("probe", camera.url(), "--user", "viewer", "--azimuth", 3, typed=f"{PASSWORD}\n")
     assert "environment: LTM_NORTH_PASSWORD" in said
     assert "export LTM_NORTH_PASSWORD=..." in said
+
+
+@pytest.mark.parametrize(("folder", "kept"), [("credentials", "credential: north"), ("elsewhere", "file: ")])
+def test_a_password_of_an_installed_tower_is_named_as_a_credential(
+    camera: HttpCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, kept: str
+) -> None:
+    camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    monkeypatch.setattr(cameras, "CREDENTIALS", tmp_path / "credentials")
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "north").write_text(PASSWORD)
+    assert kept in run("probe", camera.url(), "--user", "viewer", "--password-file", tmp_path / folder / "north")
 
 
 @pytest.mark.parametrize(
