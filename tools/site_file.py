@@ -54,7 +54,10 @@ EXAMPLE: dict[str, Any] = {
     "alerts": {
         "webhook": "https://hooks.example.org/{token}",
         "token": {"credential": "hook"},
-        "mqtt": {"host": "10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"credential": "mqtt"}},
+        "mqtt": "mqtts://10.8.0.1",
+        "user": "ridge",
+        "password": {"credential": "mqtt"},
+        "ca": "ca.crt",
     },
     "region": {
         "name": "valley",

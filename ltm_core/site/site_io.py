@@ -110,16 +110,11 @@ def _secret_beside(secret: SecretConfig, folder: Path) -> SecretConfig:
 
 
 def _alerts_beside(alerts: AlertsConfig, folder: Path) -> AlertsConfig:
-    changes: dict[str, object] = {}
-    if alerts.token is not None:
-        changes["token"] = _secret_beside(alerts.token, folder)
-    if (broker := alerts.mqtt) is not None:
-        given = {name: getattr(broker, name) for name in ("ca", "certificate", "key")}
-        files: dict[str, object] = {name: folder / file for name, file in given.items() if file is not None}
-        if broker.password is not None:
-            files["password"] = _secret_beside(broker.password, folder)
-        changes["mqtt"] = broker.model_copy(update=files)
-    return alerts.model_copy(update=changes)
+    files = {name: getattr(alerts, name) for name in ("ca", "certificate", "key")}
+    secrets = {name: getattr(alerts, name) for name in ("token", "password")}
+    found: dict[str, object] = {name: folder / file for name, file in files.items() if file is not None}
+    found |= {name: _secret_beside(secret, folder) for name, secret in secrets.items() if secret is not None}
+    return alerts.model_copy(update=found)
 
 
 def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replace: bool = True) -> None:

@@ -211,7 +211,7 @@ def _alerts(site: Site) -> Iterator[SiteFinding]:
     """Check that the secrets of receivers can be read; a tower starts without, because messages are sent again."""
     if (alerts := site.alerts) is None:
         return
-    for name, given in (("webhook", alerts.token), ("mqtt", alerts.mqtt.password if alerts.mqtt else None)):
+    for name, given in (("token", alerts.token), ("password", alerts.password)):
         try:
             if given is not None:
                 read_secret(given)

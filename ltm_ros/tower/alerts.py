@@ -17,9 +17,9 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from urllib.parse import quote, urlsplit
 
-from ltm_core.base.errors import LtmError
+from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.base.redaction import redacted
-from ltm_core.site.sections import AlertsConfig, MqttAlertsConfig
+from ltm_core.site.sections import AlertsConfig
 from ltm_core.site.source_config import SecretConfig
 from ltm_ros.cameras.protocols.credentials import Login, read_secret
 from ltm_ros.runtime.health import Health
@@ -33,10 +33,6 @@ MOST_QUEUED: Final = 1000
 """Maximum number of undelivered messages of a receiver; the oldest are dropped."""
 LONGEST_RETRY_S: Final = 300.0
 TIMEOUT_S: Final = 10.0
-
-
-class AlertError(LtmError):
-    """A receiver did not take a message; it is sent again later."""
 
 
 class ChangeWatch:
@@ -152,13 +148,12 @@ def receivers(config: AlertsConfig, site: str) -> Iterator[tuple[str, Callable[[
     """Yield name and delivery of each receiver; a delivery raises LtmError if the message was not taken."""
     if (url := config.webhook) is not None:
         yield f"webhook {urlsplit(url).netloc}", lambda content: post(url, config.token, content)
-    if (broker := config.mqtt) is not None:
-        topic, client = f"ltm/{site}/alerts", f"ltm-{site}-alerts"
-        yield f"MQTT broker {broker.host}", lambda content: publish(broker, topic, client, content)
+    if config.mqtt is not None:
+        yield f"MQTT broker {urlsplit(config.mqtt).netloc}", lambda content: publish(config, site, content)
 
 
 def post(url: str, token: SecretConfig | None, content: bytes) -> None:
-    """Send a message to a webhook. Raises AlertError without the token, UnauthorisedError if it cannot be read."""
+    """Send a message to a webhook. Raises MessageError if it was not taken, UnauthorisedError without its token."""
     import httpx
 
     known = None if token is None else read_secret(token)
@@ -173,13 +168,13 @@ def post(url: str, token: SecretConfig | None, content: bytes) -> None:
             answer = client.post(url.replace("{token}", quote(value, safe="")), headers=headers, content=content)
     except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
         said = Login(None, known).redact(error)
-        raise AlertError(f"not reachable ({type(error).__name__}: {said})") from None
+        raise MessageError(f"not reachable ({type(error).__name__}: {said})") from None
     if not answer.is_success:
-        raise AlertError(f"answered HTTP {answer.status_code}; check the URL and its token")
+        raise MessageError(f"answered HTTP {answer.status_code}; check the URL and its token")
 
 
-def publish(config: MqttAlertsConfig, topic: str, client_id: str, content: bytes) -> None:
-    """Publish a message and wait for the broker's acknowledgement. Raises AlertError, or UnauthorisedError if the
+def publish(config: AlertsConfig, site: str, content: bytes) -> None:
+    """Publish a message, and wait for the broker's acknowledgement. Raises MessageError, or UnauthorisedError if the
     password cannot be read.
 
     It connects for each message: they are rare, and an open connection would have to be watched.
@@ -187,7 +182,9 @@ def publish(config: MqttAlertsConfig, topic: str, client_id: str, content: bytes
     import paho.mqtt.client as mqtt
     from paho.mqtt.enums import CallbackAPIVersion
 
-    client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
+    url = urlsplit(config.mqtt or "")
+    tls = url.scheme == "mqtts"
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"ltm-{site}-alerts", protocol=mqtt.MQTTv5)
     client.connect_timeout = TIMEOUT_S
     rejected: list[str] = []
     client.on_connect = lambda _client, _data, _flags, reason, _properties: (
@@ -196,19 +193,19 @@ def publish(config: MqttAlertsConfig, topic: str, client_id: str, content: bytes
     try:
         if config.user is not None:
             client.username_pw_set(config.user, read_secret(config.password).reveal() if config.password else None)
-        if config.tls:
+        if tls:
             context = ssl.create_default_context(cafile=None if config.ca is None else str(config.ca))
             if config.certificate is not None and config.key is not None:
                 context.load_cert_chain(config.certificate, secret(config.key))
             client.tls_set_context(context)
-        client.connect(config.host, config.port or (8883 if config.tls else 1883))
+        client.connect(url.hostname or "", url.port or (8883 if tls else 1883))
         client.loop_start()
-        sent = client.publish(topic, content, qos=1)
+        sent = client.publish(f"ltm/{site}/alerts", content, qos=1)
         sent.wait_for_publish(TIMEOUT_S)
         if not sent.is_published():
-            raise AlertError(f"rejected: {rejected[0]}" if rejected else f"no acknowledgement in {TIMEOUT_S:.0f} s")
+            raise MessageError(f"rejected: {rejected[0]}" if rejected else f"no acknowledgement in {TIMEOUT_S:.0f} s")
     except (OSError, ValueError, RuntimeError) as error:
-        raise AlertError(f"not reachable ({type(error).__name__}: {error})") from None
+        raise MessageError(f"not reachable ({type(error).__name__}: {error})") from None
     finally:
         client.disconnect()
         client.loop_stop()

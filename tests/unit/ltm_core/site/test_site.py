@@ -15,7 +15,6 @@ from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import MqttAlertsConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.label_head import find_label_head
@@ -74,8 +73,10 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"alerts": {"webhook": "http://u:p@host/"}}, ["alerts.webhook", "password"]),
         ({"alerts": {"webhook": "ftp://host/"}}, ["alerts.webhook", "http"]),
         ({"alerts": {"webhook": "http://host/{token}"}}, ["alerts", "token: {credential"]),
-        ({"alerts": {"mqtt": {"host": "b", "key": "k.pem"}}}, ["alerts.mqtt", "certificate and key"]),
-        ({"alerts": {"mqtt": {"host": "b", "password": {"file": "p"}}}}, ["alerts.mqtt", "user"]),
+        ({"alerts": {"mqtt": "mqtts://b", "key": "k.pem"}}, ["alerts", "certificate and key"]),
+        ({"alerts": {"mqtt": "mqtts://b", "password": {"file": "p"}}}, ["alerts", "user"]),
+        ({"alerts": {"mqtt": "mqtts://u:p@b"}}, ["alerts.mqtt", "password"]),
+        ({"alerts": {"mqtt": "mqtt://10.0.0.1"}}, ["alerts", "mqtts://10.0.0.1"]),
         ({"crs": "EPSG:4326"}, ["crs", "projected in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
@@ -120,27 +121,17 @@ def test_names_that_no_file_can_have(tmp_path: Path) -> None:
 
 
 def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
-    broker = {"host": "10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
-    site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, "mqtt": broker})
+    broker = {"mqtt": "mqtts://10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
+    site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker})
     assert site.health is not None
     assert site.health.address == "127.0.0.1"
     assert site.alerts is not None
     assert site.alerts.token is not None
-    assert site.alerts.token.file == tmp_path / "hook"
-    assert site.alerts.mqtt is not None
-    assert site.alerts.mqtt.ca == tmp_path / "ca.crt"
-    assert site.alerts.mqtt.password is not None
-    assert site.alerts.mqtt.password.file == tmp_path / "mqtt"
-    assert load(tmp_path, alerts={"mqtt": broker}, health={"port": 9000}).health.port == 9000  # type: ignore[union-attr]
+    assert site.alerts.password is not None
+    assert (site.alerts.token.file, site.alerts.password.file) == (tmp_path / "hook", tmp_path / "mqtt")
+    assert site.alerts.ca == tmp_path / "ca.crt"
+    assert load(tmp_path, alerts={"mqtt": "mqtt://[::1]:1883"}, health={"port": 9000}).health.port == 9000  # type: ignore[union-attr]
     assert load(tmp_path).health is None
-
-
-@pytest.mark.parametrize(
-    ("host", "files", "tls"),
-    [("localhost", {}, False), ("127.0.0.1", {}, False), ("::1", {"ca": "c"}, True), ("10.0.0.1", {}, True)],
-)
-def test_a_broker_elsewhere_is_used_with_tls_only(host: str, files: dict[str, str], tls: bool) -> None:
-    assert MqttAlertsConfig.model_validate({"host": host, **files}).tls is tls
 
 
 def test_no_site_file(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from scenes.tower_words import healths, status_of, watch_of
 from scenes.waiting import wait_for
 
 from ltm_core.base.errors import LtmError
-from ltm_core.site.sections import AlertsConfig, MqttAlertsConfig
+from ltm_core.site.sections import AlertsConfig
 from ltm_core.site.source_config import SecretConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.tower.alerts import HOLD_S, AlertQueue, AlertSender, ChangeWatch, post, publish
@@ -150,7 +150,7 @@ def test_a_token_in_the_url_is_filled_in_and_never_shown(monkeypatch: pytest.Mon
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[tuple[MqttAlertsConfig, Callable[[], list[Any]]]]:
+def broker(tmp_path: Path) -> Iterator[tuple[AlertsConfig, Callable[[], list[Any]]]]:
     """Yield a broker that requires TLS with certificates, and a function that returns what a subscriber received."""
     mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra `region` is not installed")
     from scenes.mqtt_broker import Broker
@@ -175,9 +175,8 @@ def broker(tmp_path: Path) -> Iterator[tuple[MqttAlertsConfig, Callable[[], list
         desk.loop_start()
         assert subscribed.wait(20)
         yield (
-            MqttAlertsConfig(
-                host="127.0.0.1",
-                port=port,
+            AlertsConfig(
+                mqtt=f"mqtts://127.0.0.1:{port}",
                 ca=folder / "ca.crt",
                 certificate=folder / "ridge.crt",
                 key=folder / "ridge.key",
@@ -188,9 +187,9 @@ def broker(tmp_path: Path) -> Iterator[tuple[MqttAlertsConfig, Callable[[], list
         desk.loop_stop()
 
 
-def test_a_broker_gets_the_messages(broker: tuple[MqttAlertsConfig, Callable[[], list[Any]]]) -> None:
+def test_a_broker_gets_the_messages(broker: tuple[AlertsConfig, Callable[[], list[Any]]]) -> None:
     config, received = broker
-    sender = AlertSender(AlertsConfig(mqtt=config), "ridge", Health())
+    sender = AlertSender(config, "ridge", Health())
     for now_s in (0.0, HOLD_S):
         sender.look([STALLED], now_s, 1_750_000_000.0)
     wait_for(lambda: len(received()) == 2, "both messages", received)
@@ -198,6 +197,6 @@ def test_a_broker_gets_the_messages(broker: tuple[MqttAlertsConfig, Callable[[],
     assert {topic for topic, _ in received()} == {"ltm/ridge/alerts"}
     assert [(m["state"], m["problem"]) for _, m in received()] == [("started", False), ("stalled", True)]
     with pytest.raises(LtmError, match="not reachable"):  # without its certificate
-        publish(config.model_copy(update={"certificate": None, "key": None}), "ltm/ridge/alerts", "other", b"{}")
+        publish(config.model_copy(update={"certificate": None, "key": None}), "other", b"{}")
     with pytest.raises(LtmError, match="not reachable"):
-        publish(MqttAlertsConfig(host="127.0.0.1", port=free_port()), "ltm/ridge/alerts", "other", b"{}")
+        publish(AlertsConfig(mqtt=f"mqtt://127.0.0.1:{free_port()}"), "other", b"{}")
