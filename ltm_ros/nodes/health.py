@@ -81,7 +81,7 @@ class HealthNode(Node):  # type: ignore[misc]
         self._alerts = None
         if site.alerts is not None and not self.get_parameter("use_sim_time").value:  # no alerts of a replay
             self._alerts = AlertSender(site.alerts, site.name, self._health)
-            self.create_timer(1.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
+            self.create_timer(5.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
         log = self.get_logger()
         self._server = PatientServer(site.health, routes, self._health, log.info, log.warning)
 
@@ -92,7 +92,7 @@ class HealthNode(Node):  # type: ignore[misc]
         return 0
 
     def _send_alerts(self) -> None:
-        status = self.status()
+        status = self.status(with_memory=False)
         if self._alerts is not None:
             self._alerts.look(status.conditions, time.monotonic(), status.time_s)
 
@@ -104,9 +104,9 @@ class HealthNode(Node):  # type: ignore[misc]
             said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
         return WebResponse.json(said)
 
-    def status(self) -> TowerStatus:
-        """Return the current status; thread-safe."""
-        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic())
+    def status(self, with_memory: bool = True) -> TowerStatus:
+        """Return the current status; thread-safe. Without the memory of processes, it costs next to nothing."""
+        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic()) if with_memory else {}
         with self._lock:
             return self._watch.status(
                 time.monotonic(),

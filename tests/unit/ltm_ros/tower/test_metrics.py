@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from scenes.tower_words import NOW_S, healths, status_of, watch_of
+from scenes.tower_words import healths, status_of, watch_of
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra `tower` is not installed")
 
@@ -105,9 +105,8 @@ def test_names_that_somebody_made_to_harm_break_no_line() -> None:
     assert 'a"} 1\nltm_alive 0\n{b="' in causes
 
 
-def scraped(north_age_s: float = 4.5) -> str:
+def scraped() -> str:
     made = healths()
-    made["/ridge/north/capture"].gauge("newest_stamp", f"{NOW_S - north_age_s:.3f}")
     made["/ridge/north/topodepth"].gauge("verdict", "pose_suspected")
     return exposition(status_of(watch_of(made))).decode()
 
