@@ -194,12 +194,15 @@ def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
-def test_probe_listens_to_rtsp_and_measures_its_clock() -> None:
+def test_probe_listens_to_rtsp_measures_its_clock_and_adds_it_to_a_site(small: SmallSite) -> None:
     with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
-        said = run("probe", stream.url, "--timeout", 3)
-    assert "kind: rtsp" in said
+        where = (*POSE, "--hfov", 62, "--site", small.path, "--camera", "north")
+        said = run("probe", stream.url, "--timeout", 3, *where)
     assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
     assert "+37." in said or "+36.9" in said
+    source = load_site(small.path).camera("north").source
+    assert source is not None
+    assert source.kind == "rtsp"
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
