@@ -80,7 +80,7 @@ class HealthNode(Node):  # type: ignore[misc]
             routes["POST /mark"] = self._marks.take
         self._alerts = None
         if site.alerts is not None and not self.get_parameter("use_sim_time").value:  # no alerts of a replay
-            self._alerts = AlertSender(site.alerts, site.name, self._health)
+            self._alerts = AlertSender(site.alerts, site.name, site.watchdog.slow, self._health)
             self.create_timer(5.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
         log = self.get_logger()
         self._server = PatientServer(site.health, routes, self._health, log.info, log.warning)

@@ -29,6 +29,8 @@ from ltm_ros.tower.machine import Condition
 
 HOLD_S: Final = 30.0
 """Seconds that a state must last before it is sent, so that a single late frame causes no message."""
+STARTING: Final = (("node", "missing"), ("camera", "connecting"))
+"""States of nodes and cameras that have not reported yet; they are sent once a start should have ended."""
 MOST_QUEUED: Final = 1000
 """Maximum number of undelivered messages of a receiver; the oldest are dropped."""
 LONGEST_RETRY_S: Final = 300.0
@@ -37,11 +39,12 @@ TIMEOUT_S: Final = 10.0
 
 class ChangeWatch:
     """Turns conditions into messages: one for each state that differs from the last one sent, and has lasted
-    `HOLD_S`. States without a problem are assumed at the start, which has a message of its own.
+    `HOLD_S`. States without a problem are assumed at the start, which has a message of its own. `start_s`: time for
+    the start, in seconds.
     """
 
-    def __init__(self, site: str) -> None:
-        self._site = site
+    def __init__(self, site: str, start_s: float) -> None:
+        self._site, self._start_s = site, start_s
         self._started = False
         self._seen: dict[tuple[str, str], tuple[str, float, float]] = {}
         """Latest state, and its begin by the monotonic and by the system clock."""
@@ -58,7 +61,8 @@ class ChangeWatch:
                 self._seen[key] = condition.state, now_s, time_s
             state, begin_s, since_s = self._seen[key]
             before = self._sent.get(key)
-            if state == before or now_s - begin_s < HOLD_S:
+            hold_s = self._start_s if (condition.kind, state) in STARTING else HOLD_S
+            if state == before or now_s - begin_s < hold_s:
                 continue
             self._sent[key] = state
             if before is not None or condition.problem:
@@ -129,8 +133,8 @@ class AlertQueue:
 class AlertSender:
     """Sends the messages of a tower to the receivers of its section `alerts`."""
 
-    def __init__(self, config: AlertsConfig, site: str, health: Health) -> None:
-        self._watch = ChangeWatch(site)
+    def __init__(self, config: AlertsConfig, site: str, start_s: float, health: Health) -> None:
+        self._watch = ChangeWatch(site, start_s)
         self._queues = [AlertQueue(name, deliver, health) for name, deliver in receivers(config, site)]
 
     def look(self, conditions: Iterable[Condition], now_s: float, time_s: float) -> None:

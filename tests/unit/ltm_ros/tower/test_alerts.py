@@ -25,12 +25,15 @@ from ltm_ros.tower.alerts import HOLD_S, AlertQueue, AlertSender, ChangeWatch, p
 from ltm_ros.tower.machine import Condition
 
 ALIVE, STALLED = Condition("camera", "north", "alive", ""), Condition("camera", "north", "stalled", "north: no frame")
+MISSING = Condition("node", "north/depth", "missing", "/ridge/north/depth no report yet")
+REPORTS = Condition("node", "north/depth", "ok", "")
+START_S = 600.0
 TOKEN = "s3cret/&token"
 
 
 def heard(states: list[tuple[float, Condition]]) -> list[tuple[str | None, str, bool, float]]:
     """Return (previous, state, problem, since in seconds after the start) of each message but the first."""
-    watch, said = ChangeWatch("ridge"), []
+    watch, said = ChangeWatch("ridge", START_S), []
     for now_s, condition in states:
         said += list(watch.messages([condition], now_s, 1_750_000_000.0 + now_s))
     first, *rest = said
@@ -42,6 +45,8 @@ def heard(states: list[tuple[float, Condition]]) -> list[tuple[str | None, str, 
 @pytest.mark.parametrize(
     ("states", "expected"),
     [
+        ([(0, MISSING), (599, MISSING), (601, REPORTS), (640, REPORTS)], []),
+        ([(0, MISSING), (600, MISSING)], [(None, "missing", True, 0)]),
         ([(0, ALIVE), (HOLD_S, ALIVE)], []),
         ([(0, STALLED), (HOLD_S, STALLED), (99, STALLED)], [(None, "stalled", True, 0)]),
         ([(0, ALIVE), (40, ALIVE), (50, STALLED), (79, STALLED), (79.5, ALIVE), (150, ALIVE)], []),
@@ -50,7 +55,7 @@ def heard(states: list[tuple[float, Condition]]) -> list[tuple[str | None, str, 
             [("alive", "stalled", True, 50), ("stalled", "alive", False, 90)],
         ),
     ],
-    ids=["fine", "begins with a problem", "a short failure", "a failure and its end"],
+    ids=["a slow start", "no start", "fine", "begins with a problem", "a short failure", "a failure and its end"],
 )
 def test_a_state_is_sent_once_after_it_has_lasted(
     states: list[tuple[float, Condition]], expected: list[tuple[str | None, str, bool, float]]
@@ -59,7 +64,7 @@ def test_a_state_is_sent_once_after_it_has_lasted(
 
 
 def test_every_problem_of_the_status_page_is_sent_with_its_sentence() -> None:
-    status, watch = status_of(watch_of(healths())), ChangeWatch("ridge")
+    status, watch = status_of(watch_of(healths())), ChangeWatch("ridge", START_S)
     list(watch.messages(status.conditions, 0.0, 0.0))
     said = list(watch.messages(status.conditions, HOLD_S, HOLD_S))
     assert [message["text"] for message in said] == list(status.wrong)
@@ -189,7 +194,7 @@ def broker(tmp_path: Path) -> Iterator[tuple[AlertsConfig, Callable[[], list[Any
 
 def test_a_broker_gets_the_messages(broker: tuple[AlertsConfig, Callable[[], list[Any]]]) -> None:
     config, received = broker
-    sender = AlertSender(config, "ridge", Health())
+    sender = AlertSender(config, "ridge", START_S, Health())
     for now_s in (0.0, HOLD_S):
         sender.look([STALLED], now_s, 1_750_000_000.0)
     wait_for(lambda: len(received()) == 2, "both messages", received)
