@@ -9,7 +9,6 @@ import sys
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 from typer.core import TyperGroup
 
 from ltm_core.base.errors import LtmError
@@ -169,7 +168,7 @@ def _complete(command: Any, path: str) -> None:
     for name, child in getattr(command, "commands", {}).items():
         _complete(child, f"{path} {name}".strip())
     below = [lines[0] for name, lines in EXAMPLES.items() if name.startswith(f"{path} ")]
-    command.epilog = "\n\n".join(("Examples:", *map(escape, EXAMPLES.get(path, below))))
+    command.epilog = "\n\n".join(("Examples:", *EXAMPLES.get(path, below)))
     for param in [*command.params, command.get_help_option(typer.Context(command, **HELP))]:
         kind = param.type_descriptor
         if param.param_type_name == "argument":
