@@ -133,7 +133,7 @@ def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replac
         )
     for key, section in changed.items():
         text = edited(text, ("cameras", camera, key), section, str(path))
-    _replace(path, text)
+    replace_site(path, text)
 
 
 def stated_sections(path: Path, camera: str) -> dict[str, Any]:
@@ -217,8 +217,10 @@ def dumped(content: dict[str, Any]) -> str:
     return "".join(_block(content, 0))
 
 
-def _replace(path: Path, text: str) -> None:
-    """Replace a site file once the new one, written beside it for its relative paths, has been read as a site."""
+def replace_site(path: Path, text: str) -> None:
+    """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if it is not a
+    valid site."""
+    # Beside the old file, so that relative paths hold.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)
     try:
