@@ -151,6 +151,7 @@ lint: $(VENV)/.installed-dev
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+	$(BIN)/python tools/site_file.py
 
 clean:
 	rm -rf out build *.egg-info

@@ -5,8 +5,9 @@ from __future__ import annotations
 import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal, Self
+from urllib.parse import urlsplit
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
@@ -15,7 +16,14 @@ from ltm_core.fuel.life_form import GrowthLimits
 from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
-from ltm_core.site.source_config import NetworkSettings, PtzConfig, SnapshotConfig, SourceConfig
+from ltm_core.site.source_config import (
+    NetworkSettings,
+    PtzConfig,
+    SecretConfig,
+    SnapshotConfig,
+    SourceConfig,
+    url_without_secrets,
+)
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
@@ -211,4 +219,50 @@ class HealthConfig(StrictModel):
             raise ValueError(
                 f"address {self.address} is reachable from other hosts: give certificate, key and token, or 127.0.0.1"
             )
+        return self
+
+
+class AlertsConfig(StrictModel):
+    """Receivers of a JSON message for each change of state of a camera, pose, node, disk, clock or outbox."""
+
+    webhook: str | None = None
+    """URL (http, https) that receives each message by POST; `{token}` in it is replaced."""
+    token: SecretConfig | None = None
+    """Place of the webhook's token; it is sent as `Authorization: Bearer`, or in the URL in place of `{token}`."""
+    mqtt: str | None = None
+    """URL of an MQTT 5 broker, `mqtts://HOST:PORT`; messages go to the topic `ltm/SITE/alerts`. `mqtt://` is without
+    TLS, and only for a broker on this computer."""
+    user: str | None = None
+    """User name at the broker."""
+    password: SecretConfig | None = None
+    """Place of the password at the broker."""
+    ca: Path | None = None
+    """Certificate of the broker's authority (PEM), relative to the site file; None: the system's authorities."""
+    certificate: Path | None = None
+    """Certificate for the broker (PEM), relative to the site file; None: none is sent."""
+    key: Path | None = None
+    """Private key (PEM) of `certificate`. A systemd credential with the file's name takes precedence."""
+
+    @field_validator("webhook", "mqtt")
+    @classmethod
+    def _url(cls, url: str | None, info: ValidationInfo) -> str | None:
+        if url is not None:
+            schemes = ("http", "https") if info.field_name == "webhook" else ("mqtt", "mqtts")
+            url_without_secrets(url.replace("{token}", "{password}"), schemes)
+        return url
+
+    @model_validator(mode="after")
+    def _receiver(self) -> Self:
+        if self.webhook is None and self.mqtt is None:
+            raise ValueError("give webhook, mqtt or both")
+        if self.token is None and "{token}" in (self.webhook or ""):
+            raise ValueError("the webhook contains {token}: give token: {credential: NAME} (or environment, file)")
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("give certificate and key together")
+        if self.password is not None and self.user is None:
+            raise ValueError("password needs user")
+        if self.mqtt is not None and self.mqtt.startswith("mqtt://"):
+            host = urlsplit(self.mqtt).hostname or ""
+            if host != "localhost" and not host.startswith("127.") and host != "::1":
+                raise ValueError(f"mqtt: {host} is another host: use TLS, mqtts://{host}")
         return self

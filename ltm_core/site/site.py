@@ -18,6 +18,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import open_terrain, sampled, shared, with_surface
 from ltm_core.raster.heights_check import doubt_of_surface
 from ltm_core.site.sections import (
+    AlertsConfig,
     CameraConfig,
     DemConfig,
     FuelConfig,
@@ -53,6 +54,15 @@ def _camera_name(name: str) -> str:
 
 
 CameraName = Annotated[RosName, AfterValidator(_camera_name)]
+
+
+def _some_camera(cameras: dict[str, CameraConfig]) -> dict[str, CameraConfig]:
+    if not cameras:
+        raise ValueError("no camera: add one with `ltm cameras probe ADDRESS --site SITE --camera NAME`")
+    return cameras
+
+
+Cameras = Annotated[dict[CameraName, CameraConfig], AfterValidator(_some_camera)]
 
 
 def _projected_crs(crs: str) -> str:
@@ -103,7 +113,7 @@ class Site(StrictModel):
     comes second."""
     depth_model: str = ""
     """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
-    cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    cameras: Cameras = Field(default_factory=dict, validate_default=True)
     """Cameras of the site by name."""
     processes: Literal["site", "node"] = "site"
     """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
@@ -118,6 +128,8 @@ class Site(StrictModel):
     """Times after which a process is restarted."""
     health: HealthConfig | None = None
     """Settings of the HTTP endpoint of `ltm run` for monitoring systems and the status page; None: no endpoint."""
+    alerts: AlertsConfig | None = None
+    """Receivers of messages on changes of state, which the node `health` sends; None: nothing is sent."""
     region: UplinkConfig | None = None
     """Settings for sending votes to the map of a region; None: they are not sent."""
     nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
@@ -133,6 +145,13 @@ class Site(StrictModel):
             raise ValueError("dem is one raster, or a list of them from the finest to the coarsest")
         finest, *coarser = data["dem"]
         return {**data, "dem": finest, "coarser": coarser}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _health_for_alerts(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("alerts") and data.get("health") is None:
+            return {**data, "health": {}}
+        return data
 
     @property
     def frame(self) -> SiteFrame:

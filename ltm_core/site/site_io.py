@@ -1,19 +1,20 @@
-"""Read site files, and change one section of a camera in a site file."""
+"""Read site files, and change the sections of a camera in a site file."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.site.sections import CameraConfig, DemConfig
+from ltm_core.site.sections import AlertsConfig, CameraConfig, DemConfig
 from ltm_core.site.site import Site
-from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings
-from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml
+from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings, SecretConfig
+from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.text_io import read_text
 from ltm_core.uplink.config import broker_beside
@@ -44,6 +45,8 @@ def load_site(path: Path | str) -> Site:
         given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
         files = {name: path.parent / file for name, file in given.items() if file is not None}
         changes["health"] = site.health.model_copy(update=files)
+    if site.alerts is not None:
+        changes["alerts"] = _alerts_beside(site.alerts, path.parent)
     if site.region is not None:
         broker = broker_beside(site.region.broker, path.parent)
         changes["region"] = site.region.model_copy(update={"broker": broker})
@@ -95,59 +98,88 @@ def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
             changes["path"] = folder / section.path
         if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
             changes["ca"] = folder / section.ca
-        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
-            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
+        if isinstance(section, NetworkSettings | PtzSettings) and section.password is not None:
+            changes["password"] = _secret_beside(section.password, folder)
         if section is not None and changes:
             found[name] = section.model_copy(update=changes)
     return camera.model_copy(update=found) if found else camera
 
 
-def write_camera_section(path: Path | str, camera: str, key: str | None, section: dict[str, Any]) -> None:
-    """Set `cameras: CAMERA: KEY:` in a site file to `section`; a camera that is not there is added. Without a key,
-    `section` is all of a camera that is not there.
+def _secret_beside(secret: SecretConfig, folder: Path) -> SecretConfig:
+    return secret if secret.file is None else secret.model_copy(update={"file": folder / secret.file})
 
-    The new file is read as a site before it takes the old one's place. Raises ConfigError, and leaves the file as it
-    is, where it cannot be read, or where the camera is written within braces so that no lines can be put into it.
+
+def _alerts_beside(alerts: AlertsConfig, folder: Path) -> AlertsConfig:
+    files = {name: getattr(alerts, name) for name in ("ca", "certificate", "key")}
+    secrets = {name: getattr(alerts, name) for name in ("token", "password")}
+    found: dict[str, object] = {name: folder / file for name, file in files.items() if file is not None}
+    found |= {name: _secret_beside(secret, folder) for name, secret in secrets.items() if secret is not None}
+    return alerts.model_copy(update=found)
+
+
+def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replace: bool = True) -> None:
+    """Write sections of a camera into a site file, and add the camera if it is missing; all other lines stay.
+
+    The new file is read as a site before it takes the old one's place. Raises ConfigError, and leaves the file
+    unchanged, if the result is no site, or without `replace` if a section exists with another content.
     """
     path = Path(path)
-    text = read_text(path, LARGEST_FILE, ConfigError)
-    _replace(path, edited(text, camera, key, section, str(path)))
+    text, present = read_text(path, LARGEST_FILE, ConfigError), stated_sections(path, camera)
+    changed = {key: section for key, section in sections.items() if present.get(key) != section}
+    if not replace and (differing := [key for key in changed if key in present]):
+        raise ConfigError(
+            f"{path} was not changed: camera {camera} already has {' and '.join(differing)}; pass --replace to "
+            "overwrite"
+        )
+    for key, section in changed.items():
+        text = edited(text, ("cameras", camera, key), section, str(path))
+    replace_site(path, text)
 
 
-def edited(text: str, camera: str, key: str | None, section: dict[str, Any], place: str) -> str:
-    """Return the text of a site file with the section; see `write_camera_section`."""
-    root = compose_yaml(text, place)
-    cameras = _value(root, "cameras")
+def stated_sections(path: Path, camera: str) -> dict[str, Any]:
+    """Return what a site file states about a camera; empty without the camera. Raises ConfigError, see `read_yaml`."""
+    node = read_yaml(path)
+    for key in ("cameras", camera):
+        node = node.get(key) if isinstance(node, dict) else None
+    return node if isinstance(node, dict) else {}
+
+
+def edited(text: str, keys: Sequence[str], value: object, place: str) -> str:
+    """Return a YAML text with `value` at the path `keys`; a mapping in braces on the way is rewritten in lines.
+
+    Raises ConfigError if something on the way is not a mapping, or has comments within its braces.
+    """
+    node, content, way = compose_yaml(text, place), parse_yaml(text, place), list(keys)
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
-    if cameras is None or not isinstance(cameras, yaml.MappingNode) or cameras.flow_style or not cameras.value:
-        raise ConfigError(f"{place}: has no multi-line section `cameras:` to add {camera} to")
-    step = cameras.value[0][0].start_mark.column
-    found = _value(cameras, camera)
-    if found is None:
-        content = section if key is None else {key: section}
-        return "".join(_inserted(lines, _end(lines, cameras), _block({camera: content}, step)))
-    if key is None:
-        raise ConfigError(f"{place}: camera {camera} exists already")
-    if not isinstance(found, yaml.MappingNode) or found.flow_style:
-        raise ConfigError(f"{place}: camera {camera} is written in braces on one line: write each key on its own line")
-    indent = found.value[0][0].start_mark.column if found.value else 2 * step
-    old = next((pair for pair in found.value if pair[0].value == key), None)
-    if old is None:
-        return "".join(_inserted(lines, found.value[0][0].start_mark.line, _block({key: section}, indent)))
-    begin, end = old[0].start_mark.line, _end(lines, old[1])
-    return "".join([*lines[:begin], *_block({key: section}, indent), *lines[end:]])
+    pair = None
+    while way and isinstance(node, yaml.MappingNode) and node.value and not node.flow_style:
+        indent = node.value[0][0].start_mark.column
+        found = next((entry for entry in node.value if entry[0].value == way[0]), None)
+        if found is None:
+            at = _end(lines, node)
+            return "".join([*lines[:at], *_block({way[0]: _with(None, way[1:], value)}, indent), *lines[at:]])
+        pair, node, content = found, found[1], content[way.pop(0)]
+    if pair is None or not (content is None or not way or isinstance(content, dict)):
+        where = ".".join(keys[: len(keys) - len(way)]) or "the file"
+        raise ConfigError(f"{place}: {where} is not a mapping; write each of its keys on its own line")
+    begin, last, end = pair[0].start_mark.line, pair[1].end_mark, _end(lines, pair[1])
+    block = _block({pair[0].value: _with(content, way, value)}, indent)
+    if way:
+        if last.line > begin and any("#" in line for line in lines[begin : last.line]):
+            raise ConfigError(f"{place}: {pair[0].value}: has comments within braces; write each key on its own line")
+        behind = lines[last.line][last.column :].strip()
+        block[0] = block[0].rstrip() + (f"   {behind}" if behind.startswith("#") else "") + "\n"
+    return "".join([*lines[:begin], *block, *lines[end:]])
 
 
-def _inserted(lines: list[str], at: int, block: list[str]) -> list[str]:
-    return [*lines[:at], *block, *lines[at:]]
-
-
-def _value(node: yaml.Node | None, key: str) -> Any:
-    if not isinstance(node, yaml.MappingNode):
-        return None
-    return next((value for name, value in node.value if name.value == key), None)
+def _with(content: Any, keys: Sequence[str], value: object) -> Any:
+    """Return nested mappings with `value` at the path `keys`."""
+    if not keys:
+        return value
+    known = content if isinstance(content, dict) else {}
+    return {**known, keys[0]: _with(known.get(keys[0]), keys[1:], value)}
 
 
 def _end(lines: list[str], node: yaml.Node) -> int:
@@ -185,9 +217,10 @@ def dumped(content: dict[str, Any]) -> str:
     return "".join(_block(content, 0))
 
 
-def _replace(path: Path, text: str) -> None:
-    """Return the new file stands beside the old one, so that its relative paths hold, and takes its place when it is
-    whole."""
+def replace_site(path: Path, text: str) -> None:
+    """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if it is not a
+    valid site."""
+    # Beside the old file, so that relative paths hold.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)
     try:

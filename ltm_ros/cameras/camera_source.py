@@ -17,13 +17,18 @@ from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, StuckPtzError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
     CameraReader,
+    Direction,
     Nothing,
+    Patrol,
+    PoseModel,
+    PtzReading,
     StuckPicture,
+    Tolerance,
+    at_rest,
     is_night,
     thumbnail_of_bytes,
     thumbnail_of_rgb,

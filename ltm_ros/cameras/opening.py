@@ -34,10 +34,9 @@ from ltm_core.site.source_config import (
 from ltm_core.storage.disk_io import is_file, is_folder, is_there
 from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, camera_backoff
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
-from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
 from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
-from ltm_ros.cameras.protocols.picture import CameraReader
+from ltm_ros.cameras.protocols.picture import CameraReader, PtzReading, Tolerance
 from ltm_ros.cameras.protocols.video import RtspReader, V4l2Reader
 from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz

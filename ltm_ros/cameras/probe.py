@@ -24,10 +24,9 @@ from ltm_core.site.source_config import (
 )
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.connection import host_of, with_configured_host
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
@@ -317,12 +316,32 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
     return entry
 
 
+GUESSED = ("every", "lens", "tilt_sign")
+"""Keys of an entry that were not measured: stated ones stay."""
+
+
+def completed(present: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections of `entry` merged with those that the camera has in the site file. A camera with a stated
+    pose counts as fixed, so its PTZ head is left out."""
+    fixed = "pose" in present or "sensors" in present
+    merged = {}
+    for name, section in entry.items():
+        stated = present.get(name)
+        if fixed and name in ("ptz", "mount"):
+            continue
+        if isinstance(stated, dict) and stated.get("kind") == section.get("kind"):
+            kept = {key for key in GUESSED if key in stated}
+            section = {**stated, **{key: value for key, value in section.items() if key not in kept}}
+        merged[name] = section
+    return merged
+
+
 def lacking(entry: dict[str, Any]) -> list[str]:
     """Return what the user must add, each with its option of `ltm cameras probe`."""
     said = []
     if "source" not in entry:
         said.append("source: no image was found; give an image address")
-    if "azimuth_deg" not in (entry.get("mount") or entry.get("pose") or {}):
+    if "sensors" not in entry and "azimuth_deg" not in (entry.get("mount") or entry.get("pose") or {}):
         which = "mount" if "ptz" in entry else "pose"
         said.append(f"{which}: position and viewing direction (--lonlat, --height, --azimuth)")
     if "calibration" not in entry and "lens" not in entry.get("mount", {}):

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 PROMPTED = "LTM_CAMERA_PASSWORD"
 """Environment variable of this process that holds a password typed at the prompt."""
 
+CREDENTIALS = Path("/etc/ltm/credentials")
+"""Folder whose files systemd passes to an installed tower; a site file names them as credentials."""
+
 cameras = typer.Typer(no_args_is_help=True, help="Discover, probe and watch the cameras of a site, and take snapshots.")
 
 
@@ -35,13 +38,16 @@ def probe(
     check_name: Annotated[
         bool, typer.Option("--check-name/--any-name", help="Check that the certificate is for this host.")
     ] = True,
-    site: Annotated[Path | None, typer.Option(help="With --camera: write the result into this site file.")] = None,
+    site: Annotated[Path | None, typer.Option(help="With --camera: add or complete it in this site file.")] = None,
     camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
     lonlat: Annotated[str | None, typer.Option(help="Camera position LON,LAT in degrees (WGS 84).")] = None,
     height: Annotated[float | None, typer.Option(help="Height above the ground in metres.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Azimuth in degrees from grid north (PTZ: at pan 0).")] = None,
     pitch: Annotated[float, typer.Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
     hfov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees.")] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Overwrite sections that the camera has in the site file.")
+    ] = False,
     timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
 ) -> None:
     """Probe a camera: protocol, image size, rate, clock and PTZ head; print its site-file entry."""
@@ -49,13 +55,14 @@ def probe(
     from rich.markup import escape
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.site.site_io import dumped, load_site, write_camera_section
-    from ltm_ros.cameras.probe import lacking, site_entry
+    from ltm_core.site.site_io import dumped, stated_sections, write_camera
+    from ltm_ros.cameras.probe import completed, lacking, site_entry
     from ltm_ros.cameras.probe import probe as ask
     from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: the site file to write and the camera's name in it")
+    present = {} if site is None else stated_sections(site, camera)
     placing = _placing(lonlat, height, azimuth, pitch, hfov)
     address = _checked_address(url)
     secret, kept = _secret(user, password_env, password_file, camera)
@@ -74,10 +81,9 @@ def probe(
         raise ConfigError(
             f"{address}: found neither an image nor a PTZ head:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
-    entry = site_entry(found, user, kept, placing)
-    missing = lacking(entry)
-    name = camera or "north"
-    typer.echo(dumped({"cameras": {name: entry}}).rstrip())
+    entry = completed(present, site_entry(found, user, kept, placing))
+    missing = lacking({**present, **entry})
+    typer.echo(dumped({"cameras": {camera or "north": entry}}).rstrip())
     for what in missing:
         console.print(f"[yellow]still to be added: {escape(what)}", highlight=False)
     if kept is not None and kept.environment == _variable(camera):
@@ -87,11 +93,9 @@ def probe(
     if site is None:
         return
     if missing:
-        raise ConfigError(f"{site} was not changed: the new entry lacks {'; '.join(missing)}")
-    if camera in load_site(site).cameras:
-        raise ConfigError(f"{site} already has a camera {camera}: choose another name, or edit its sections")
-    write_camera_section(site, camera, None, entry)
-    typer.echo(f"wrote camera {camera} into {site}")
+        raise ConfigError(f"{site} was not changed: camera {camera} lacks {'; '.join(missing)}")
+    write_camera(site, camera, entry, replace)
+    typer.echo(f"wrote camera {camera} into {site}\nnext: ltm check {site}")
 
 
 @cameras.command()
@@ -229,8 +233,9 @@ def _secret(
         secret = SecretConfig(environment=password_env)
         return secret, secret
     if password_file is not None:
-        secret = SecretConfig(file=password_file.expanduser().absolute())
-        return secret, secret
+        file = password_file.expanduser().absolute()
+        secret = SecretConfig(file=file)
+        return secret, SecretConfig(credential=file.name) if file.parent == CREDENTIALS else secret
     os.environ[PROMPTED] = typer.prompt(f"password of {user}", hide_input=True)
     return SecretConfig(environment=PROMPTED), SecretConfig(environment=_variable(camera))
 
@@ -262,9 +267,9 @@ def _print_found(console: Console, found: Found) -> None:
         rows.append((what, escape(plain(told))))
 
     if found.source is not None:
-        row("pictures", f"{found.source['kind']} at {found.source['url']}")
+        row("images", f"{found.source['kind']} at {found.source['url']}")
     for address in found.stated:
-        row("stated", redacted(address))
+        row("reported address", redacted(address))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))

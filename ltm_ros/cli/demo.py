@@ -73,11 +73,24 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
             rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
     print_table(console, "against truth", ("", ""), rows)
     _print_walk(console, result.walk)
-    console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
+    console.print(f"report: {out / 'report.html'}")
+    shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
+    console.print(f"in Rerun: {shown}", soft_wrap=True)
     drops = sum(row.dropped for row in result.nodes)
     if drops:
         console.print(f"[red]{drops} messages were dropped; the table says where and why[/red]")
         raise typer.Exit(1)
+
+
+def to_type(command: str) -> str:
+    """Return a command for the user's shell; without `ltm` on its PATH, the environment is activated first."""
+    import os
+    import shutil
+    import sys
+
+    if shutil.which("ltm"):
+        return command
+    return f"source {os.path.relpath(Path(sys.prefix) / 'bin/activate')} && {command}"
 
 
 def _print_walk(console: Console, walk: Walk) -> None:

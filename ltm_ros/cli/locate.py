@@ -21,7 +21,7 @@ def locate(
     site: Annotated[Path | None, typer.Option(help="Site file with terrain and cameras with poses.")] = None,
     pose: Annotated[
         list[str] | None,
-        typer.Option(help="Pose file of a camera: NAME=FILE, or FILE with --dem. Repeatable."),
+        typer.Option(metavar="[CAMERA=]FILE", help="Pose file of a camera: NAME=FILE, or FILE with --dem. Repeatable."),
     ] = None,
     dem: Annotated[
         list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
@@ -34,7 +34,8 @@ def locate(
         ),
     ] = None,
     mask: Annotated[
-        list[str] | None, typer.Option(help="Mask NAME=PNG: marks ignore the non-black pixels of that camera.")
+        list[str] | None,
+        typer.Option(metavar="CAMERA=PNG", help="Mask: marks ignore the non-black pixels of that camera."),
     ] = None,
     smoke: Annotated[
         bool, typer.Option("--smoke", help="The mark is the lowest visible smoke; its base may be behind a ridge.")

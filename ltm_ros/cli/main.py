@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.cli.cameras import cameras
@@ -56,12 +58,136 @@ def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> 
         sys.exit(1)
 
 
+EXAMPLES = {
+    "": ("ltm demo", "ltm run site.yaml --state map --view"),
+    "demo": ("ltm demo", "ltm demo --out /tmp/demo"),
+    "check": ("ltm check site.yaml", "ltm check site.yaml --out check.png"),
+    "run": ("ltm run site.yaml --state map", "ltm run site.yaml --state map --view --record today"),
+    "view": ("ltm view --site site.yaml", "ltm view --rrd out/demo/demo.rrd --screenshot depth.png --tab Depth"),
+    "cameras discover": ("ltm cameras discover --interface 192.168.1.3",),
+    "cameras probe": (
+        "ltm cameras probe http://192.168.1.20 --user viewer",
+        "ltm cameras probe http://192.168.1.20 --site site.yaml --camera north --lonlat -118.06,34.22 --height 20 "
+        "--azimuth 214 --hfov 54",
+    ),
+    "cameras watch": ("ltm cameras watch site.yaml", "ltm cameras watch site.yaml --once"),
+    "cameras snapshot": ("ltm cameras snapshot site.yaml north --out presets",),
+    "pose points": ("ltm pose points points.csv --guess guess.yaml --dem dem.tif --out pose.yaml",),
+    "pose photo": ("ltm pose photo photo.jpg --guess guess.yaml --dem dem.tif --out pose.yaml --picture found.png",),
+    "pose mount": ("ltm pose mount site.yaml north --photos presets",),
+    "mask": (
+        "ltm mask west_photos/ --site site.yaml --camera west",
+        "ltm mask west_photos/ --site site.yaml --camera west --keep 1,3",
+    ),
+    "label": ("ltm label photos/",),
+    "train head": ("ltm train head photos/ --out chaparral",),
+    "locate": (
+        "ltm locate --site site.yaml --mark north=812,430",
+        "ltm locate --site site.yaml --lonlat -118.05,34.21 --out place",
+    ),
+    "viewshed": ("ltm viewshed --site site.yaml --out coverage.tif --target-height 50",),
+    "trace": ("ltm trace --dem dem.tif --pose pose.yaml --image photo.jpg --out traced",),
+    "export": (
+        "ltm export map/fuel_map.ltm --site site.yaml --out map.png",
+        "ltm export map/fuel_map.ltm --site site.yaml --out landscape.lcp --crs EPSG:5070",
+        "ltm export map/fuel_map.ltm --site site.yaml --out change.png --format change --since 2026-05-31",
+    ),
+    "fire": (
+        "ltm fire map/fuel_map.ltm --site site.yaml --ignition 348400,3784900 --wind 6,80 --moisture D2L2 --hours 6",
+        "ltm fire now.lcp --before was.lcp --ignition -117.5,33.6 --ignition-crs EPSG:4326 --wind 8,20 --moisture D1L1",
+    ),
+    "record": ("ltm record --site site.yaml --out today", "ltm record --site site.yaml --out depth '/ridge/*/depth/*'"),
+    "replay": (
+        "ltm replay today --site site.yaml --offline --out replayed",
+        "ltm replay today --site site.yaml --out replayed --rate 2",
+    ),
+    "import": (
+        "ltm import photos/ --poses poses.csv --site site.yaml --out walk",
+        "ltm import sensor_logger.zip --site site.yaml --out walk --focal-35mm 25",
+    ),
+    "reprocess": ("ltm reprocess archive/ --site site.yaml --out years --since 2024-01-01 --sample 4/day",),
+    "status": ("ltm status site.yaml", "ltm status site.yaml --json"),
+    "doctor": ("ltm doctor", "ltm doctor --site site.yaml"),
+    "upgrade": ("ltm upgrade ltm_0.2.0_amd64.deb --ready-minutes 5",),
+    "rollback": ("ltm rollback", "ltm rollback --to 0.1.0"),
+    "region": ("ltm region region.yaml",),
+    "certs": ("ltm certs certs/ --region valley --tower ridge --tower peak --host 10.8.0.1",),
+    "models": ("ltm models", "ltm models check landscape_v2 --images photos/ --out labels"),
+}
+"""Examples in the help of each command; a group of commands shows the first ones of its commands."""
+
+METAVARS = {
+    "ADDRESS": "url listen interface",
+    "AZIMUTH,PITCH": "looking",
+    "CAMERA": "cameras only",
+    "COUNT/PERIOD": "sample",
+    "DATE": "as_of since until",
+    "EPSG:CODE": "crs ignition_crs",
+    "FOLDER": "also bag write_photos",
+    "I/N": "shard",
+    "KEY=VALUE": "stated",
+    "LON,LAT": "lonlat",
+    "MODEL": "model named like",
+    "NUMBER": "domain ensemble limit rarity rate ridge seed threads tree_contrast tries zoom",
+    "NUMBERS": "keep",
+    "PORT": "web_port grpc_port",
+    "PROBABILITY": "confidence",
+    "SCENARIO": "moisture",
+    "SHARE": "max_failed",
+    "SPEED,DIRECTION": "wind",
+    "VARIABLE": "password_env",
+    "VERSION": "to",
+    "X,Y": "place ignition",
+}
+"""What goes into options whose name and help do not show it."""
+
+UNITS = ("degrees", "metres", "seconds", "minutes", "hours", "days", "GB", "mm", "pixels")
+
+
+def metavar_of(name: str, text: str, is_path: bool) -> str:
+    """Return what help shows as the value of an option: by its name, by file, folder or unit in its help text, or else
+    its name."""
+    if named := next((metavar for metavar, names in METAVARS.items() if name in names.split()), None):
+        return named
+    if is_path:
+        kind = re.search(r"file|folder", text.lower().partition(".")[0])
+        return kind[0].upper() if kind else "FILE"
+    unit = next((unit for unit in UNITS if re.search(rf"\b{unit}\b", text)), name)
+    return unit.upper()
+
+
+class HelpfulGroup(TyperGroup):
+    """Completes the help of all commands with examples and metavars."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        _complete(self, "")
+
+
+def _complete(command: Any, path: str) -> None:
+    for name, child in getattr(command, "commands", {}).items():
+        _complete(child, f"{path} {name}".strip())
+    below = [lines[0] for name, lines in EXAMPLES.items() if name.startswith(f"{path} ")]
+    command.epilog = "\n\n".join(("Examples:", *EXAMPLES.get(path, below)))
+    for param in [*command.params, command.get_help_option(typer.Context(command, **HELP))]:
+        kind = param.type_descriptor
+        if param.param_type_name == "argument":
+            param.metavar = param.metavar or param.name.upper()
+            param.display_type_rich = lambda ctx: ""  # its name says what it is
+        elif param.metavar is None and kind.choices is None:
+            of = metavar_of(param.name, param.help or "", "Path" in str(kind.annotation))
+            param.metavar = "" if param.is_flag else of
+
+
+HELP: dict[str, Any] = {"help_option_names": ["-h", "--help"]}
+
 cli = typer.Typer(
     name="ltm",
+    cls=HelpfulGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings=HELP,
 )
 
 

@@ -63,7 +63,9 @@ def mask(
     ] = None,
     site: Annotated[Path | None, typer.Option(help="Site file of the camera.")] = None,
     camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
-    only: Annotated[str, typer.Option(help="For a folder: pattern of image names, such as 'west_2018*'.")] = "*",
+    only: Annotated[
+        str, typer.Option(metavar="PATTERN", help="For a folder: pattern of image names, such as 'west_2018*'.")
+    ] = "*",
     keep: Annotated[str, typer.Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
     drawn: Annotated[
         Path | None,

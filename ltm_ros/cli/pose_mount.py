@@ -196,13 +196,13 @@ def write_mount(
     from rich.console import Console
 
     from ltm_core.pose_estimation.mount.mount_config import written_mount
-    from ltm_core.site.site_io import dumped, write_camera_section
+    from ltm_core.site.site_io import dumped, write_camera
 
     section = written_mount(model, lens if ptz.config.lens is not None else None, ptz.site.frame)
     console = Console()
     _print_mount(console, ptz.model, model)
     if out is None:
-        write_camera_section(site_file, camera, "mount", section)
+        write_camera(site_file, camera, {"mount": section})
     else:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(dumped({"mount": section}), encoding="utf-8")

@@ -24,6 +24,7 @@ from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import free_bytes, require_folder
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_ros.cameras.opening import doubts_of
+from ltm_ros.cameras.protocols.credentials import read_secret
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.runtime.handler import EX_CONFIG
@@ -57,6 +58,7 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
         check.findings += _nodes(check.site, path, wanted)
         check.findings += _places(check.site, path, wanted)
         check.findings += _sources(check.site, wanted)
+        check.findings += _alerts(check.site)
     return check
 
 
@@ -203,6 +205,18 @@ def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
             yield SiteFinding(MACHINE, f"source of {name}", SiteVerdict.DOUBTFUL, doubt)
         if not doubts:
             yield SiteFinding("cameras", f"source of {name}", SiteVerdict.OK, source.kind)
+
+
+def _alerts(site: Site) -> Iterator[SiteFinding]:
+    """Check that the secrets of receivers can be read; a tower starts without, because messages are sent again."""
+    if (alerts := site.alerts) is None:
+        return
+    for name, given in (("token", alerts.token), ("password", alerts.password)):
+        try:
+            if given is not None:
+                read_secret(given)
+        except LtmError as error:
+            yield SiteFinding(MACHINE, f"alerts.{name}", SiteVerdict.DOUBTFUL, str(error))
 
 
 def _folder(what: str, folder: Path) -> SiteFinding:

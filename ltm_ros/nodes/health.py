@@ -26,6 +26,7 @@ from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower import machine
+from ltm_ros.tower.alerts import AlertSender
 from ltm_ros.tower.last_pictures import LastPictures
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
@@ -77,12 +78,23 @@ class HealthNode(Node):  # type: ignore[misc]
         if site.locating is not None:
             self._marks = Marks(self, site.name, cameras, self._pictures.shown, self._health)
             routes["POST /mark"] = self._marks.take
+        self._alerts = None
+        if site.alerts is not None and not self.get_parameter("use_sim_time").value:  # no alerts of a replay
+            self._alerts = AlertSender(site.alerts, site.name, site.watchdog.slow, self._health)
+            self.create_timer(5.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
         log = self.get_logger()
         self._server = PatientServer(site.health, routes, self._health, log.info, log.warning)
 
     def close(self) -> int:
         self._server.close()
+        if self._alerts is not None:
+            self._alerts.close()
         return 0
+
+    def _send_alerts(self) -> None:
+        status = self.status(with_memory=False)
+        if self._alerts is not None:
+            self._alerts.look(status.conditions, time.monotonic(), status.time_s)
 
     def _page_json(self) -> WebResponse:
         """Return the data that an open status page requests repeatedly."""
@@ -92,9 +104,9 @@ class HealthNode(Node):  # type: ignore[misc]
             said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
         return WebResponse.json(said)
 
-    def status(self) -> TowerStatus:
-        """Return the current status; thread-safe."""
-        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic())
+    def status(self, with_memory: bool = True) -> TowerStatus:
+        """Return the current status; thread-safe. Without the memory of processes, it costs next to nothing."""
+        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic()) if with_memory else {}
         with self._lock:
             return self._watch.status(
                 time.monotonic(),

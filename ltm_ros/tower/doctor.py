@@ -95,15 +95,9 @@ def requirements() -> dict[str, list[Requirement]]:
 
 
 def check_python() -> Iterator[DoctorFinding]:
-    version = ".".join(map(str, sys.version_info[:3]))
+    version, remedy = ".".join(map(str, sys.version_info[:3])), "install Python 3.11 or newer, then `make demo`"
     fine = sys.version_info >= (3, 11)
-    yield DoctorFinding(
-        "python",
-        "Python",
-        DoctorState.OK if fine else DoctorState.MISSING,
-        f"{version} in {sys.prefix}",
-        "" if fine else "install Python 3.11 or newer, then `make demo`",
-    )
+    yield DoctorFinding.judged("python", "Python", fine, f"{version} in {sys.prefix}", remedy, DoctorState.MISSING)
 
 
 def check_packages() -> Iterator[DoctorFinding]:
@@ -148,10 +142,8 @@ def check_ros() -> Iterator[DoctorFinding]:
     kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', '(unknown distribution)')}"
     yield DoctorFinding("ros", "rclpy", DoctorState.OK, f"{kind}, {place}")
     absent = [name for name in MESSAGE_PACKAGES if importlib.util.find_spec(name) is None]
-    if absent:
-        yield DoctorFinding("ros", "messages", DoctorState.MISSING, f"no {', '.join(absent)}", remedy)
-    else:
-        yield DoctorFinding("ros", "messages", DoctorState.OK, ", ".join(MESSAGE_PACKAGES))
+    said = f"no {', '.join(absent)}" if absent else ", ".join(MESSAGE_PACKAGES)
+    yield DoctorFinding.judged("ros", "messages", not absent, said, remedy, DoctorState.MISSING)
 
 
 def check_transport() -> Iterator[DoctorFinding]:
@@ -160,14 +152,9 @@ def check_transport() -> Iterator[DoctorFinding]:
     environment = ros_environment()
     given = next((name for name in PROFILE_VARIABLES if os.environ.get(name)), None)
     profile = Path(environment[given or PROFILE_VARIABLES[0]])
-    if profile.is_file():
-        yield DoctorFinding(
-            "transport", "profile", DoctorState.OK, f"{profile} ({f'from {given}' if given else 'default'})"
-        )
-    else:
-        yield DoctorFinding(
-            "transport", "profile", DoctorState.MISSING, f"{given}={profile} is not a file", f"unset {given}"
-        )
+    fine, origin = profile.is_file(), f"from {given}" if given else "default"
+    said = f"{profile} ({origin})" if fine else f"{given}={profile} is not a file"
+    yield DoctorFinding.judged("transport", "profile", fine, said, f"unset {given}", DoctorState.MISSING)
     domain, reach = environment.get("ROS_DOMAIN_ID", "0"), environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
     yield DoctorFinding("transport", "discovery", DoctorState.OK, f"domain {domain}, range {reach}")
     yield _participant(environment)
@@ -175,72 +162,46 @@ def check_transport() -> Iterator[DoctorFinding]:
 
 def _participant(environment: Mapping[str, str]) -> DoctorFinding:
     """Start a real participant and query it."""
-    wanted = environment["RMW_IMPLEMENTATION"]
+    area, name, wanted = "transport", "participant", environment["RMW_IMPLEMENTATION"]
     command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
     try:
         ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
             command, env=dict(environment), capture_output=True, text=True, timeout=60
         )
     except subprocess.TimeoutExpired:
-        return DoctorFinding("transport", "participant", DoctorState.MISSING, f"{wanted}: did not start within 60 s")
+        return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: did not start within 60 s")
     lines = [line for line in ran.stdout.splitlines() if line.startswith("{")]
     if ran.returncode != 0 or not lines:
         last = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
-        return DoctorFinding(
-            "transport",
-            "participant",
-            DoctorState.MISSING,
-            f"{wanted}: {last}",
-            f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'",
-        )
+        remedy = f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'"
+        return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: {last}", remedy)
     answer = json.loads(lines[-1])
     largest = max(answer["segment_bytes"], default=0)
     if answer["rmw"] != "rmw_fastrtps_cpp":
-        return DoctorFinding(
-            "transport", "participant", DoctorState.OK, f"{answer['rmw']}: configure it for images yourself"
-        )
+        return DoctorFinding(area, name, DoctorState.OK, f"{answer['rmw']}: configure it for images yourself")
     if largest < 32 << 20:
         detail = f"shared memory of {largest / 1e6:.1f} MB: too small for images, some will be lost"
-        return DoctorFinding(
-            "transport",
-            "participant",
-            DoctorState.WARNING,
-            detail,
-            "enlarge /dev/shm (see below), unset profile variables",
-        )
-    return DoctorFinding(
-        "transport", "participant", DoctorState.OK, f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
-    )
+        remedy = "enlarge /dev/shm (see below), unset profile variables"
+        return DoctorFinding(area, name, DoctorState.WARNING, detail, remedy)
+    detail = f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
+    return DoctorFinding(area, name, DoctorState.OK, detail)
 
 
 def check_shared_memory() -> Iterator[DoctorFinding]:
+    area, folder = "shared memory", str(shared_memory.SHM_FOLDER)
     free = shared_memory.free_bytes()
     if free is None:
-        yield DoctorFinding(
-            "shared memory",
-            str(shared_memory.SHM_FOLDER),
-            DoctorState.WARNING,
-            "not available: images use UDP, which is slow",
-            "mount -t tmpfs tmpfs /dev/shm",
-        )
+        said = "not available: images use UDP, which is slow"
+        yield DoctorFinding(area, folder, DoctorState.WARNING, said, "mount -t tmpfs tmpfs /dev/shm")
         return
-    needed = shared_memory.BYTES_PER_PARTICIPANT * SMALLEST_SITE_NODES
-    nodes = free // shared_memory.BYTES_PER_PARTICIPANT
-    yield DoctorFinding(
-        "shared memory",
-        str(shared_memory.SHM_FOLDER),
-        DoctorState.OK if free >= needed else DoctorState.WARNING,
-        f"{free >> 20} MB free, enough for {nodes} nodes",
-        "" if free >= needed else "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g",
-    )
+    fine = free >= shared_memory.BYTES_PER_PARTICIPANT * SMALLEST_SITE_NODES
+    said = f"{free >> 20} MB free, enough for {free // shared_memory.BYTES_PER_PARTICIPANT} nodes"
+    remedy = "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g"
+    yield DoctorFinding.judged(area, folder, fine, said, remedy)
     seen = shared_memory.survey()
-    yield DoctorFinding(
-        "shared memory",
-        "segments",
-        DoctorState.WARNING if seen.stale else DoctorState.OK,
-        f"{seen.segments_in_use} in use, {len(seen.stale)} objects of dead processes ({seen.stale_bytes >> 20} MB)",
-        "fastdds shm clean (`ltm run` also does it)" if seen.stale else "",
-    )
+    stale = f"{len(seen.stale)} objects of dead processes ({seen.stale_bytes >> 20} MB)"
+    said, remedy = f"{seen.segments_in_use} in use, {stale}", "fastdds shm clean (`ltm run` also does it)"
+    yield DoctorFinding.judged(area, "segments", not seen.stale, said, remedy)
 
 
 def check_models() -> Iterator[DoctorFinding]:
@@ -265,30 +226,13 @@ def check_models() -> Iterator[DoctorFinding]:
 
 
 def check_machine() -> Iterator[DoctorFinding]:
-    cores = available_cores()
-    yield DoctorFinding(
-        "machine",
-        "cores",
-        DoctorState.OK if cores >= 2 else DoctorState.WARNING,
-        f"{cores} for this process",
-        "" if cores >= 2 else "assign two cores: nodes wait for each other on one",
-    )
-    memory = _memory_gb()
-    yield DoctorFinding(
-        "machine",
-        "memory",
-        DoctorState.OK if memory >= LEAST_MEMORY_GB else DoctorState.WARNING,
-        f"{memory:.1f} GB for this process",
-        "" if memory >= LEAST_MEMORY_GB else f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
-    )
-    folder = numba_cache()
-    yield DoctorFinding(
-        "machine",
-        "numba cache",
-        DoctorState.OK if folder else DoctorState.WARNING,
-        str(folder) if folder else "no writable folder: kernels are compiled again at each start",
-        "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
-    )
+    area, cores, memory, folder = "machine", available_cores(), _memory_gb(), numba_cache()
+    remedy = "assign two cores: nodes wait for each other on one"
+    yield DoctorFinding.judged(area, "cores", cores >= 2, f"{cores} for this process", remedy)
+    remedy = f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only"
+    yield DoctorFinding.judged(area, "memory", memory >= LEAST_MEMORY_GB, f"{memory:.1f} GB for this process", remedy)
+    said = str(folder or "no writable folder: kernels are compiled again at each start")
+    yield DoctorFinding.judged(area, "numba cache", folder, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
 
 
 def check_tower(site: Path | None) -> Iterator[DoctorFinding]:

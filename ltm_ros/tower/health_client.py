@@ -39,6 +39,13 @@ class DoctorFinding:
     remedy: str = ""
     """Command that fixes it."""
 
+    @classmethod
+    def judged(
+        cls, area: str, name: str, fine: object, detail: str, remedy: str, bad: DoctorState = DoctorState.WARNING
+    ) -> DoctorFinding:
+        """Return a finding that is ok, or has the state `bad` and the remedy."""
+        return cls(area, name, DoctorState.OK if fine else bad, detail, "" if fine else remedy)
+
 
 LARGEST = 16 << 20
 

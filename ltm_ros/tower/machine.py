@@ -1,4 +1,4 @@
-"""Read the state of a tower's machine: memory, disks, and the memory of the graph's processes."""
+"""Read and judge the state of a tower's machine: clock, disks, memory, and the memory of the graph's processes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,34 @@ import math
 import platform
 import shutil
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ltm_ros.runtime.clocks import KernelClock
+
 KEPT_S = 5.0
 """Seconds for which the memory of processes is cached."""
+LEAST_FREE = 0.05
+"""Free share of a disk below which a warning is given."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing of a tower that may have a problem."""
+
+    kind: str
+    """`camera`, `pose`, `node`, `clock`, `disk` or `outbox`."""
+    name: str
+    state: str
+    """`ok`, or what it is; for a camera its state."""
+    problem: str
+    """Problem in words; empty: none."""
+
+    @classmethod
+    def judged(cls, kind: str, name: str, state: str, problem: str) -> Condition:
+        """Return a condition with this state, or `ok` without a problem."""
+        return cls(kind, name, state if problem else "ok", problem)
 
 
 @dataclass(frozen=True)
@@ -33,6 +55,18 @@ def disks(folders: Iterable[str]) -> list[Disk]:
         except OSError:
             found.append(Disk(folder, -1, -1))
     return found
+
+
+def machine_conditions(clock: KernelClock, disks: Iterable[Disk]) -> Iterator[Condition]:
+    if clock.synchronised is not None:
+        problem = "The system clock is not synchronised (no NTP). Frames from different towers may not line up."
+        yield Condition.judged("clock", "system", "unsynchronised", "" if clock.synchronised else problem)
+    for disk in disks:
+        low = f"{disk.folder}: {disk.free / 1e9:.1f} GB free of {disk.total / 1e9:.0f} GB"
+        if disk.total < 0:
+            yield Condition("disk", disk.folder, "missing", f"{disk.folder}: does not exist")
+        else:
+            yield Condition.judged("disk", disk.folder, "low", low if disk.free < LEAST_FREE * disk.total else "")
 
 
 def memory() -> tuple[int, int]:

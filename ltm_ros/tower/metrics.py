@@ -52,6 +52,8 @@ class TowerCollector(Collector):
             "ltm_ready", "Whether every node reports and every camera sends (/readyz)", value=status.ready
         )
         yield GaugeMetricFamily("ltm_wrong", "Number of current problems", value=len(status.wrong))
+        problems = [((one.kind, one.name), bool(one.problem)) for one in status.conditions]
+        yield _gauge("ltm_problem", "Whether something has a problem", problems, ("kind", "name"))
 
     def _outbox(self) -> Iterator[Metric]:
         outbox = self._status.outbox
@@ -70,8 +72,6 @@ class TowerCollector(Collector):
         yield _gauge(since, "Start of a camera's state", [((one.name,), one.since_s) for one in cameras], ("camera",))
         ages = [((one.name,), one.frame_age_s) for one in cameras if one.frame_age_s is not None]
         yield _gauge("ltm_frame_age_seconds", "Age of the newest frame", ages, ("camera",))
-        wrong = [((one.name,), bool(one.wrong)) for one in cameras]
-        yield _gauge("ltm_camera_wrong", "Whether a camera has a problem", wrong, ("camera",))
         finished = CounterMetricFamily("ltm_frames_finished", "Frames processed by all nodes", labels=("camera",))
         for camera in cameras:
             finished.add_metric((camera.name,), camera.finished)

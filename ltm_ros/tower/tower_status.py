@@ -6,13 +6,13 @@ Metrics, `ltm status`, the status page and the health checks all use it, so they
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.runtime.health import CameraState
-from ltm_ros.tower.machine import Disk
+from ltm_ros.tower.machine import Condition, Disk, machine_conditions
 
 SILENT_S = 10.0
 """Seconds without diagnostics after which a node counts as dead; diagnostics come once a second."""
@@ -24,8 +24,6 @@ LARGEST_COUNT = 2.0**53
 """Largest integer that JSON and Prometheus represent exactly."""
 OUTBOX_KEYS = ("outbox_frames", "outbox_bytes", "outbox_age_s", "link_up")
 """Keys of the outbox in the reports of node `uplink`."""
-LEAST_FREE = 0.05
-"""Free share of a disk below which a warning is given."""
 
 
 class StatedValues:
@@ -128,8 +126,13 @@ class TowerStatus:
     frame_limit_s: float
     outbox: OutboxState | None = None
     """None: the site belongs to no region, or its node `uplink` has not reported."""
-    wrong: Sequence[str] = field(default_factory=tuple)
-    """Problems as sentences, the most severe first."""
+    conditions: Sequence[Condition] = field(default_factory=tuple)
+    """The most severe first."""
+
+    @property
+    def wrong(self) -> Sequence[str]:
+        """Return the problems as sentences, the most severe first."""
+        return [condition.problem for condition in self.conditions if condition.problem]
 
     @property
     def alive(self) -> bool:
@@ -142,7 +145,7 @@ class TowerStatus:
         return self.alive and all(camera.state.sending for camera in self.cameras)
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self) | {"alive": self.alive, "ready": self.ready}
+        return asdict(self) | {"alive": self.alive, "ready": self.ready, "wrong": self.wrong}
 
 
 class TowerWatch:
@@ -198,7 +201,7 @@ class TowerWatch:
             process_memory=process_memory,
             frame_limit_s=self._frame_limit_s,
             outbox=outbox,
-            wrong=tuple(_sentences(nodes, cameras, clock, disks, outbox)),
+            conditions=tuple(_conditions(nodes, cameras, clock, disks, outbox)),
         )
 
     def cameras(self, now_s: float, time_s: float) -> list[CameraStatus]:
@@ -301,34 +304,36 @@ def camera_of(name: str) -> str:
     return parts[1] if len(parts) > 2 else ""
 
 
-def _sentences(
+def _conditions(
     nodes: Sequence[NodeState],
     cameras: Sequence[CameraStatus],
     clock: KernelClock,
     disks: Sequence[Disk],
     outbox: OutboxState | None,
-) -> list[str]:
-    said = [f"{node.name} {node.said}" for node in nodes if node.state in ("silent", "missing")]
-    said += [camera.wrong for camera in cameras if camera.wrong]
-    if clock.synchronised is False:
-        said.append("The system clock is not synchronised (no NTP). Frames from different towers may not line up.")
-    for disk in disks:
-        if disk.total < 0:
-            said.append(f"{disk.folder}: does not exist")
-        elif disk.free < LEAST_FREE * disk.total:
-            said.append(f"{disk.folder}: {disk.free / 1e9:.1f} GB free of {disk.total / 1e9:.0f} GB")
-    if outbox is not None and outbox.frames and not outbox.link_up:
-        said.append(
+) -> Iterator[Condition]:
+    """Yield the conditions, the most severe first."""
+    told = {f"{camera.name}/source" for camera in cameras if camera.wrong}
+    troubled = []
+    for node in nodes:
+        name = node.name.split("/", 2)[-1]
+        if node.state == "troubled" and name not in told:
+            troubled.append(Condition("node", name, node.state, f"{node.name}: {node.said}"))
+        else:
+            dead = node.state in ("silent", "missing")
+            yield Condition.judged("node", name, node.state, f"{node.name} {node.said}" if dead else "")
+    for camera in cameras:
+        sending = camera.state.sending
+        yield Condition("camera", camera.name, camera.state, "" if sending else camera.wrong)
+        if sending:
+            yield Condition.judged("pose", camera.name, "uncertain", camera.wrong)
+    yield from machine_conditions(clock, disks)
+    if outbox is not None:
+        problem = (
             f"no connection to the region's map: {outbox.frames} frames are queued in the outbox, the oldest for "
             f"{_time(outbox.age_s)}"
         )
-    told = {f"{camera.name}/source" for camera in cameras if camera.wrong}
-    said += [
-        f"{node.name}: {node.said}"
-        for node in nodes
-        if node.state == "troubled" and node.name.partition("/")[2].partition("/")[2] not in told
-    ]
-    return said
+        yield Condition.judged("outbox", "region", "waiting", problem if outbox.frames and not outbox.link_up else "")
+    yield from troubled
 
 
 def _time(seconds: float) -> str:

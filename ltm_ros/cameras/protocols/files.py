@@ -18,11 +18,19 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from ltm_core.site.source_config import CameraListConfig, FolderConfig
 from ltm_core.storage.disk_io import is_folder
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
-from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.exposure import exif_time
 from ltm_ros.cameras.protocols.http_client import HttpClient, http_time
 from ltm_ros.cameras.protocols.http_pictures import picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
+from ltm_ros.cameras.protocols.picture import (
+    CameraImage,
+    CameraTime,
+    Nothing,
+    PtzReading,
+    Timing,
+    Tolerance,
+    at_rest,
+    stated_number,
+)
 from ltm_ros.runtime.clocks import Clock
 
 MOST_FILES = 20_000

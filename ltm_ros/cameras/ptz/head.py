@@ -9,7 +9,7 @@ from typing import Protocol
 
 from ltm_core.site.source_config import IsapiConfig, OnvifConfig, PatrolConfig, PtzConfig, ReolinkConfig, VapixConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, StuckPtzError
-from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.picture import PtzReading, Tolerance, at_rest
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from ltm_core.site.source_config import (
     VapixConfig,
 )
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import PtzReading
+from ltm_ros.cameras.protocols.picture import PtzReading
 from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of, span
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, spacing_for, token_of, tolerance_of
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead

@@ -20,7 +20,7 @@ from xml.sax.saxutils import escape  # nosec B406 # writes only
 
 from ltm_core.site.source_config import OnvifConfig, SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import PtzReading
+from ltm_ros.cameras.protocols.picture import PtzReading
 from ltm_ros.cameras.ptz.connection import (
     Connection,
     found,

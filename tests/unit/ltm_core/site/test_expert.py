@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 import yaml
+from site_reference import keys
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from tools.site_reference import keys
 
 SOURCE = {"kind": "snapshot", "url": "http://camera.lan/now.jpg"}
 SIZE = {"width": 640, "height": 480, "hfov_deg": 50}

@@ -68,7 +68,15 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"name": ""}, ["''"]),
         ({"cameras": {"north east": {}}}, ["cameras.north east", "topic names"]),
         ({"cameras": {"fuel_map": {}}}, ["'fuel_map' is the name of a node"]),
-        ({"cameras": {}}, ["cameras"]),
+        ({"cameras": {}}, ["cameras", "ltm cameras probe"]),
+        ({"alerts": {"token": {"environment": "HOOK"}}}, ["alerts", "webhook"]),
+        ({"alerts": {"webhook": "http://u:p@host/"}}, ["alerts.webhook", "password"]),
+        ({"alerts": {"webhook": "ftp://host/"}}, ["alerts.webhook", "http"]),
+        ({"alerts": {"webhook": "http://host/{token}"}}, ["alerts", "token: {credential"]),
+        ({"alerts": {"mqtt": "mqtts://b", "key": "k.pem"}}, ["alerts", "certificate and key"]),
+        ({"alerts": {"mqtt": "mqtts://b", "password": {"file": "p"}}}, ["alerts", "user"]),
+        ({"alerts": {"mqtt": "mqtts://u:p@b"}}, ["alerts.mqtt", "password"]),
+        ({"alerts": {"mqtt": "mqtt://10.0.0.1"}}, ["alerts", "mqtts://10.0.0.1"]),
         ({"crs": "EPSG:4326"}, ["crs", "projected in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
@@ -110,6 +118,20 @@ def test_names_that_no_file_can_have(tmp_path: Path) -> None:
     assert site.fuel.prior is not None
     with pytest.raises(RasterError, match=f"{name}: no such file"):
         load_prior(site.fuel.prior, GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611"))
+
+
+def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
+    broker = {"mqtt": "mqtts://10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
+    site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker})
+    assert site.health is not None
+    assert site.health.address == "127.0.0.1"
+    assert site.alerts is not None
+    assert site.alerts.token is not None
+    assert site.alerts.password is not None
+    assert (site.alerts.token.file, site.alerts.password.file) == (tmp_path / "hook", tmp_path / "mqtt")
+    assert site.alerts.ca == tmp_path / "ca.crt"
+    assert load(tmp_path, alerts={"mqtt": "mqtt://[::1]:1883"}, health={"port": 9000}).health.port == 9000  # type: ignore[union-attr]
+    assert load(tmp_path).health is None
 
 
 def test_no_site_file(tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_io import read_readings
-from ltm_core.site.site_io import load_site
+from ltm_core.site.site_io import load_site, write_camera
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cameras.discovery import discover
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cli import cameras
 from ltm_ros.cli.cameras_watch import state_table
 from ltm_ros.cli.main import cli
 
@@ -60,16 +61,36 @@ def small(tmp_path: Path) -> SmallSite:
     return write_small_site(tmp_path, recording=False)
 
 
-def test_probe_finds_a_fixed_camera_and_its_entry_makes_a_site(small: SmallSite) -> None:
+POSE = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48, "--pitch", -12)
+
+
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        "cameras:\n  tower: {}   # mine\n",
+        "",
+        "cameras: {}\n",
+        "cameras:\n  north: {}\n",
+        "cameras:\n  north:   # mine\n    judge_smoke: false\n",
+    ],
+    ids=["another camera", "no section", "no camera", "README", "begun"],
+)
+def test_probe_adds_a_camera_to_every_site_file_and_completes_it(small: SmallSite, cameras: str) -> None:
+    given = yaml.safe_load(small.path.read_text())
+    del given["cameras"]
+    small.path.write_text(f"# my site\n{yaml.safe_dump(given)}{cameras}")
     with running() as camera:
         camera.behaviour.clock_ahead = 37.0
         camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
-        login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
-        where = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48, "--pitch", -12, "--hfov", 62)
-        said = run("probe", camera.url(), *login, *where, "--site", small.path, "--camera", "north")
+        login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD", "--site", small.path, "--camera", "north")
+        said = run("probe", camera.url(), *login, *POSE, "--hfov", 62)
+        again = run("probe", camera.url(), *login)  # position and lens are in the file now
+        with pytest.raises(ConfigError, match="already has calibration"):
+            run("probe", camera.url(), *login, "--hfov", 50)
+        run("probe", camera.url(), *login, "--hfov", 50, "--replace")
     assert "320 x 180 pixels" in said
     assert "+37." in said or "+36." in said
-    assert "still to be added" not in said
+    assert "still to be added" not in said + again
     site = load_site(small.path)
     north = site.camera("north")
     assert north.source is not None
@@ -77,9 +98,13 @@ def test_probe_finds_a_fixed_camera_and_its_entry_makes_a_site(small: SmallSite)
     assert north.pose is not None
     assert north.pose.azimuth_deg == 48.0
     assert north.calibration is not None
-    assert (north.calibration.width, north.calibration.hfov_deg) == (320, 62.0)
-    assert set(site.cameras) == {"tower", "mast", "north"}
-    assert PASSWORD not in small.path.read_text()
+    assert (north.calibration.width, north.calibration.hfov_deg) == (320, 50.0)
+    assert north.judge_smoke is ("smoke" not in cameras)
+    assert set(site.cameras) == {"north", *({"tower"} if "tower" in cameras else ())}
+    written = small.path.read_text()
+    assert PASSWORD not in written
+    assert "# my site" in written
+    assert ("# mine" in cameras) is ("# mine" in written)
 
 
 def test_probe_finds_a_head_by_the_camera_s_bare_address(camera: HttpCamera, small: SmallSite) -> None:
@@ -93,6 +118,15 @@ def test_probe_finds_a_head_by_the_camera_s_bare_address(camera: HttpCamera, sma
     assert north.mount is not None
     assert north.mount.lens is not None
     assert north.mount.lens.zoom[0].hfov_deg == 62.6  # ALERTCalifornia's, until it is calibrated
+
+
+def test_a_camera_with_a_stated_pose_is_fixed_although_it_could_turn(camera: HttpCamera, small: SmallSite) -> None:
+    run("probe", camera.url(""), *POSE[:6], "--hfov", 62, "--site", small.path, "--camera", "turning")
+    write_camera(small.path, "fixed", {"pose": {"x": 0.0, "y": 0.0, "height_above_ground": 9.0, "azimuth_deg": 1.0}})
+    run("probe", camera.url(""), "--hfov", 62, "--site", small.path, "--camera", "fixed")
+    turning, fixed = (load_site(small.path).camera(name) for name in ("turning", "fixed"))
+    assert (turning.ptz is None, turning.mount is None, turning.pose is None) == (False, False, True)
+    assert (fixed.ptz is None, fixed.mount is None, fixed.source is None) == (True, True, False)
 
 
 @pytest.mark.parametrize(
@@ -160,12 +194,15 @@ def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
-def test_probe_listens_to_rtsp_and_measures_its_clock() -> None:
+def test_probe_listens_to_rtsp_measures_its_clock_and_adds_it_to_a_site(small: SmallSite) -> None:
     with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
-        said = run("probe", stream.url, "--timeout", 3)
-    assert "kind: rtsp" in said
+        where = (*POSE, "--hfov", 62, "--site", small.path, "--camera", "north")
+        said = run("probe", stream.url, "--timeout", 3, *where)
     assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
     assert "+37." in said or "+36.9" in said
+    source = load_site(small.path).camera("north").source
+    assert source is not None
+    assert source.kind == "rtsp"
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
@@ -181,6 +218,17 @@ def test_a_password_is_typed_and_neither_shown_nor_written(camera: HttpCamera) -
     said = run("probe", camera.url(), "--user", "viewer", "--azimuth", 3, typed=f"{PASSWORD}\n")
     assert "environment: LTM_NORTH_PASSWORD" in said
     assert "export LTM_NORTH_PASSWORD=..." in said
+
+
+@pytest.mark.parametrize(("folder", "kept"), [("credentials", "credential: north"), ("elsewhere", "file: ")])
+def test_a_password_of_an_installed_tower_is_named_as_a_credential(
+    camera: HttpCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, kept: str
+) -> None:
+    camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    monkeypatch.setattr(cameras, "CREDENTIALS", tmp_path / "credentials")
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "north").write_text(PASSWORD)
+    assert kept in run("probe", camera.url(), "--user", "viewer", "--password-file", tmp_path / folder / "north")
 
 
 @pytest.mark.parametrize(
@@ -208,7 +256,7 @@ def test_mistakes_are_told(arguments: tuple[str, ...], told: str) -> None:
 
 def test_what_is_still_lacking_is_told_and_the_site_file_stays(camera: HttpCamera, small: SmallSite) -> None:
     before = small.path.read_text()
-    with pytest.raises(ConfigError, match=r"not changed: the new entry lacks mount"):
+    with pytest.raises(ConfigError, match=r"not changed: camera north lacks mount"):
         run("probe", camera.url(""), "--site", small.path, "--camera", "north")
     assert small.path.read_text() == before
 

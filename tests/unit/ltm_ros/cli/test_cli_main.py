@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +19,7 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_ros.cli import main
+from ltm_ros.cli.demo import to_type
 
 COMMANDS = (
     "demo", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
@@ -31,11 +34,49 @@ def ltm(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command: str) -> None:
-    result = CliRunner().invoke(main.cli, [command, "--help"], env={"COLUMNS": "200"})
+def described(command: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the path and the description of the command line and of each command below it."""
+    yield path, command
+    for name, below in getattr(command, "commands", {}).items():
+        yield from described(below, f"{path} {name}".strip())
+
+
+ALL = dict(described(get_command(main.cli)))
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_every_command_explains_itself_with_examples_and_says_what_goes_in(path: str) -> None:
+    result = CliRunner().invoke(main.cli, [*path.split(), "--help"], env={"COLUMNS": "200"}, prog_name="ltm")
     assert result.exit_code == 0, result.output
-    assert f"Usage: ltm {command}" in result.output
+    assert f"Usage: ltm {path}".strip() in result.output
+    assert re.search(rf"Examples:\s+ltm {path}", result.output)
+    assert (
+        re.findall(r"<(?:str|int|float|path|bool|list)\b[^>]*>|\b(?:TEXT|INTEGER|FLOAT|PATH|BOOLEAN)\b", result.output)
+        == []
+    )
+
+
+@pytest.mark.parametrize(("path", "line"), [(path, line) for path, lines in main.EXAMPLES.items() for line in lines])
+def test_the_examples_parse(path: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert line.startswith(f"ltm {path}".strip())
+    words = shlex.split(line)[1:]
+    below = max((p for p in ALL if words[: len(p.split())] == p.split()), key=len)
+    ALL[below].make_context(below, words[len(below.split()) :])  # raises a usage error for what does not parse
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "is_path", "expected"),
+    [
+        ("azimuth", "Azimuth in degrees from grid north.", False, "DEGREES"),
+        ("out", "Folder for the file of results.", True, "FOLDER"),
+        ("out", "Output file, or folder.", True, "FILE"),
+        ("since", "Date in days.", False, "DATE"),
+        ("tower", "Name of a tower.", False, "TOWER"),
+    ],
+)
+def test_metavars(name: str, text: str, is_path: bool, expected: str) -> None:
+    assert main.metavar_of(name, text, is_path) == expected
 
 
 def test_help_names_every_command() -> None:
@@ -44,16 +85,8 @@ def test_help_names_every_command() -> None:
     assert all(f" {command} " in result.output for command in COMMANDS)
 
 
-def options_of(command: Any, path: str) -> Iterator[tuple[str, int]]:
-    """Yield each command below `command` with its number of options."""
-    for name, found in getattr(command, "commands", {}).items():
-        yield from options_of(found, f"{path} {name}")
-    if not hasattr(command, "commands"):
-        yield path, sum(parameter.param_type_name == "option" for parameter in command.params)
-
-
 def test_no_command_has_more_than_fourteen_options() -> None:
-    counts = dict(options_of(get_command(main.cli), "ltm"))
+    counts = {path: sum(p.param_type_name == "option" for p in command.params) for path, command in ALL.items()}
     assert len(counts) > len(COMMANDS)
     assert {path: count for path, count in counts.items() if count > 14} == {}
 
@@ -63,6 +96,18 @@ def test_short_help_and_version() -> None:
     assert told.exit_code == 0
     assert "Usage: ltm export" in told.output
     assert CliRunner().invoke(main.cli, ["--version"]).output == f"ltm {version('ltm')}\n"
+
+
+def test_the_demo_ends_with_a_command_that_works_in_the_users_shell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / ".venv"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    assert to_type("ltm view") == "source .venv/bin/activate && ltm view"
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin/ltm").touch(mode=0o755)
+    assert to_type("ltm view") == "ltm view"
 
 
 def test_no_command_stands_twice() -> None:

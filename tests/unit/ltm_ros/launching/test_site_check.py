@@ -105,7 +105,7 @@ def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch
     assert told.value.status == 78
 
 
-def test_what_a_source_lacks_is_doubted_and_keeps_nothing_from_starting(
+def test_what_a_source_or_an_alert_lacks_is_doubted_and_keeps_nothing_from_starting(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = write_small_site(tmp_path, recording=False)
@@ -116,17 +116,19 @@ def test_what_a_source_lacks_is_doubted_and_keeps_nothing_from_starting(
     content["cameras"]["tower"] = content["cameras"]["mast"] | {
         "source": snapshot | {"password": {"environment": "TOWER_PASSWORD"}}
     }
+    content["alerts"] = {"webhook": "http://127.0.0.1/", "token": {"environment": "TOWER_PASSWORD"}}
     small.path.write_text(yaml.safe_dump(content))
     monkeypatch.delenv("TOWER_PASSWORD", raising=False)
 
     def doubts() -> list[str]:
-        found = [one for one in examine(small.path, Wanted()).findings if one.name.startswith("source of")]
+        found = [one for one in examine(small.path, Wanted()).findings if one.name.startswith(("source of", "alerts"))]
         assert exit_status(found) == 0
         return [one.said for one in found if one.verdict is SiteVerdict.DOUBTFUL]
 
     first = doubts()
-    assert len(first) == 3
+    assert len(first) == 4
     assert "TOWER_PASSWORD is not set" in first[1]
+    assert "TOWER_PASSWORD is not set" in first[3]
     assert str(tmp_path / "camera.pem") in first[2]
     monkeypatch.setenv("TOWER_PASSWORD", "secret")
     (tmp_path / "drop").mkdir()

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 from scenes.tower_words import healths, status_of, watch_of
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra `tower` is not installed")
@@ -15,6 +18,7 @@ parser = pytest.importorskip("prometheus_client.parser", reason="the extra `towe
 from ltm_ros.tower.metrics import exposition  # noqa: E402
 
 DASHBOARD = Path(__file__).parents[4] / "packaging/grafana/ltm.json"
+RULES = Path(__file__).parents[4] / "config/alerts/ltm.rules.yml"
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
@@ -101,10 +105,59 @@ def test_names_that_somebody_made_to_harm_break_no_line() -> None:
     assert 'a"} 1\nltm_alive 0\n{b="' in causes
 
 
+def scraped() -> str:
+    made = healths()
+    made["/ridge/north/topodepth"].gauge("verdict", "pose_suspected")
+    return exposition(status_of(watch_of(made))).decode()
+
+
 def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
-    names = {name for name, _ in samples(exposition(status_of(watch_of(healths()))).decode())}
+    names = {name for name, _ in samples(scraped())}
     dashboard = json.loads(DASHBOARD.read_text())
     expressions = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", ())]
     asked = {name for expression in expressions for name in re.findall(r"ltm_[a-z_]+", expression)}
     assert len(asked) > 10
     assert asked <= names | {"ltm_clock_error_seconds"}
+
+
+def test_alert_rules_use_metrics_and_labels_that_there_are() -> None:
+    published = samples(scraped())
+    labels: dict[str, set[str]] = {}
+    for name, pairs in published:
+        labels.setdefault(name, set()).update(f"{key}={value}" for key, value in pairs)
+    rules = [rule for group in yaml.safe_load(RULES.read_text())["groups"] for rule in group["rules"]]
+    assert len(rules) > 5
+    for rule in rules:
+        asked = re.findall(r"(\w+)(?:{([^}]*)})? *(?:[=<>/]|unless|and|$)", rule["expr"])
+        named = [(name, selector) for name, selector in asked if name.startswith("ltm_")]
+        assert named or rule["alert"] == "LtmTowerUnreachable"
+        for name, selector in named:
+            assert name in labels, rule
+            for key, values in re.findall(r'(\w+)=~?"([^"]*)"', selector):
+                assert {f"{key}={value}" for value in values.split("|")} <= labels[name], rule
+
+
+def test_prometheus_fires_each_rule_on_what_a_tower_publishes(tmp_path: Path) -> None:
+    promtool = shutil.which("promtool")
+    if promtool is None:
+        pytest.skip("needs promtool: apt install prometheus")
+    series = []
+    for (name, pairs), value in samples(scraped()).items():
+        if math.isfinite(value):
+            text = ",".join(f"{key}={json.dumps(said)}" for key, said in (*pairs, ("instance", "t"), ("job", "ltm")))
+            series.append({"series": f"{name}{{{text}}}", "values": f"{value}x40"})
+    series += [{"series": 'up{instance="t", job="ltm"}', "values": "0x40"}]
+    series += [{"series": 'ltm_node_up{instance="t", node="/ridge/east/depth"}', "values": "0x40"}]
+    names = {rule["alert"] for rule in yaml.safe_load(RULES.read_text())["groups"][0]["rules"]}
+    expected = [{"labels": f'{{alertname="{name}"}}', "value": 1} for name in sorted(names - {"LtmFramesOld"})]
+    firing = {"expr": 'group by (alertname) (ALERTS{alertstate="firing"})', "eval_time": "30m", "exp_samples": expected}
+    tests = [{"interval": "1m", "input_series": series, "promql_expr_test": [firing]}]
+    old = [{"series": 'ltm_frame_age_seconds{camera="north"}', "values": "1000x40"}]
+    night = [{"series": 'ltm_camera_state{camera="north", state="night"}', "values": "0x5 1x40"}]
+    for eval_time, count in (("3m", [{"labels": "{}", "value": 1}]), ("20m", [])):
+        query = {"expr": 'count(ALERTS{alertstate="firing"})', "eval_time": eval_time, "exp_samples": count}
+        tests.append({"interval": "1m", "input_series": old + night, "promql_expr_test": [query]})
+    file = tmp_path / "rules_test.yml"
+    file.write_text(yaml.safe_dump({"rule_files": [str(RULES)], "evaluation_interval": "1m", "tests": tests}))
+    done = subprocess.run([promtool, "test", "rules", str(file)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -20,7 +20,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.camera_source import CameraDirection
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.direction import PtzReading
+from ltm_ros.cameras.protocols.picture import PtzReading
 from ltm_ros.runtime.clocks import SystemClock
 
 PASSWORD = "NORTH_PASSWORD"

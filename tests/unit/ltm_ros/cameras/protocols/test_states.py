@@ -12,13 +12,15 @@ from scenes.source_under_test import Sourced, TurnedClock, settings
 from scenes.timed_picture import jpeg, scene
 
 from ltm_ros.cameras.protocols.credentials import PictureError
-from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
     CameraTime,
     Nothing,
+    PtzReading,
     StuckPicture,
     Timing,
+    Tolerance,
+    at_rest,
     difference_hash,
     is_night,
     same_share,

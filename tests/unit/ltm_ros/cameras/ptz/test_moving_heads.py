@@ -23,8 +23,7 @@ from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig,
 from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
-from ltm_ros.cameras.protocols.picture import CameraImage, Timing
+from ltm_ros.cameras.protocols.picture import CameraImage, PtzReading, Timing, Tolerance
 from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.runtime.clocks import SystemClock
