@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -61,12 +61,13 @@ class BagReader:
     warning. Chunks are only checked when their messages are read, so check `damage` and `lost` again afterwards.
     """
 
-    def __init__(self, path: Path | str, allow_damaged: bool = True) -> None:
-        """Open a bag folder or an .mcap file.
+    def __init__(self, path: Path | str, allow_damaged: bool = True, names: Mapping[str, str] | None = None) -> None:
+        """Open a bag folder or one of its files. `names`: other names of its topics.
 
         Raises RecordingError when there is none, it is another format, or, without `allow_damaged`, it is damaged.
         """
         self.path = Path(path)
+        self._names = dict(names or {})
         self._notes: list[str] = []
         self._files = [McapIndex.open(file) for file in self._mcap_files()]
         self._topics = self._collect_topics()
@@ -83,7 +84,8 @@ class BagReader:
     @property
     def lost(self) -> Counter[str]:
         """Return the messages of unreadable parts so far, by topic; under "", one for each part of unknown content."""
-        return sum((file.lost for file in self._files), Counter[str]())
+        lost = sum((file.lost for file in self._files), Counter[str]())
+        return Counter({self._names.get(topic, topic): count for topic, count in lost.items()})
 
     @property
     def unread(self) -> tuple[str, ...]:
@@ -122,11 +124,16 @@ class BagReader:
     def _messages_of(
         self, file: McapIndex, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
     ) -> Iterator[BagMessage]:
-        wanted = {i for i, c in file.channels.items() if topics is None or c.topic in topics}
+        wanted = {i for i, c in file.channels.items() if topics is None or self._named(c) in topics}
         for channel, message in file.messages(wanted, start_ns, end_ns):
             type_name, encoding = _type_of(file, channel), channel.message_encoding
-            yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data, encoding)
+            yield BagMessage(
+                self._named(channel), message.log_time, message.publish_time, type_name, message.data, encoding
+            )
         self._log_damage()
+
+    def _named(self, channel: Channel) -> str:
+        return self._names.get(channel.topic, channel.topic)
 
     def _log_damage(self) -> None:
         for note in self.damage[self._logged :]:
@@ -161,8 +168,8 @@ class BagReader:
         topics: dict[str, TopicInfo] = {}
         for file in self._files:
             for channel_id, channel in sorted(file.channels.items()):
-                known = topics.get(channel.topic)
-                topics[channel.topic] = TopicInfo(
+                known = topics.get(name := self._named(channel))
+                topics[name] = TopicInfo(
                     known.type_name if known else _type_of(file, channel),
                     file.counts.get(channel_id, 0) + (known.message_count if known else 0),
                     is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,12 @@ from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.reader import TopicInfo, decoded
+from ltm_msgs_py.bag.cdr import header_of, transforms_of
+from ltm_msgs_py.bag.reader import BagMessage, BagReader, TopicInfo, decoded
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import POSE_TYPES, as_stamped_pose, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
+from ltm_ros.runtime.frame_join import CameraPoses
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -28,6 +30,7 @@ from ltm_ros.runtime.topics import (
     image_topics,
     input_topic,
     other_inputs,
+    transform_topics,
 )
 
 _IMAGES = (IMAGE_COMPRESSED.type, IMAGE_RAW.type)
@@ -70,6 +73,115 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
             if name in recorded and (topic in needed or recorded[name].type_name in accepted_types(topic)):
                 found[name] = topic
     return found
+
+
+class InputReader:
+    """The input messages of a site's cameras in a bag, as their nodes subscribe to them (`topics`, by absolute name).
+
+    A pose in transforms, or of another frame that transforms lead on from, becomes the camera's own pose.
+    """
+
+    def __init__(self, reader: BagReader, site: Site) -> None:
+        recorded = reader.topic_infos()
+        self.reader, self._site_name = reader, site.name
+        self.topics = recorded_inputs(site, recorded)
+        self._images = {
+            camera: [camera_topic(site.name, camera, topic) for topic in image_topics(config)]
+            for camera, config in site.cameras.items()
+        }
+        self._moving: dict[str, str] = {}
+        self._static: dict[str, str] = {}
+        self._poses: dict[str, str] = {}
+        """Topic of moving and static transforms, and of poses, by camera."""
+        for camera, config in site.cameras.items():
+            pose = next((topic for topic in other_inputs(config) if topic.counted_name == POSE.name), None)
+            if pose is None:
+                continue
+            moving, static = transform_topics(config)
+            name = camera_topic(site.name, camera, pose)
+            if moving and {moving, static} & recorded.keys():
+                self._moving[camera], self.topics[name] = moving, pose
+            if static in recorded and (moving or name in recorded):
+                self._static[camera], self._poses[camera] = static, name
+            elif moving:
+                self._poses[camera] = name
+
+    @property
+    def converts(self) -> bool:
+        """Return whether messages are converted, so that their number is unknown."""
+        return bool(self._poses)
+
+    def messages(
+        self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """Yield messages of some of `topics`, as `BagReader.messages`."""
+        poses = {camera: self._camera_poses(camera) for camera, name in self._poses.items() if name in topics}
+        moving = {self._moving[camera] for camera in poses if camera in self._moving}
+        images = {name: camera for camera in poses if camera in self._moving for name in self._images[camera]}
+        stated = {self._poses[camera]: camera for camera in poses if camera not in self._moving}
+        for message in self.reader.messages({*topics, *moving, *images}, start_ns, end_ns):
+            if message.topic in moving:
+                for camera in poses:
+                    if self._moving.get(camera) == message.topic:
+                        yield from self._transformed(poses[camera], self._poses[camera], message)
+                continue
+            if message.topic in stated:
+                yield from _converted(poses[stated[message.topic]], message)
+                continue
+            if message.topic in images:
+                camera = images[message.topic]
+                yield from _at_image(poses[camera], self._poses[camera], message)
+            if message.topic in topics:
+                yield message
+        for camera in poses.keys() & self._moving.keys():
+            if missing := poses[camera].missing():
+                _log.warning("%s: %s", camera, missing)
+
+    def _camera_poses(self, camera: str) -> CameraPoses:
+        """Return a camera's transforms with all static ones, also those before a replay's start."""
+        first = next(self.reader.messages(self._images[camera]), None)
+        poses = CameraPoses((header_of(first.raw)[1] if first else "") or f"{camera}_optical")
+        static = self._static.get(camera)
+        for message in self.reader.messages([static]) if static else ():
+            for _ in self._transformed(poses, "", message, static=True):
+                pass
+        return poses
+
+    def _transformed(
+        self, poses: CameraPoses, name: str, message: BagMessage, static: bool = False
+    ) -> Iterator[BagMessage]:
+        try:
+            for pose in poses.of_transforms(transforms_of(message.raw), static):
+                yield _pose_message(name, message, pose)
+        except LtmError as error:
+            _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
+
+
+def _converted(poses: CameraPoses, message: BagMessage) -> Iterator[BagMessage]:
+    """Yield a recorded pose as the camera's; an invalid one as it is, for its reader to count."""
+    if message.type_name not in POSE_TYPES:
+        yield message
+        return
+    try:
+        for pose in poses.of_pose(decoded(message.raw, message.type_name, message.encoding)):
+            yield _pose_message(message.topic, message, pose)
+    except LtmError:
+        yield message
+
+
+def _at_image(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
+    try:
+        stamp, frame = header_of(message.raw)
+        for pose in poses.of_image(frame, stamp):
+            yield _pose_message(name, message, pose)
+    except LtmError:
+        return  # the image's reader counts it
+
+
+def _pose_message(name: str, source: BagMessage, pose: Any) -> BagMessage:
+    from rclpy.serialization import serialize_message  # who only reads topics need not load the middleware
+
+    return BagMessage(name, source.log_time_ns, source.publish_time_ns, type_name_of(pose), serialize_message(pose))
 
 
 def is_image(topic: Topic) -> bool:

@@ -67,7 +67,7 @@ class Recorded:
 
         Raises RecordingError without a site or date, ConfigError for an invalid site.
         """
-        path = site or _site_of(bag)
+        path = site or site_of(bag)
         folder = truth or path.resolve().parent
         dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
         if date is None and len(dates) > 1:
@@ -109,7 +109,10 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
             yield RecordedFrame(camera, frame.stamp_ns, *parts)
 
 
-def _site_of(bag: Path) -> Path:
+def site_of(bag: Path) -> Path:
+    """Return the site file in or beside a bag, or the shipped one with the cameras of its topics. Raises
+    RecordingError.
+    """
     folder = bag.resolve()
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
@@ -121,9 +124,7 @@ def _site_of(bag: Path) -> Path:
                 return project_path(shipped)
             except LtmError:
                 continue
-    raise RecordingError(
-        f"{bag}: no site.yaml beside it, and no shipped site has the cameras {', '.join(sorted(names))}: give --site"
-    )
+    raise RecordingError(f"{bag}: no site.yaml is in it or beside it; give the site file with --site")
 
 
 def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:

@@ -23,6 +23,14 @@ FIX = Topic("fix", NavSatFix, counted=False)
 IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundred a second
 """Sensor from which a camera's pose is computed if its site file enables it (`sensors`)."""
 
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # its package has no wheel
+    TFMessage = None
+TF = None if TFMessage is None else Topic("/tf", TFMessage, depth=100, counted=False)
+TF_STATIC = None if TFMessage is None else Topic("/tf_static", TFMessage, latched=True, depth=100, counted=False)
+"""Transforms from `map` to each camera's link and optical frame (REP-105), if the package tf2_msgs is installed."""
+
 SOURCE_INFO = Topic("source/info", String, latched=True)
 """Uncertainty of a frame's stamp, its source, and whether this computer's clock was synchronised."""
 
@@ -125,9 +133,18 @@ def camera_topic(site: str, camera: str, topic: Topic) -> str:
 
 
 def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
-    """Return a topic under the name that the site file gives it, if any."""
+    """Return a topic under the name that the site file gives it, if any; transforms become poses on the usual topic."""
     name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
-    return replace(topic, name=name, usual_name=topic.name) if name else topic
+    if not name or (topic is POSE and transform_topics(camera)[0]):
+        return topic
+    return replace(topic, name=name, usual_name=topic.name, any_pose=topic is POSE)
+
+
+def transform_topics(camera: CameraConfig) -> tuple[str, str]:
+    """Return the topics of moving transforms, if the site file names them as the camera's pose, and of static ones."""
+    name = camera.topics.pose or ""
+    moving = name if name.endswith("/tf") else ""
+    return moving, f"{moving or '/tf'}_static"
 
 
 def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:

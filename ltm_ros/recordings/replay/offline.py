@@ -19,7 +19,7 @@ from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of, stamp_text, time_text
 from ltm_ros.launching.graph import Graph, NodeSpec
-from ltm_ros.recordings.inputs import beside_expected, decoded_input, is_image, recorded_inputs, warn_of_ignored
+from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input, is_image, warn_of_ignored
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
@@ -37,9 +37,9 @@ class Selection:
     messages, those that are invalid, and those lost in damaged parts.
     """
 
-    reader: BagReader
+    inputs: InputReader
     topics: dict[str, Topic]
-    """Recorded topics by absolute name, as their nodes subscribe to them."""
+    """Topics by absolute name, as their nodes subscribe to them."""
     begin_ns: int
     end_ns: int
     """One ns past the last message's log time."""
@@ -49,12 +49,21 @@ class Selection:
 
     @classmethod
     def open(
-        cls, bag: Path, site: Site, start: float = 0.0, duration: float | None = None, truth: bool = True
+        cls,
+        bag: Path,
+        site: Site,
+        start: float = 0.0,
+        duration: float | None = None,
+        truth: bool = True,
+        names: Mapping[str, str] | None = None,
     ) -> Selection:
-        """Open a bag. Raises RecordingError if it has no image of a camera of the site, or nothing in the span."""
-        reader = BagReader(bag)
+        """Open a bag; `names`: other names of its topics. Raises RecordingError if it has no image of a camera of the
+        site, or nothing in the span.
+        """
+        reader = BagReader(bag, names=names)
         recorded = reader.topics()
-        topics = recorded_inputs(site, reader.topic_infos())
+        inputs = InputReader(reader, site)
+        topics = inputs.topics
         images = [name for name, topic in topics.items() if is_image(topic)]
         more = ((camera, topic) for camera in site.cameras for topic in CAMERA_TRUTH if truth)
         named = {camera_topic(site.name, camera, topic): topic for camera, topic in more}
@@ -66,11 +75,11 @@ class Selection:
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
-        whole = start == 0 and duration is None and not reader.damage
+        whole = start == 0 and duration is None and not reader.damage and not inputs.converts
         counts = (
             Counter({topic: reader.topic_infos()[topic].message_count for topic in topics})
             if whole  # from the bag's index; a part, or a truncated bag, must be read
-            else Counter(message.topic for message in reader.messages(list(topics), begin, end))
+            else Counter(message.topic for message in inputs.messages(topics, begin, end))
         )
         if not counts.total():
             raise RecordingError(
@@ -78,12 +87,12 @@ class Selection:
                 f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
         frames = sum(counts[topic] for topic in images)
-        selection = cls(reader, topics, begin, end, counts.total(), frames)
+        selection = cls(inputs, topics, begin, end, counts.total(), frames)
         warn_of_ignored(site, selection.first)
         return selection
 
     def __iter__(self) -> Iterator[BagMessage]:
-        return self.reader.messages(list(self.topics), self.begin_ns, self.end_ns)
+        return self.inputs.messages(self.topics, self.begin_ns, self.end_ns)
 
     def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
         """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
@@ -100,10 +109,10 @@ class Selection:
                 continue
             yield message, content
             self.health.published(message.topic)
-        lost = self.reader.lost
+        lost = self.inputs.reader.lost
         count = sum(number for topic, number in lost.items() if not topic or topic in self.topics)
         if count and "damage" not in self.health.dropped:  # only in the first round of a loop
-            self.health.drop("damage", "; ".join(self.reader.damage), count)
+            self.health.drop("damage", "; ".join(self.inputs.reader.damage), count)
 
     def content(self, message: BagMessage) -> Any:
         """Return a message as its topic's type. Raises LtmError."""
@@ -111,11 +120,13 @@ class Selection:
 
     def first(self, name: str, topic: Topic) -> Any:
         """Return the first message of a recorded topic; None without any. Raises LtmError."""
-        message = next(self.reader.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
+        message = next(self.inputs.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
         return None if message is None else self.content(message)
 
 
-def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
+def require_frames(
+    bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
+) -> None:
     """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
     topics of the bag beside the expected ones.
     """
@@ -129,7 +140,7 @@ def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, s
             why = "; ".join(sorted(reasons)) or "no frame shows a cell of it; check the poses and the DEM's extent"
             raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
         why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
-        beside = beside_expected(site, BagReader(bag).topics())
+        beside = beside_expected(site, BagReader(bag, names=names).topics())
         raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
 
 
@@ -250,7 +261,7 @@ def replay_offline(
     """
     writer = BagWriter(record) if record is not None else None
     try:
-        offline = OfflineGraph(graph, writer, str(selection.reader.path))
+        offline = OfflineGraph(graph, writer, str(selection.inputs.reader.path))
         offline.healths[RECORDING] = selection.health
         for done, (message, content) in enumerate(selection.decoded(), start=1):
             _guarded(selection.health, partial(offline.feed, message.topic, content, message.log_time_ns))

@@ -1,22 +1,26 @@
-"""Decode images from serialised messages without the middleware, whose libraries are slow to load.
+"""Decode images from serialised messages without the middleware, whose libraries are slow to load; decode and encode
+tf2_msgs/TFMessage, whose package has no wheel.
 
-The layouts are those of sensor_msgs/CompressedImage and sensor_msgs/Image in plain CDR (OMG DDS-XTypes 1.3, 7.4.1):
-four bytes of encapsulation, then the fields in their order, numbers aligned to their size, strings and sequences after
-a uint32 of their length, a string's with its closing zero.
+The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields in their order,
+numbers aligned to their size, strings and sequences after a uint32 of their length, a string's with its closing zero.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+from geometry_msgs.msg import TransformStamped
 
 from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_rgb
-from ltm_msgs_py.stamp import NS_PER_S
+from ltm_msgs_py.stamp import NS_PER_S, make_header
 
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 RAW_TYPE = "sensor_msgs/msg/Image"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
 _HEAD = 4
 """Bytes of encapsulation; alignment counts from their end."""
 
@@ -80,6 +84,48 @@ def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
         raise RecordingError(f"{len(raw)} bytes do not decode as {type_name} ({error})") from error
 
 
+def header_of(raw: bytes) -> tuple[int, str]:
+    """Return stamp (ns) and frame of a serialised message that begins with a header. Raises RecordingError."""
+    try:
+        fields = _Fields(raw)
+        return fields.number("i") * NS_PER_S + fields.number("I"), fields.text()
+    except (struct.error, ValueError) as error:
+        raise RecordingError(f"{len(raw)} bytes have no header ({error})") from error
+
+
+def transforms_of(raw: bytes) -> list[TransformStamped]:
+    """Return the transforms of a serialised TFMessage. Raises RecordingError for invalid bytes, MessageError for an
+    invalid stamp.
+    """
+    found = []
+    try:
+        fields = _Fields(raw)
+        for _ in range(fields.number("I")):
+            stamp = fields.number("i") * NS_PER_S + fields.number("I")
+            one = TransformStamped(header=make_header(stamp, fields.text()), child_frame_id=fields.text())
+            move, turn = one.transform.translation, one.transform.rotation
+            move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.real() for _ in range(7))
+            found.append(one)
+    except (struct.error, ValueError) as error:
+        raise RecordingError(f"{len(raw)} bytes do not decode as {TF_TYPE} ({error})") from error
+    return found
+
+
+def transforms_to_raw(transforms: Iterable[TransformStamped]) -> bytes:
+    """Return a serialised TFMessage."""
+    transforms = list(transforms)
+    data = bytearray(struct.pack("<I", len(transforms)))
+    for one in transforms:
+        stamp, move, turn = one.header.stamp, one.transform.translation, one.transform.rotation
+        data += bytes(-len(data) % 4) + struct.pack("<iI", stamp.sec, stamp.nanosec)
+        for text in (one.header.frame_id, one.child_frame_id):
+            encoded = text.encode() + b"\0"
+            data += bytes(-len(data) % 4) + struct.pack("<I", len(encoded)) + encoded
+        data += bytes(-len(data) % 8)
+        data += struct.pack("<7d", move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
+    return b"\0\1\0\0" + bytes(data)
+
+
 class _Fields:
     """Reads one field after the other. Raises ValueError and struct.error past the end."""
 
@@ -91,11 +137,18 @@ class _Fields:
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
     def number(self, form: str) -> int:
+        return int(self._value(form))
+
+    def real(self) -> float:
+        return float(self._value("d"))
+
+    def _value(self, form: str) -> int | float:
         size = struct.calcsize(form)
         self._at += -self._at % size
+        value: int | float
         (value,) = struct.unpack_from(f"{self._order}{form}", self._bytes, self._at)
         self._at += size
-        return int(value)
+        return value
 
     def text(self) -> str:
         return bytes(self.data()).rstrip(b"\0").decode()
