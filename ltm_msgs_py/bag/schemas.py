@@ -21,7 +21,12 @@ _PRIMITIVES = {
     *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
 }
 _SEPARATOR = "=" * 80
-_OWN = {"tf2_msgs/msg/TFMessage": ("geometry_msgs/TransformStamped[] transforms\n", "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087")}
+_OWN = {
+    "tf2_msgs/msg/TFMessage": (
+        "geometry_msgs/TransformStamped[] transforms\n",
+        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+    )
+}
 """Definition and type hash of types that are written although their package has no wheel. Source: geometry2."""
 
 
