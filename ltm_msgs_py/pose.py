@@ -20,7 +20,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.locating.region import MOST_VERTICES
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_msgs_py.stamp import make_header
 
 POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -92,17 +92,30 @@ def transform_to_msg(pose: Pose, stamp_ns: int, parent: str, child: str) -> Tran
 
 LINK_OPTICAL = Pose(np.zeros(3), np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 """Pose of `<camera>_optical` (x right, y down) in `<camera>_link` (x forward, z up), by REP-103."""
-_OPTICAL_LINK = Pose(np.zeros(3), LINK_OPTICAL.rotation.T)
 
 
 def mount_transform(camera: str) -> TransformStamped:
     """Return the static transform of a camera, from its link to its optical frame."""
-    return transform_to_msg(LINK_OPTICAL, 0, f"{camera}_link", f"{camera}_optical")
+    made = TransformStamped(header=make_header(0, f"{camera}_link"), child_frame_id=f"{camera}_optical")
+    turn = made.transform.rotation
+    turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5  # LINK_OPTICAL
+    return made
 
 
 def link_transform(camera: str, posed: Any) -> TransformStamped:
-    """Return the transform from the map to a camera's link, of its PoseWithCovarianceStamped. Raises PoseError."""
-    return transform_to_msg(_OPTICAL_LINK.after(msg_to_pose(posed)), stamp_of(posed), "map", f"{camera}_link")
+    """Return the transform from the map to a camera's link, of its PoseWithCovarianceStamped.
+
+    The quaternion is multiplied here, because recorders need no other rotation, and SciPy's take 20 MB.
+    """
+    made = TransformStamped(header=posed.header, child_frame_id=f"{camera}_link")
+    p, q = posed.pose.pose.position, posed.pose.pose.orientation
+    move, turn = made.transform.translation, made.transform.rotation
+    move.x, move.y, move.z = p.x, p.y, p.z
+    turn.x = (q.w + q.x + q.y + q.z) / 2
+    turn.y = (-q.w - q.x + q.y + q.z) / 2
+    turn.z = (q.w - q.x - q.y + q.z) / 2
+    turn.w = (q.w - q.x + q.y - q.z) / 2
+    return made
 
 
 def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:

@@ -8,14 +8,16 @@ numbers aligned to their size, strings and sequences after a uint32 of their len
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
 from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_rgb
+from ltm_msgs_py.pose import link_transform, mount_transform
 from ltm_msgs_py.stamp import NS_PER_S, make_header
 
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
@@ -93,6 +95,13 @@ def header_of(raw: bytes) -> tuple[int, str]:
         raise RecordingError(f"{len(raw)} bytes have no header ({error})") from error
 
 
+@dataclass(frozen=True)
+class Transforms:
+    """The fields of TFMessage."""
+
+    transforms: list[TransformStamped]
+
+
 def transforms_of(raw: bytes) -> list[TransformStamped]:
     """Return the transforms of a serialised TFMessage. Raises RecordingError for invalid bytes, MessageError for an
     invalid stamp.
@@ -124,6 +133,27 @@ def transforms_to_raw(transforms: Iterable[TransformStamped]) -> bytes:
         data += bytes(-len(data) % 8)
         data += struct.pack("<7d", move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
     return b"\0\1\0\0" + bytes(data)
+
+
+class CameraFrames:
+    """Makes the transforms of a recording from the poses of its cameras (REP-105): `map` to each camera's link at each
+    pose, and once, before the first, from the links to the optical frames.
+
+    `cameras`: by the absolute topic of their poses.
+    """
+
+    def __init__(self, cameras: Mapping[str, str]) -> None:
+        self._cameras = dict(cameras)
+        self._mounted = False
+
+    def beside(self, topic: str, message: Any) -> Iterator[tuple[str, bytes, bool]]:
+        """Yield topic, serialised TFMessage and whether it is latched, for a message of any topic."""
+        if (camera := self._cameras.get(topic)) is None or message.header.frame_id != "map":
+            return
+        if not self._mounted:
+            self._mounted = True
+            yield "/tf_static", transforms_to_raw(map(mount_transform, sorted({*self._cameras.values()}))), True
+        yield "/tf", transforms_to_raw([link_transform(camera, message)]), False
 
 
 class _Fields:

@@ -16,6 +16,7 @@ from mcap.records import Channel, Message, Schema
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
+from ltm_msgs_py.bag.cdr import TF_TYPE, Transforms, transforms_of
 from ltm_msgs_py.bag.mcap_chunk import LARGEST_MESSAGE
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
@@ -310,6 +311,8 @@ def decoded(raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
     """
     if encoding != "cdr":
         raise RecordingError(f"{type_name or 'a message'} is encoded as {encoding!r}; only cdr (ROS 2) is read")
+    if type_name == TF_TYPE:
+        return Transforms(transforms_of(raw))
     from rclpy.serialization import deserialize_message  # callers that only use bytes need not load the middleware
 
     cls = message_class(type_name)

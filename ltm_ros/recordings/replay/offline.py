@@ -14,6 +14,7 @@ from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.utc_time import DAY_NS
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
@@ -23,7 +24,7 @@ from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_inpu
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
-from ltm_ros.runtime.topics import CAMERA_TRUTH, camera_topic
+from ltm_ros.runtime.topics import CAMERA_TRUTH, POSED_POSE, camera_topic
 
 RECORDING = "recording"
 """Name of the recording in the summaries of a replay, beside those of the nodes."""
@@ -164,6 +165,8 @@ class OfflineGraph:
         self.healths: dict[str, Health] = {}
         self._pipeline = Pipeline(self._run)
         self._record = record
+        cameras = {spec.namespace: str(spec.parameters["camera"]) for spec in graph if spec.parameters.get("camera")}
+        self._frames = CameraFrames({f"{place}/{POSED_POSE.name}": name for place, name in cameras.items()})
         self.now_ns = 0
         """Log time of the current message."""
         for spec in graph:
@@ -188,6 +191,9 @@ class OfflineGraph:
         if self._record is not None:
             self._record.add_topic(topic, type_name_of(message), latched)
             self._record.write(topic, message, self.now_ns)
+            for name, raw, once in self._frames.beside(topic, message):
+                self._record.add_topic(name, TF_TYPE, once)
+                self._record.write_raw(name, TF_TYPE, raw, self.now_ns)
 
     def wanted(self, topic: str) -> bool:
         """Return whether anything uses a message of this topic."""
