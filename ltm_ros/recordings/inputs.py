@@ -13,7 +13,7 @@ from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.cdr import header_of, transforms_of
+from ltm_msgs_py.bag.cdr import TF_TYPE, header_of, transforms_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, TopicInfo, decoded
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import POSE_TYPES, as_stamped_pose, msg_to_pose
@@ -194,9 +194,13 @@ def beside_expected(site: Site, recorded: Mapping[str, str], cameras: Iterable[s
     for camera in cameras or site.cameras:
         config = site.cameras[camera]
         proposed: dict[str, str] = {}
+        moving, _ = transform_topics(config)
+        converted = {camera_topic(site.name, camera, POSE): moving} if moving else {}
         for topics in (image_topics(config), *((topic,) for topic in other_inputs(config))):
             names = [camera_topic(site.name, camera, topic) for topic in topics]
             types = [accepted_types(topic) for topic in topics]
+            if names[0] in converted:
+                names, types = [converted[names[0]]], [(TF_TYPE,)]
             expected.append(" or ".join(f"{n} ({' or '.join(t)})" for n, t in zip(names, types, strict=True)))
             if not any(recorded.get(name) in of for name, of in zip(names, types, strict=True)):
                 proposed |= _proposed(site, camera, topics, recorded)
@@ -213,10 +217,12 @@ def _proposed(site: Site, camera: str, topics: Sequence[Topic], recorded: Mappin
     """Return the recorded topic that may be meant, by its key of the site file; none without any."""
     image = is_image(topics[0])
     types = [name for topic in ((IMAGE_COMPRESSED, IMAGE_RAW) if image else topics) for name in accepted_types(topic)]
+    types += [TF_TYPE] if topics[0].counted_name == POSE.name else []
     taken = {camera_topic(site.name, name, topic) for name, config in site.cameras.items() if name != camera
              for topic in (*image_topics(config), *other_inputs(config))}  # fmt: skip
     found = [name for name in sorted(recorded, key=lambda n: (camera not in n.split("/"), n))
-             if recorded[name] in types and name not in taken and "depth" not in name.lower()]  # fmt: skip
+             if recorded[name] in types and name not in taken and "depth" not in name.lower()
+             and not name.endswith("_static")]  # fmt: skip
     if not found:
         return {}
     usual = [camera_topic(site.name, camera, topic) for topic in (IMAGE_COMPRESSED, IMAGE_RAW)]
