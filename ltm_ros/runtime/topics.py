@@ -133,11 +133,17 @@ def camera_topic(site: str, camera: str, topic: Topic) -> str:
 
 
 def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
-    """Return a topic under the name that the site file gives it, if any; transforms become poses on the usual topic."""
+    """Return a topic under the name that the site file gives it, if any. Named poses may have any rate and type;
+    transforms become poses on the usual topic.
+    """
     name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
-    if not name or (topic is POSE and transform_topics(camera)[0]):
+    if not name:
         return topic
-    return replace(topic, name=name, usual_name=topic.name, any_pose=topic is POSE)
+    if topic is not POSE:
+        return replace(topic, name=name, usual_name=topic.name)
+    if transform_topics(camera)[0]:
+        return replace(topic, counted=False)
+    return replace(topic, name=name, usual_name=topic.name, counted=False, any_pose=True)
 
 
 def transform_topics(camera: CameraConfig) -> tuple[str, str]:

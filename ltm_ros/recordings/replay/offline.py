@@ -100,7 +100,9 @@ class Selection:
         end, those that are lost.
         """
         for message in self:
-            self.health.received(message.topic)
+            counted = self.topics[message.topic].counted
+            if counted:
+                self.health.received(message.topic)
             try:
                 content = self.content(message)
                 if shift_ns:
@@ -109,7 +111,8 @@ class Selection:
                 self.health.drop(cause_of(error), f"{error} ({message.topic}, {time_text(message.log_time_ns)})")
                 continue
             yield message, content
-            self.health.published(message.topic)
+            if counted:
+                self.health.published(message.topic)
         lost = self.inputs.reader.lost
         count = sum(number for topic, number in lost.items() if not topic or topic in self.topics)
         if count and "damage" not in self.health.dropped:  # only in the first round of a loop
