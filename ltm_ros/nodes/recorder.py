@@ -30,6 +30,10 @@ from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import POSED_POSE, RECORDED, camera_topic, input_topic, site_topic
 
 
+_FREQUENT = ("sensor_msgs/msg/Imu", TF_TYPE)
+"""Types of small messages that come up to two hundred times a second."""
+
+
 class RecorderConfig(NodeConfig):
     bag: str
     """Folder to write; if it exists, `<bag>_1` and so on is used."""
@@ -98,7 +102,7 @@ class Recorder(Node):  # type: ignore[misc]
                 continue
             self._disk.add_topic(topic, types[0], latched)
             qos = QoSProfile(
-                depth=10,
+                depth=100 if types[0] in _FREQUENT else 10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
