@@ -81,15 +81,6 @@ def msg_to_transform(msg: TransformStamped) -> Pose:
     return Pose.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
-def transform_to_msg(pose: Pose, stamp_ns: int, parent: str, child: str) -> TransformStamped:
-    """Return the transform from `parent` to `child`, whose pose in `parent` is given."""
-    msg = TransformStamped(header=make_header(stamp_ns, parent), child_frame_id=child)
-    move, turn = msg.transform.translation, msg.transform.rotation
-    move.x, move.y, move.z = (float(v) for v in pose.position)
-    turn.x, turn.y, turn.z, turn.w = pose.quaternion
-    return msg
-
-
 LINK_OPTICAL = Pose(np.zeros(3), np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 """Pose of `<camera>_optical` (x right, y down) in `<camera>_link` (x forward, z up), by REP-103."""
 

@@ -217,7 +217,8 @@ class BagReader:
         self._log_damage()
 
     def _named(self, channel: Channel) -> str:
-        return self._names.get(channel.topic, channel.topic)
+        topic: str = channel.topic
+        return self._names.get(topic, topic)
 
     def _log_damage(self) -> None:
         for note in self.damage[self._logged :]:

@@ -29,7 +29,6 @@ from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import POSED_POSE, RECORDED, camera_topic, input_topic, site_topic
 
-
 _FREQUENT = ("sensor_msgs/msg/Imu", TF_TYPE)
 """Types of small messages that come up to two hundred times a second."""
 

@@ -10,6 +10,8 @@ from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import Header, String
 
+from ltm_core.base.errors import RecordingError
+from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.runtime.handler import Topic
 
 if TYPE_CHECKING:
@@ -24,11 +26,11 @@ IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundre
 """Sensor from which a camera's pose is computed if its site file enables it (`sensors`)."""
 
 try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # its package has no wheel
-    TFMessage = None
-TF = None if TFMessage is None else Topic("/tf", TFMessage, depth=100, counted=False)
-TF_STATIC = None if TFMessage is None else Topic("/tf_static", TFMessage, latched=True, depth=100, counted=False)
+    _TF: type | None = message_class("tf2_msgs/msg/TFMessage")
+except RecordingError:  # its package has no wheel
+    _TF = None
+TF = None if _TF is None else Topic("/tf", _TF, depth=100, counted=False)
+TF_STATIC = None if _TF is None else Topic("/tf_static", _TF, latched=True, depth=100, counted=False)
 """Transforms from `map` to each camera's link and optical frame (REP-105), if the package tf2_msgs is installed."""
 
 SOURCE_INFO = Topic("source/info", String, latched=True)

@@ -152,6 +152,10 @@ def check_ros() -> Iterator[DoctorFinding]:
         yield DoctorFinding("ros", "messages", DoctorState.MISSING, f"no {', '.join(absent)}", remedy)
     else:
         yield DoctorFinding("ros", "messages", DoctorState.OK, ", ".join(MESSAGE_PACKAGES))
+    if importlib.util.find_spec("tf2_msgs") is None:
+        lacks = "not found: live graphs neither read nor publish /tf; recordings and replays do"
+        remedy = "use ROS 2 from apt: apt install ros-jazzy-tf2-msgs (it has no Python package)"
+        yield DoctorFinding("ros", "tf2_msgs", DoctorState.OPTIONAL, lacks, remedy)
 
 
 def check_transport() -> Iterator[DoctorFinding]:

@@ -132,8 +132,16 @@ def _fixes(location: Table, place: str) -> Fixes:
     altitude = sea if known else ellipsoid
     if "verticalAccuracy" in location:
         altitude = np.where(np.isfinite(vertical), altitude, np.nan)
-    values = (column[order] for column in (stamps, lon, lat, altitude, accuracy, vertical))
-    return Fixes(*values, ellipsoidal=not known, ellipsoid=ellipsoid[order])
+    return Fixes(
+        stamps[order],
+        lon[order],
+        lat[order],
+        altitude[order],
+        accuracy[order],
+        vertical[order],
+        not known,
+        ellipsoid[order],
+    )
 
 
 def _attitudes(orientation: Table, platform: str, place: str) -> Attitudes | None:

@@ -175,8 +175,9 @@ class SensorTrack:
             for n in range(*np.searchsorted(fixes.stamp_ns, (begin_ns, end_ns))):
                 variances = np.array([fixes.position_sigma[n], fixes.position_sigma[n], fixes.altitude_sigma[n]]) ** 2
                 covariance = np.diag(variances) if np.isfinite(variances).all() else None
-                place = fixes.lon[n], fixes.lat[n], np.nan if height is None else height[n]
-                found.append(Fix(int(fixes.stamp_ns[n]), *map(float, place), covariance))
+                altitude = np.nan if height is None else float(height[n])
+                lon, lat = float(fixes.lon[n]), float(fixes.lat[n])
+                found.append(Fix(int(fixes.stamp_ns[n]), lon, lat, altitude, covariance))
         if (told := self.attitudes) is not None and told.north is not None:
             turns = told.rotations.as_matrix()
             for n in range(*np.searchsorted(told.stamp_ns, (begin_ns, end_ns))):

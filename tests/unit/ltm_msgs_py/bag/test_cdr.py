@@ -12,6 +12,7 @@ from mcap_ros2.reader import read_ros2_messages
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from scenes.transforms import transform_to_msg
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.base.errors import ImageError, LtmError, RecordingError
@@ -20,7 +21,7 @@ from ltm_msgs_py.bag.cdr import COMPRESSED_TYPE, RAW_TYPE, TF_TYPE, picture_of, 
 from ltm_msgs_py.bag.schemas import type_hash
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, compressed_to_rgb, encode_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_transform, transform_to_msg
+from ltm_msgs_py.pose import msg_to_transform
 
 STAMP_NS = 1_700_000_000_123_456_789
 PHOTO = np.random.default_rng(3).integers(0, 256, (30, 47, 3), np.uint8)

@@ -16,6 +16,7 @@ import yaml
 from nav_msgs.msg import Odometry
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain
+from scenes.transforms import transform_to_msg
 
 from ltm_core.base.errors import CameraError, ConfigError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
@@ -30,7 +31,6 @@ from ltm_msgs_py.pose import (
     msg_to_pose,
     msg_to_transform,
     pose_to_msg,
-    transform_to_msg,
 )
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import make_header, stamp_of

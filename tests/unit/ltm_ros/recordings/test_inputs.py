@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from mcap.writer import Writer
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
+from scenes.transforms import transform_to_msg
 from std_msgs.msg import String
 
 from ltm_core.base.errors import LtmError
@@ -22,7 +23,7 @@ from ltm_msgs_py.bag.reader import BagReader, TopicInfo
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import image_to_msg
-from ltm_msgs_py.pose import LINK_OPTICAL, msg_to_covariance, msg_to_pose, pose_to_msg, transform_to_msg
+from ltm_msgs_py.pose import LINK_OPTICAL, msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input, pose_difference, recorded_inputs
