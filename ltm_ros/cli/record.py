@@ -106,19 +106,12 @@ def replay(
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
     from ltm_ros.recordings.recorded_run import site_of
     from ltm_ros.recordings.replay.offline import require_frames, require_whole
-    from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
+    from ltm_ros.recordings.replay.run import ReplayOptions, publish, run_live, run_offline
     from ltm_ros.runtime.health import node_rows
 
     console, site = Console(), site or site_of(bag)
     names = _names(remap or [])
-    if publish_only:
-        _publish(bag, site, rate, longest_pause, loop, start, duration, domain, names)
-        return
     rrd_file = out / "replay.rrd" if rrd else None
-    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
-    if record:
-        BagWriter.require_free(out / "bag")
-    out.mkdir(parents=True, exist_ok=True)
     options = ReplayOptions(
         start,
         duration,
@@ -132,6 +125,14 @@ def replay(
         names=names,
     )
     stopping = threading.Event()
+    if publish_only:
+        with stop_on_signals(stopping), message_bar(console, "replay") as progress:
+            require_whole(bag, publish(bag, site, options, progress, stopping.is_set))
+        return
+    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
+    if record:
+        BagWriter.require_free(out / "bag")
+    out.mkdir(parents=True, exist_ok=True)
     with message_bar(console, "replay") as progress:
         if offline:
             summaries = run_offline(bag, site, options, progress)
@@ -155,37 +156,3 @@ def _names(remap: list[str]) -> dict[str, str]:
         if not topic.startswith("/") or not name.startswith("/"):
             raise ConfigError(f"--remap {topic}:={name}: give two absolute topics, such as /odom:=/ridge/north/pose")
     return names
-
-
-def _publish(
-    bag: Path,
-    site: Path,
-    rate: float,
-    longest_pause: float,
-    loop: bool,
-    start: float,
-    duration: float | None,
-    domain: int | None,
-    names: dict[str, str],
-) -> None:
-    import threading
-
-    from rich.console import Console
-
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.cli.output import message_bar, stop_on_signals
-    from ltm_ros.recordings.replay.offline import RECORDING, Selection, require_whole
-    from ltm_ros.recordings.replay.run import LivePlayer
-    from ltm_ros.runtime.ros_environment import apply_to_process
-
-    apply_to_process(domain)
-    selection = Selection.open(bag, load_site(site), start, duration, names=names)
-    stopping = threading.Event()
-    with (
-        stop_on_signals(stopping),
-        LivePlayer(selection, rate, longest_pause) as player,
-        message_bar(Console(), "replay") as progress,
-    ):
-        player.wait_for_listeners()
-        player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)
-    require_whole(bag, {RECORDING: selection.health.summary()})

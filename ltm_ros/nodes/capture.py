@@ -114,9 +114,9 @@ class CaptureHandler(Handler[CaptureConfig]):
         if self._refines:
             topics[POSE_CORRECTION] = self.on_correction
         others = dict(self._join.others)
-        pose = next((topic for topic in others if topic.counted_name == POSE.name), None)
-        if pose is not None and self._own_inputs.topics.pose is not None:
-            others[pose] = lambda message: self._join_poses(self._poses.of_pose(message))
+        poses = [topic for topic in others if topic.counted_name == POSE.name]
+        if poses and self._own_inputs.topics.pose is not None:
+            others |= dict.fromkeys(poses, lambda message: self._join_poses(self._poses.of_pose(message)))
             moving, static = transform_topics(self._own_inputs)
             if TF is not None and TF_STATIC is not None:
                 others[replace(TF_STATIC, name=static)] = partial(self._on_transforms, static=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -91,20 +93,25 @@ class InputReader:
         }
         self._moving: dict[str, str] = {}
         self._static: dict[str, str] = {}
+        self._stated: dict[str, str] = {}
         self._poses: dict[str, str] = {}
-        """Topic of moving and static transforms, and of poses, by camera."""
+        """Topics of moving and static transforms, of stated poses, and of the poses made of them, by camera."""
         for camera, config in site.cameras.items():
             pose = next((topic for topic in other_inputs(config) if topic.counted_name == POSE.name), None)
+            moving, static = transform_topics(config)
             if pose is None:
                 continue
-            moving, static = transform_topics(config)
-            name = camera_topic(site.name, camera, pose)
-            if moving and {moving, static} & recorded.keys():
-                self._moving[camera], self.topics[name] = moving, pose
-            if static in recorded and (moving or name in recorded):
-                self._static[camera], self._poses[camera] = static, name
-            elif moving:
-                self._poses[camera] = name
+            stated = camera_topic(site.name, camera, pose)
+            if moving:
+                self._moving[camera] = moving
+            elif static in recorded and stated in recorded:
+                self._stated[camera] = stated
+            else:
+                continue
+            self._static[camera], self._poses[camera] = static, camera_topic(site.name, camera, POSE)
+        for stated in self._stated.values():
+            self.topics.pop(stated, None)
+        self.topics |= dict.fromkeys(self._poses.values(), replace(POSE, counted=False))
 
     @property
     def converts(self) -> bool:
@@ -116,22 +123,21 @@ class InputReader:
     ) -> Iterator[BagMessage]:
         """Yield messages of some of `topics`, as `BagReader.messages`."""
         poses = {camera: self._camera_poses(camera) for camera, name in self._poses.items() if name in topics}
-        moving = {self._moving[camera] for camera in poses if camera in self._moving}
         images = {name: camera for camera in poses if camera in self._moving for name in self._images[camera]}
-        stated = {self._poses[camera]: camera for camera in poses if camera not in self._moving}
-        for message in self.reader.messages({*topics, *moving, *images}, start_ns, end_ns):
-            if message.topic in moving:
-                for camera in poses:
-                    if self._moving.get(camera) == message.topic:
-                        yield from self._transformed(poses[camera], self._poses[camera], message)
-                continue
-            if message.topic in stated:
-                yield from _converted(poses[stated[message.topic]], message)
-                continue
+        sources = {
+            topics_of[camera] for topics_of in (self._moving, self._stated) for camera in poses.keys() & topics_of
+        }
+        plain = set(topics) - {*self._poses.values()}
+        for message in self.reader.messages(plain | sources | images.keys(), start_ns, end_ns):
+            for camera, followed in poses.items():
+                if self._moving.get(camera) == message.topic:
+                    yield from _transformed(followed, self._poses[camera], message)
+                elif self._stated.get(camera) == message.topic:
+                    yield from _converted(followed, self._poses[camera], message)
             if message.topic in images:
                 camera = images[message.topic]
                 yield from _at_image(poses[camera], self._poses[camera], message)
-            if message.topic in topics:
+            if message.topic in plain:
                 yield message
         for camera in poses.keys() & self._moving.keys():
             if missing := poses[camera].missing():
@@ -139,34 +145,33 @@ class InputReader:
 
     def _camera_poses(self, camera: str) -> CameraPoses:
         """Return a camera's transforms with all static ones, also those before a replay's start."""
-        first = next(self.reader.messages(self._images[camera]), None)
-        poses = CameraPoses((header_of(first.raw)[1] if first else "") or f"{camera}_optical")
-        static = self._static.get(camera)
-        for message in self.reader.messages([static]) if static else ():
-            for _ in self._transformed(poses, "", message, static=True):
+        first, frame = next(self.reader.messages(self._images[camera]), None), ""
+        with suppress(LtmError):  # the image's reader counts it
+            frame = header_of(first.raw)[1] if first else ""
+        poses = CameraPoses(frame or f"{camera}_optical")
+        for message in self.reader.messages([self._static[camera]]):
+            for _ in _transformed(poses, "", message, static=True):
                 pass
         return poses
 
-    def _transformed(
-        self, poses: CameraPoses, name: str, message: BagMessage, static: bool = False
-    ) -> Iterator[BagMessage]:
-        try:
-            for pose in poses.of_transforms(transforms_of(message.raw), static):
-                yield _pose_message(name, message, pose)
-        except LtmError as error:
-            _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
 
-
-def _converted(poses: CameraPoses, message: BagMessage) -> Iterator[BagMessage]:
-    """Yield a recorded pose as the camera's; an invalid one as it is, for its reader to count."""
-    if message.type_name not in POSE_TYPES:
-        yield message
-        return
+def _transformed(poses: CameraPoses, name: str, message: BagMessage, static: bool = False) -> Iterator[BagMessage]:
     try:
+        for pose in poses.of_transforms(transforms_of(message.raw), static):
+            yield _pose_message(name, message, pose)
+    except LtmError as error:
+        _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
+
+
+def _converted(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
+    """Yield a recorded pose as the camera's; an invalid one as it is, for its reader to count."""
+    try:
+        if message.type_name not in POSE_TYPES:
+            raise MessageError(message.type_name)
         for pose in poses.of_pose(decoded(message.raw, message.type_name, message.encoding)):
-            yield _pose_message(message.topic, message, pose)
+            yield _pose_message(name, message, pose)
     except LtmError:
-        yield message
+        yield replace(message, topic=name)
 
 
 def _at_image(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:

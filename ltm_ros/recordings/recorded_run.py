@@ -225,9 +225,9 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     reader = BagReader(bag)
     inputs = InputReader(reader, site)
     owners = {
-        camera_topic(site.name, name, input_topic(config, topic)): name
+        camera_topic(site.name, name, topic): name
         for name, config in site.cameras.items()
-        for topic in (CAMERA_INFO, POSE)
+        for topic in (input_topic(config, CAMERA_INFO), input_topic(config, POSE), POSE)
     }
     cameras: dict[str, Camera] = {}
     poses: dict[str, list[Pose]] = {name: [] for name in site.cameras}

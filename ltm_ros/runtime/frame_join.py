@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -118,7 +118,10 @@ class FrameJoin:
         """Return the other topics to join, by the site file, with their callbacks."""
         takes = {CAMERA_INFO: self.on_camera_info, POSE: self.on_pose, FIX: self.on_fix, IMU: self.on_imu}
         by_name = {topic.name: take for topic, take in takes.items()}
-        return {topic: by_name[topic.counted_name] for topic in self._other_inputs}
+        found = {topic: by_name[topic.counted_name] for topic in self._other_inputs}
+        if any(topic.any_pose for topic in found):  # replays send them, if transforms lead on from the named ones
+            found[replace(POSE, counted=False)] = self.on_pose
+        return found
 
     def add_image(self, stamp_ns: int, image: Any) -> None:
         """Add an image. Raises the LtmError of a frame that it completes."""

@@ -284,6 +284,22 @@ def run_offline(
     return replay_offline(selection, graph, options.record, lambda done: progress(done, total))
 
 
+def publish(
+    bag: Path,
+    site_path: Path,
+    options: ReplayOptions,
+    progress: Callable[[int, int], None],
+    stopped: Callable[[], bool],
+) -> dict[str, dict[str, str]]:
+    """Play into a graph that runs already; return the summary of the recording. Raises LtmError."""
+    apply_to_process(options.domain_id)
+    selection = options.selection(bag, load_site(site_path))
+    with LivePlayer(selection, options.rate, options.longest_pause) as player:
+        player.wait_for_listeners()
+        player.play(options.loop, lambda done: progress(done, selection.message_count), stopped)
+    return {RECORDING: selection.health.summary()}
+
+
 def run_live(
     bag: Path,
     site_path: Path,

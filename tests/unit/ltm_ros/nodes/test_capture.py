@@ -334,7 +334,7 @@ def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
 def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of({"topics": {"image": "/rig/image_raw", "pose": "/odom"}})
     topics = {topic.name: topic for topic in capture.subscriptions}
-    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, FINISHED.name}
+    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, "pose", FINISHED.name}
     assert (topics["/rig/image_raw"].type, topics["/odom"].counted_name) == (IMAGE_RAW.type, POSE.name)
     capture.on_camera_info(info(0))
     capture.subscriptions[topics["/odom"]](pose(S))

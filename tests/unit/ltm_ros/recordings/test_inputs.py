@@ -176,12 +176,13 @@ MAP_ODOM = Pose.from_angles((1000.0, 2000.0, 30.0), 10.0)
 
 
 def read_poses(reader: BagReader, pose: str, start: float = 0.0) -> dict[float, Any]:
-    inputs = InputReader(reader, site(north={"topics": {"image": "/rig/image_raw", "pose": pose}}))
+    topics = {"image": "/rig/image_raw", "pose": pose}
+    inputs = InputReader(reader, site(north={"topics": topics}, other={"topics": topics | {"image": "/other"}}))
     assert inputs.converts
     found = {}
     for message in inputs.messages(inputs.topics, round(start * S)):
-        content = decoded_input(inputs.topics[message.topic], message.raw, message.type_name)
-        if inputs.topics[message.topic].counted_name == POSE.name:
+        if message.topic == "/ridge/north/pose":  # the other camera has a frame of its own
+            content = decoded_input(inputs.topics[message.topic], message.raw, message.type_name)
             found[stamp_of(content) / S] = content
     return found
 
