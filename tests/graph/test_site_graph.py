@@ -122,12 +122,8 @@ def test_recording_holds_every_frame_with_its_results(replayed: Replayed) -> Non
     for topic in given.topics():
         assert decoded(reader, topic) == decoded(given, topic), topic
     moving, static = (
-        {
-            (t.header.frame_id, t.child_frame_id, stamp_of(t))
-            for m in reader.messages([topic])
-            for t in transforms_of(m.raw)
-        }
-        for topic in ("/tf", "/tf_static")
+        {(one.header.frame_id, one.child_frame_id, stamp_of(one)) for m in found for one in transforms_of(m.raw)}
+        for found in (reader.messages(["/tf"]), reader.messages(["/tf_static"]))
     )
     assert moving == {("map", f"{frame.camera_name}_link", frame.stamp_ns) for frame in small.frames()}
     assert static == {(f"{camera}_link", f"{camera}_optical", 0) for camera in CAMERAS}
