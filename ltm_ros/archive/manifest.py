@@ -27,9 +27,10 @@ from ltm_msgs_py.bag.reader import by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
 from ltm_ros.recordings.inputs import decoded_input
+from ltm_ros.runtime.admission import RepeatCheck
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
 

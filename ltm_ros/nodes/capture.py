@@ -21,12 +21,12 @@ from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, 
 from ltm_msgs_py.pose import link_transform, mount_transform, msg_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
-from ltm_ros.runtime.admission import Admission
+from ltm_ros.runtime.admission import Admission, RepeatCheck
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck, data_bytes
+from ltm_ros.runtime.stamp_join import StampCheck, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
