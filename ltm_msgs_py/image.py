@@ -37,10 +37,27 @@ ENCODINGS = {
     "16UC1": _Encoding(np.dtype(np.uint16), 1),
     "32FC1": _Encoding(np.dtype(np.float32), 1),
     "32FC3": _Encoding(np.dtype(np.float32), 3),
+    "8UC1": _Encoding(np.dtype(np.uint8), 1),
+    "8UC3": _Encoding(np.dtype(np.uint8), 3),
+    **{name: _Encoding(np.dtype(np.uint8), 2) for name in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")},
+    **{f"bayer_{p}8": _Encoding(np.dtype(np.uint8), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
+    **{f"bayer_{p}16": _Encoding(np.dtype(np.uint16), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
 }
 """Encodings that `image_to_msg` and `msg_to_array` support; names as in sensor_msgs/image_encodings.hpp."""
 
-COLOUR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16")
+_TO_RGB = {
+    **{"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB},  # 8UC3 is OpenCV's own order
+    **{"rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB},
+    **dict.fromkeys(("mono8", "8UC1", "mono16", "16UC1"), cv2.COLOR_GRAY2RGB),
+    **dict.fromkeys(("yuv422", "uyvy"), cv2.COLOR_YUV2RGB_UYVY),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), cv2.COLOR_YUV2RGB_YUYV),
+    **dict.fromkeys(("bayer_rggb8", "bayer_rggb16"), cv2.COLOR_BayerRGGB2RGB),
+    **dict.fromkeys(("bayer_bggr8", "bayer_bggr16"), cv2.COLOR_BayerBGGR2RGB),
+    **dict.fromkeys(("bayer_gbrg8", "bayer_gbrg16"), cv2.COLOR_BayerGBRG2RGB),
+    **dict.fromkeys(("bayer_grbg8", "bayer_grbg16"), cv2.COLOR_BayerGRBG2RGB),
+}
+"""OpenCV's conversion of each encoding of photos; None: none is needed."""
+COLOUR_ENCODINGS = tuple(_TO_RGB)
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
 
@@ -106,23 +123,23 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. 16-bit samples keep their high
+    byte.
 
-    Raises ImageError as `msg_to_array` does.
+    Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have.
     """
-    pixels = msg_to_array(msg, COLOUR_ENCODINGS)
-    match msg.encoding:
-        case "rgb8":
-            return pixels
-        case "bgr8":
-            return _converted(pixels, cv2.COLOR_BGR2RGB)
-        case "rgba8":
-            return _converted(pixels, cv2.COLOR_RGBA2RGB)
-        case "bgra8":
-            return _converted(pixels, cv2.COLOR_BGRA2RGB)
-        case "mono16":
-            pixels = (pixels >> 8).astype(np.uint8)
-    return _converted(pixels, cv2.COLOR_GRAY2RGB)
+    pixels, code = msg_to_array(msg, COLOUR_ENCODINGS), _TO_RGB[msg.encoding]
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if code is None:
+        return pixels
+    try:
+        return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+    except cv2.error as error:
+        raise ImageError(
+            f"{msg.encoding} image of {msg.width} x {msg.height} pixels cannot be converted; yuv422 needs an even "
+            "width, bayer at least 3 x 3 pixels"
+        ) from error
 
 
 def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
@@ -194,10 +211,6 @@ def _spec(encoding: str, taken: tuple[str, ...], purpose: str) -> _Encoding:
     if encoding not in taken or encoding not in ENCODINGS:
         raise ImageError(f"image encoding {encoding!r} is not supported {purpose}; supported: {', '.join(taken)}")
     return ENCODINGS[encoding]
-
-
-def _converted(pixels: NDArray[Any], code: int) -> UInt8Array:
-    return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
 
 
 def _named(msg: Any) -> str:

@@ -1,17 +1,9 @@
-"""Convert poses, corrections of mounts and located places to geometry_msgs, and back.
+"""Convert poses, transforms, corrections of mounts and located places to geometry_msgs, and back.
 
-Pose <-> geometry_msgs/PoseWithCovarianceStamped and PoseStamped.
-
-The pose is that of the camera's optical frame in `header.frame_id`.
-
-Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as stated.
-
-A correction moves nothing: x stands for the zero of a head's tilt axis (rad), 0 where none is known of.
-
-Regions of pictures and located places <-> geometry_msgs.
-
-A region is a PolygonStamped (or PointStamped) in the camera's optical frame whose x and y are pixels u and v; z is not
-looked at. A place is a PoseWithCovarianceStamped in `map`: position and its covariance, no orientation.
+A pose is that of the camera's optical frame in `header.frame_id`, with a covariance of zeros if it is unknown. A
+correction moves nothing: its x is the zero of the PTZ head's tilt axis (rad), 0 if unknown. A region is a
+PolygonStamped or PointStamped in the camera's optical frame whose x and y are pixels u and v. A place is a position
+with its covariance in `map`, without orientation.
 """
 
 from __future__ import annotations
@@ -20,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Pose as PoseMsg
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import MessageError, PoseError
@@ -34,8 +26,9 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
     "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/TransformStamped",
 )
-"""Message types of poses that are read from recordings."""
+"""Message types of poses that are read."""
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
 """Variances from here on mean unknown, in m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the largest double, and a
 direction with a larger standard deviation than half a turn is unknown.
@@ -59,24 +52,60 @@ def pose_to_msg(
     return msg
 
 
-def as_stamped_pose(msg: Any) -> PoseWithCovarianceStamped:
+def as_stamped_pose(msg: Any, any_frame: bool = False) -> PoseWithCovarianceStamped:
     """Return a message of `POSE_TYPES` as a pose with covariance; zeros if it has none.
 
-    Raises PoseError for the odometry of another frame than a camera's optical one.
+    Raises PoseError for the odometry or transform of another frame than a camera's optical one, unless `any_frame`.
     """
     if isinstance(msg, PoseWithCovarianceStamped):
         return msg
-    child = getattr(msg, "child_frame_id", None)
-    if child is not None and not child.endswith("optical"):
+    child = getattr(msg, "child_frame_id", "optical")
+    if not child.endswith("optical") and not any_frame:
         raise PoseError(
-            f"the odometry is of the frame {child!r}, not of the camera's optical frame; record the pose of "
-            "<camera>_optical in map"
+            f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the camera's optical frame; publish "
+            f"the transform from {child!r} to that frame on /tf_static"
         )
     made = PoseWithCovarianceStamped(header=msg.header)
-    if child is None:
-        made.pose.pose = msg.pose
-    else:
+    if isinstance(msg, TransformStamped):
+        made.pose.pose = _pose_msg(msg_to_transform(msg))
+    elif hasattr(msg.pose, "covariance"):
         made.pose = msg.pose
+    else:
+        made.pose.pose = msg.pose
+    return made
+
+
+def msg_to_transform(msg: TransformStamped) -> Pose:
+    """Return the pose of the child frame in its parent. Raises PoseError as `msg_to_pose`."""
+    p, q = msg.transform.translation, msg.transform.rotation
+    return Pose.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+LINK_OPTICAL = Pose(np.zeros(3), np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+"""Pose of `<camera>_optical` (x right, y down) in `<camera>_link` (x forward, z up), by REP-103."""
+
+
+def mount_transform(camera: str) -> TransformStamped:
+    """Return the static transform of a camera, from its link to its optical frame."""
+    made = TransformStamped(header=make_header(0, f"{camera}_link"), child_frame_id=f"{camera}_optical")
+    turn = made.transform.rotation
+    turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5  # LINK_OPTICAL
+    return made
+
+
+def link_transform(camera: str, posed: Any) -> TransformStamped:
+    """Return the transform from the map to a camera's link, of its PoseWithCovarianceStamped.
+
+    The quaternion is multiplied here, because recorders need no other rotation, and SciPy's take 20 MB.
+    """
+    made = TransformStamped(header=posed.header, child_frame_id=f"{camera}_link")
+    p, q = posed.pose.pose.position, posed.pose.pose.orientation
+    move, turn = made.transform.translation, made.transform.rotation
+    move.x, move.y, move.z = p.x, p.y, p.z
+    turn.x = (q.w + q.x + q.y + q.z) / 2
+    turn.y = (-q.w - q.x + q.y + q.z) / 2
+    turn.z = (q.w - q.x - q.y + q.z) / 2
+    turn.w = (q.w - q.x + q.y - q.z) / 2
     return made
 
 

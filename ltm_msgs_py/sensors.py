@@ -1,4 +1,4 @@
-"""Convert CameraInfo, Imu and NavSatFix to core types, and cameras back."""
+"""Convert CameraInfo, Imu and NavSatFix to core types, and back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Imu, NavSatFix, NavSatStatus
 
 from ltm_core.base.errors import CameraError, PoseError
 from ltm_core.cameras.sensor_pose import Attitude, Fix
@@ -61,6 +61,27 @@ def msg_to_fix(msg: Any) -> Fix:
         if not covariance.diagonal().any():
             covariance = None
     return Fix(stamp_of(msg), lon, lat, float(msg.altitude), covariance)
+
+
+def fix_to_msg(fix: Fix, frame_id: str) -> NavSatFix:
+    """Return a fix as NavSatFix. Raises MessageError on a bad stamp."""
+    msg = NavSatFix(header=make_header(fix.stamp_ns, frame_id), altitude=fix.altitude)
+    msg.longitude, msg.latitude, msg.status.status = fix.lon, fix.lat, NavSatStatus.STATUS_FIX
+    if fix.covariance is not None:
+        msg.position_covariance = fix.covariance.ravel()
+        msg.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+    return msg
+
+
+def attitude_to_msg(attitude: Attitude, frame_id: str) -> Imu:
+    """Return an attitude as Imu, without rates and accelerations. Raises MessageError on a bad stamp."""
+    msg = Imu(header=make_header(attitude.stamp_ns, frame_id))
+    q = msg.orientation
+    q.x, q.y, q.z, q.w = Pose(np.zeros(3), attitude.rotation).quaternion
+    if attitude.covariance is not None:
+        msg.orientation_covariance = attitude.covariance.ravel()
+    msg.angular_velocity_covariance[0] = msg.linear_acceleration_covariance[0] = -1.0  # not reported
+    return msg
 
 
 def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:

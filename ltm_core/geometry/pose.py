@@ -1,10 +1,7 @@
 """Describe camera poses: rotations, position and angles in the map frame, and their covariance.
 
-Rotations as matrices, quaternions and rotation vectors, by SciPy.
-
-SciPy's are loaded by the first that turns something: with the linear algebra and the trees behind them they are 0.2 s
-and 20 MB of a process, and most processes of a graph (recorder, uplink, health, the runner) read a site and turn
-nothing.
+SciPy's rotations are loaded on first use: they take 0.2 s and 20 MB, and most processes of a graph (recorder, uplink,
+health, the runner) read a site and rotate nothing.
 """
 
 from __future__ import annotations
@@ -154,6 +151,15 @@ class Pose:
         """Return (x, y, z, w), optical to map, with w >= 0."""
         x, y, z, w = quaternion_of_matrix(self.rotation)
         return float(x), float(y), float(z), float(w)
+
+    def after(self, outer: Pose) -> Pose:
+        """Return this pose in the frame in which `outer` is given: T_a_c of T_b_c (this) and T_a_b."""
+        return Pose(outer.to_map(self.position), outer.rotation @ self.rotation)
+
+    def towards(self, other: Pose, share: float) -> Pose:
+        """Return the pose at a share [0, 1] of the way to another: linear in position, slerp in rotation."""
+        turn = matrix_of_vector(share * vector_of_matrix(other.rotation @ self.rotation.T))
+        return Pose(self.position + share * (other.position - self.position), turn @ self.rotation)
 
     def to_map(self, points_optical: Float64Array) -> Float64Array:
         """Transform optical-frame points (..., 3) to the map frame."""

@@ -22,7 +22,8 @@ def write_phone_capture(
 ) -> int:
     """Write the walk of a `ltm-lab simulate` folder to `out`; the number of its photos.
 
-    `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the same walk as the app records it.
+    `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the phone's sensors on that
+    walk as the app records them.
     `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`.
     Raises RecordingError on a folder without frames of exactly one walk, or where photos of an earlier one lie.
     """
@@ -46,7 +47,7 @@ def write_phone_capture(
         rows.append(_true_row(photo.name, entry, site))
         progress(number, len(entries))
     undulation = walks[names.pop()].geoid_undulation
-    write_sensor_logger(out / SENSOR_LOGGER, photos, site, quality, undulation)
+    write_sensor_logger(out / SENSOR_LOGGER, photos, site, quality, undulation, with_frames=False)
     with (out / TRUE_POSES).open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

@@ -41,8 +41,11 @@ def write_sensor_logger(
     geoid_undulation: float,
     platform: Literal["ios", "android"] = "ios",
     attitude_hz: float = 5.0,
+    with_frames: bool = True,
 ) -> None:
-    """The zip of one walk. `geoid_undulation`: metres of the geoid above the ellipsoid there."""
+    """The zip of one walk. `geoid_undulation`: metres of the geoid above the ellipsoid there. `with_frames`: also the
+    photos, as the app's sensor `Camera` takes them.
+    """
     photos = sorted(photos, key=lambda photo: photo.stamp_ns)
     stamps = np.array([photo.stamp_ns for photo in photos], np.int64)
     start, end = int(stamps[0]) - _BEFORE_NS, int(stamps[-1]) + _BEFORE_NS
@@ -59,7 +62,7 @@ def write_sensor_logger(
     with zipfile.ZipFile(path, "w") as archive:
         for name, text in members.items():
             archive.writestr(zipfile.ZipInfo(name, _ZIP_DATE), text, zipfile.ZIP_DEFLATED)
-        for photo in photos:
+        for photo in photos if with_frames else ():
             info = zipfile.ZipInfo(f"Camera/{photo.stamp_ns // 1_000_000}.jpg", _ZIP_DATE)
             archive.writestr(info, upright_jpeg(photo, quality))
 

@@ -18,8 +18,8 @@ from zstandard import ZstdError
 
 RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_OPCODES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *range(128, 256)}
-_LARGEST_CHUNK = 128 << 20
-"""Maximum bytes of a chunk: recorders write chunks of a few megabytes, or of one larger message."""
+LARGEST_MESSAGE = 128 << 20
+"""Maximum bytes of a message or chunk: recorders write chunks of a few megabytes, or of one larger message."""
 _RECORDS_BESIDE = 1000
 """Maximum number of records of a chunk beyond one per compressed byte; recorded ones take ten bytes and more."""
 
@@ -37,13 +37,13 @@ def read_chunk(stream: BinaryIO, offset: int) -> Chunk:
     opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
     if opcode != Opcode.CHUNK or offset + length > size:
         raise ValueError(f"expected a chunk within {size} bytes, found opcode {opcode} of {length} bytes")
-    if length > _LARGEST_CHUNK:
-        raise ValueError(f"chunk has {length} bytes, more than {_LARGEST_CHUNK}")
+    if length > LARGEST_MESSAGE:
+        raise ValueError(f"chunk has {length} bytes, more than {LARGEST_MESSAGE}")
     return Chunk.read(ReadDataStream(BytesIO(stream.read(length))))
 
 
 def records_of(chunk: Chunk) -> list[McapRecord]:
-    """Return a chunk's records. Raises what `BROKEN` names, before more than `_LARGEST_CHUNK` bytes and one record per
+    """Return a chunk's records. Raises what `BROKEN` names, before more than `LARGEST_MESSAGE` bytes and one record per
     compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records.
     """
     whole = _decompressed(chunk)
@@ -65,8 +65,8 @@ def _decompressed(chunk: Chunk) -> bytes:
     stated = chunk.uncompressed_size
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))
-    if stated > _LARGEST_CHUNK:
-        raise ValueError(f"chunk states a size of {stated} bytes, more than {_LARGEST_CHUNK}")
+    if stated > LARGEST_MESSAGE:
+        raise ValueError(f"chunk states a size of {stated} bytes, more than {LARGEST_MESSAGE}")
     match chunk.compression:
         case "":
             return bytes(chunk.data)

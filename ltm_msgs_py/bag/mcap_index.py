@@ -320,10 +320,6 @@ def _sound_summary(stream: BinaryIO) -> bytes | None:
 def _not_mcap(path: Path, magic: bytes) -> str:
     if not magic:
         return f"{path} is empty, not an MCAP file"
-    if magic.startswith(b"SQLite"):
-        return (
-            f"{path} is a sqlite3 bag, only MCAP is supported: convert it with `ros2 bag convert` or `rosbags-convert`"
-        )
     if magic.startswith(b"#ROSBAG"):
-        return f"{path} is a ROS 1 bag, only MCAP is supported: convert it with `rosbags-convert`"
+        return f"{path} is a ROS 1 bag, which is not supported; convert it with `rosbags-convert`"
     return f"{path} is not an MCAP file: it begins with {magic.hex(' ')}, expected {MAGIC.hex(' ')}"

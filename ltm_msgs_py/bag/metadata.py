@@ -141,10 +141,9 @@ def to_yaml(data: Any) -> str:
 
 
 def bag_files(folder: Path) -> list[Path] | None:
-    """Return the MCAP files that a bag folder's metadata.yaml lists, in their order; None if it has no metadata.yaml.
+    """Return the files that a bag folder's metadata.yaml lists, in their order; None if it has no metadata.yaml.
 
-    Raises RecordingError for metadata that is not rosbag2's, another storage, whole-file compression, or files that are
-    missing or outside the folder.
+    Raises RecordingError for metadata that is not rosbag2's, or files that are missing or outside the folder.
     """
     path = folder / FILE_NAME
     if not path.exists():
@@ -158,12 +157,6 @@ def bag_files(folder: Path) -> list[Path] | None:
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise RecordingError(
             f"{path} is not rosbag2 metadata: it has no rosbag2_bagfile_information.relative_file_paths"
-        )
-    storage, mode = info.get("storage_identifier"), str(info.get("compression_mode") or "none").lower()
-    if storage != "mcap" or mode != "none":
-        raise RecordingError(
-            f"{folder} is a bag with storage {storage!r} and compression mode {mode!r}; only plain mcap is read "
-            "(compression inside the MCAP is fine): convert it with `ros2 bag convert` or `rosbags-convert`"
         )
     files = []
     for name in names:

@@ -1,19 +1,23 @@
-"""Read a bag: a rosbag2 folder of MCAP files, or one MCAP file."""
+"""Read a bag: a rosbag2 folder of MCAP or SQLite files, or one such file, also compressed as a whole (zstd)."""
 
 from __future__ import annotations
 
 import heapq
 import logging
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from mcap.records import Channel
+import zstandard
+from mcap.records import Channel, Message, Schema
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
+from ltm_msgs_py.bag.cdr import TF_TYPE, Transforms, transforms_of
+from ltm_msgs_py.bag.mcap_chunk import LARGEST_MESSAGE
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
 from ltm_msgs_py.bag.schemas import message_class
@@ -54,6 +58,87 @@ class Logged(Protocol):
 MessageT = TypeVar("MessageT", bound=Logged)
 
 
+_SQLITE = b"SQLite format 3\0"
+
+
+class SqliteIndex:
+    """The channels and messages of a rosbag2 SQLite file, read through `rosbags`, as `McapIndex` has them."""
+
+    def __init__(self, path: Path, reader: Any) -> None:
+        self.path, self._reader = path, reader
+        self.damage: list[str] = []
+        self.lost: Counter[str] = Counter()
+        self.unread: list[str] = []
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: dict[int, int] = {}
+        for one in reader.connections:
+            latched = any(qos.durability.name == "TRANSIENT_LOCAL" for qos in one.ext.offered_qos_profiles)
+            metadata = {"offered_qos_profiles": "[{durability: transient_local}]"} if latched else {}
+            self.schemas[one.id] = Schema(one.id, b"", "", one.msgtype)
+            self.channels[one.id] = Channel(one.id, one.topic, one.ext.serialization_format, metadata, one.id)
+            self.counts[one.id] = one.msgcount
+        some = reader.message_count > 0
+        self.start_ns: int | None = reader.start_time if some else None
+        self.end_ns: int | None = reader.end_time - 1 if some else None
+
+    @classmethod
+    def open(cls, path: Path) -> SqliteIndex:
+        """Open a file. Raises RecordingError if it is invalid, or rosbags is not installed."""
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError as error:
+            raise RecordingError(f"{path} is an SQLite bag; to read it, run pip install 'ltm[bags]'") from error
+        try:
+            reader = Reader(path)
+            reader.open()
+            return cls(path, reader)
+        except Exception as error:  # rosbags, its SQLite, and invalid content raise errors of many kinds
+            raise RecordingError(f"{path} cannot be read as an SQLite bag ({type(error).__name__}: {error})") from error
+
+    def messages(
+        self, channel_ids: Collection[int], start_ns: int | None, end_ns: int | None
+    ) -> Iterator[tuple[Channel, Message]]:
+        """Yield messages as `McapIndex.messages`; a corrupt part ends the file and is noted in `damage`."""
+        wanted = [one for one in self._reader.connections if one.id in channel_ids]
+        found = self._reader.messages(wanted, start_ns, end_ns) if wanted else iter(())
+        while True:
+            try:
+                one, time, raw = next(found)
+            except StopIteration:
+                return
+            except Exception as error:  # as above
+                note = f"{self.path}: the rest is corrupt and ignored ({type(error).__name__}: {error})"
+                if note not in self.damage:
+                    self.damage.append(note)
+                    self.lost[""] += 1
+                return
+            yield self.channels[one.id], Message(one.id, time, raw, time, 0)
+
+
+Storage = McapIndex | SqliteIndex
+
+
+def is_bag_file(name: str) -> bool:
+    """Return whether a file's name is that of a bag's file, also of a compressed one."""
+    return name.removesuffix(".zstd").endswith((".mcap", ".db3"))
+
+
+def _magic(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(len(_SQLITE))
+
+
+def _plain(raw: bytes) -> bytes:
+    """Return a message's CDR, which rosbag2 may compress message by message; as it is if that is invalid."""
+    if not raw.startswith(zstandard.FRAME_HEADER):
+        return raw
+    try:
+        return bytes(zstandard.ZstdDecompressor().decompress(raw, max_output_size=LARGEST_MESSAGE))
+    except zstandard.ZstdError:
+        return raw
+
+
 class BagReader:
     """The topics and messages of a bag.
 
@@ -61,14 +146,16 @@ class BagReader:
     warning. Chunks are only checked when their messages are read, so check `damage` and `lost` again afterwards.
     """
 
-    def __init__(self, path: Path | str, allow_damaged: bool = True) -> None:
-        """Open a bag folder or an .mcap file.
+    def __init__(self, path: Path | str, allow_damaged: bool = True, names: Mapping[str, str] | None = None) -> None:
+        """Open a bag folder or one of its files. `names`: other names of its topics.
 
         Raises RecordingError when there is none, it is another format, or, without `allow_damaged`, it is damaged.
         """
         self.path = Path(path)
+        self._names = dict(names or {})
         self._notes: list[str] = []
-        self._files = [McapIndex.open(file) for file in self._mcap_files()]
+        self._unpacked: list[tempfile.TemporaryDirectory[str]] = []
+        self._files = [self._opened(file) for file in self._storage_files()]
         self._topics = self._collect_topics()
         self._logged = 0
         if self.damage and not allow_damaged:
@@ -83,7 +170,8 @@ class BagReader:
     @property
     def lost(self) -> Counter[str]:
         """Return the messages of unreadable parts so far, by topic; under "", one for each part of unknown content."""
-        return sum((file.lost for file in self._files), Counter[str]())
+        lost = sum((file.lost for file in self._files), Counter[str]())
+        return Counter({self._names.get(topic, topic): count for topic, count in lost.items()})
 
     @property
     def unread(self) -> tuple[str, ...]:
@@ -120,13 +208,17 @@ class BagReader:
             yield message
 
     def _messages_of(
-        self, file: McapIndex, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+        self, file: Storage, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
     ) -> Iterator[BagMessage]:
-        wanted = {i for i, c in file.channels.items() if topics is None or c.topic in topics}
+        wanted = {i for i, c in file.channels.items() if topics is None or self._named(c) in topics}
         for channel, message in file.messages(wanted, start_ns, end_ns):
-            type_name, encoding = _type_of(file, channel), channel.message_encoding
-            yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data, encoding)
+            kind = self._named(channel), message.log_time, message.publish_time, _type_of(file, channel)
+            yield BagMessage(*kind, _plain(message.data), channel.message_encoding)
         self._log_damage()
+
+    def _named(self, channel: Channel) -> str:
+        topic: str = channel.topic
+        return self._names.get(topic, topic)
 
     def _log_damage(self) -> None:
         for note in self.damage[self._logged :]:
@@ -143,26 +235,39 @@ class BagReader:
         except RecordingError as error:
             raise RecordingError(f"{message.topic} at {message.log_time_ns} ns in {self.path}: {error}") from error
 
-    def _mcap_files(self) -> list[Path]:
+    def _storage_files(self) -> list[Path]:
         if is_file(self.path):
             return [self.path]
         if not is_folder(self.path):
-            raise RecordingError(f"no bag at {self.path}: give a bag folder or an .mcap file")
+            raise RecordingError(f"no bag at {self.path}: give a bag folder, or an .mcap or .db3 file")
         files = bag_files(self.path)
         if files is not None:
             return files
-        files = sorted(self.path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))  # _2 before _10
+        found = (path for path in self.path.iterdir() if is_bag_file(path.name))
+        files = sorted(found, key=lambda p: (len(p.name), p.name))  # _2 before _10
         if not files:
-            raise RecordingError(f"{self.path} is not a bag: it has neither metadata.yaml nor an .mcap file")
-        self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its .mcap files")
+            raise RecordingError(f"{self.path} is not a bag: it has neither metadata.yaml nor an .mcap or .db3 file")
+        self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its files")
         return files
+
+    def _opened(self, path: Path) -> Storage:
+        """Open a file of the bag by its first bytes. Raises RecordingError."""
+        try:
+            if _magic(path).startswith(zstandard.FRAME_HEADER):
+                self._unpacked.append(tempfile.TemporaryDirectory(prefix="ltm_bag_"))
+                packed, path = path, Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
+                with packed.open("rb") as source, path.open("wb") as whole:
+                    zstandard.ZstdDecompressor().copy_stream(source, whole)
+            return SqliteIndex.open(path) if _magic(path) == _SQLITE else McapIndex.open(path)
+        except (OSError, zstandard.ZstdError) as error:
+            raise RecordingError(f"cannot read {path}: {error}") from error
 
     def _collect_topics(self) -> dict[str, TopicInfo]:
         topics: dict[str, TopicInfo] = {}
         for file in self._files:
             for channel_id, channel in sorted(file.channels.items()):
-                known = topics.get(channel.topic)
-                topics[channel.topic] = TopicInfo(
+                known = topics.get(name := self._named(channel))
+                topics[name] = TopicInfo(
                     known.type_name if known else _type_of(file, channel),
                     file.counts.get(channel_id, 0) + (known.message_count if known else 0),
                     is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),
@@ -195,7 +300,7 @@ def by_log_time(
             advance(number, stream)
 
 
-def _type_of(file: McapIndex, channel: Channel) -> str:
+def _type_of(file: Storage, channel: Channel) -> str:
     schema = file.schemas.get(channel.schema_id)
     return schema.name if schema is not None else ""
 
@@ -207,6 +312,8 @@ def decoded(raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
     """
     if encoding != "cdr":
         raise RecordingError(f"{type_name or 'a message'} is encoded as {encoding!r}; only cdr (ROS 2) is read")
+    if type_name == TF_TYPE:
+        return Transforms(transforms_of(raw))
     from rclpy.serialization import deserialize_message  # callers that only use bytes need not load the middleware
 
     cls = message_class(type_name)

@@ -21,6 +21,13 @@ _PRIMITIVES = {
     *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
 }
 _SEPARATOR = "=" * 80
+_OWN = {
+    "tf2_msgs/msg/TFMessage": (
+        "geometry_msgs/TransformStamped[] transforms\n",
+        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+    )
+}
+"""Definition and type hash of types that are written although their package has no wheel. Source: geometry2."""
 
 
 def split_type_name(type_name: str) -> tuple[str, str]:
@@ -84,7 +91,7 @@ def type_hash(type_name: str) -> str:
     package, message = split_type_name(type_name)
     path = _installed_file(package, f"{message}.json")
     if path is None:
-        return ""
+        return _OWN[type_name][1] if type_name in _OWN else ""
     hashes = {entry["type_name"]: entry["hash_string"] for entry in json.loads(path.read_text())["type_hashes"]}
     return str(hashes.get(type_name, ""))
 
@@ -92,7 +99,9 @@ def type_hash(type_name: str) -> str:
 def _definition(type_name: str) -> str:
     package, message = split_type_name(type_name)
     path = _installed_file(package, f"{message}.msg")
-    return _store_definition(type_name) if path is None else path.read_text(encoding="utf-8")
+    if path is not None:
+        return path.read_text(encoding="utf-8")
+    return _OWN[type_name][0] if type_name in _OWN else _store_definition(type_name)
 
 
 def _store_definition(type_name: str) -> str:

@@ -31,7 +31,7 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, Tracin
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest, label_columns
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
+from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
 _PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")

@@ -22,14 +22,15 @@ from ltm_core.base.utc_time import DAY_NS
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
+from ltm_msgs_py.bag.cdr import RAW_TYPE
 from ltm_msgs_py.bag.reader import by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
 from ltm_ros.recordings.inputs import decoded_input
+from ltm_ros.runtime.admission import RepeatCheck
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
 

@@ -14,7 +14,7 @@ from ltm_core.base.errors import ArchiveError, ConfigError, ImageError, LtmError
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import LARGEST_FILE
-from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
+from ltm_msgs_py.bag.cdr import COMPRESSED_TYPE, CompressedPicture
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg

@@ -14,7 +14,7 @@ from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.usable import WORKING_WIDTH
-from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
+from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles

@@ -20,18 +20,18 @@ import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
-from ltm_msgs_py.bag.reader import BagMessage, BagReader
+from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
+from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
 from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
 from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.recordings.importing.pose_file import POSES
-from ltm_ros.recordings.inputs import accepted_types, decoded_input, is_image, recorded_inputs
+from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
 SCANS = "scans"
-_VERSION = 4
+_VERSION = 5
 _ABOUT = "ltm"
 _GROUP = 5_000
 """Number of messages decoded at once."""
@@ -115,7 +115,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     for archive in archives:
         below = files_below(archive)
         alone = len(below) == 1 and below[0].name.rpartition("/")[2] == archive.rpartition("/")[2]
-        bags = (file for file in below if file.name.endswith(".mcap") or (alone and not is_pose_list(file.name)))
+        bags = (file for file in below if is_bag_file(file.name) or (alone and not is_pose_list(file.name)))
         inside = [Recording((file,)) for file in bags]
         for listed in (file for file in below if is_pose_list(file.name)):
             folder = posixpath.dirname(listed.name)
@@ -123,7 +123,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
             inside.append(Recording((listed, *photos)))
         if not inside:
             raise ArchiveError(
-                f"{archive}: contains no recordings (*.mcap) and no photos with a {POSES}; convert other photos "
+                f"{archive}: contains no recordings (*.mcap, *.db3) and no photos with a {POSES}; convert other photos "
                 "with `ltm import`"
             )
         found.update({recording.name: recording for recording in inside})
@@ -167,8 +167,9 @@ def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:
 def _scanned_bag(name: str, site: Site, files: ArchiveFiles) -> bytes:
     with files.at_hand(name) as path:
         reader = BagReader(path)
-        topics = recorded_inputs(site, reader.topic_infos())
-        messages = [_scanned(message, topics[message.topic]) for message in reader.messages(topics.keys())]
+        inputs = InputReader(reader, site)
+        topics = inputs.topics
+        messages = [_scanned(message, topics[message.topic]) for message in inputs.messages(topics)]
         if reader.unread:
             raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
         lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}

@@ -74,10 +74,12 @@ def _add_recorded(found: SiteCheck, bag: Path) -> None:
     from ltm_core.base.errors import LtmError, SiteFinding
     from ltm_core.site.camera_check import check_views
     from ltm_ros.recordings.recorded_run import recorded_views
+    from ltm_ros.recordings.replay.offline import Selection
 
     assert found.site is not None  # nosec B101 # tells the type checker what holds
     assert found.dem is not None  # nosec B101 # tells the type checker what holds
     try:
+        Selection.open(bag, found.site)
         views = recorded_views(bag, found.site)
     except LtmError as error:
         found.findings.append(SiteFinding.of("recording", bag.name, error))

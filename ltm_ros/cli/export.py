@@ -191,7 +191,8 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
         classes, geometry = read_fuel_map(source)
     else:
         if site is None:
-            raise ConfigError("the fuel map of a bag is in its site's map frame: give the site file with --site")
+            kind = "store" if source.suffix == ".ltm" else "bag"
+            raise ConfigError(f"{source}: a {kind} does not contain the site's CRS; give the site file with --site")
         loaded = load_site(site)
         tags = {"site": loaded.name, "software": software()}
         if source.suffix == ".ltm" or as_of is not None:

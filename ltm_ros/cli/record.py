@@ -62,9 +62,15 @@ def record(
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
-    site: Annotated[Path, typer.Option("--site", help="Site file.")],
+    bag: Annotated[Path, typer.Argument(help="Bag folder, or .mcap, .mcap.zstd or .db3 file.")],
+    site: Annotated[
+        Path | None, typer.Option("--site", help="Site file. Default: the site.yaml in or beside the bag.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
+    remap: Annotated[
+        list[str] | None,
+        typer.Option(metavar="RECORDED:=NAME", help="Read a recorded topic under another name; repeatable."),
+    ] = None,
     offline: Annotated[
         bool, typer.Option("--offline", help="Replay in one process without DDS, at full speed, bit-repeatable.")
     ] = False,
@@ -98,19 +104,14 @@ def replay(
     from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
+    from ltm_ros.recordings.recorded_run import site_of
     from ltm_ros.recordings.replay.offline import require_frames, require_whole
-    from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
+    from ltm_ros.recordings.replay.run import ReplayOptions, publish, run_live, run_offline
     from ltm_ros.runtime.health import node_rows
 
-    console = Console()
-    if publish_only:
-        _publish(bag, site, rate, longest_pause, loop, start, duration, domain)
-        return
+    console, site = Console(), site or site_of(bag)
+    names = _names(remap or [])
     rrd_file = out / "replay.rrd" if rrd else None
-    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
-    if record:
-        BagWriter.require_free(out / "bag")
-    out.mkdir(parents=True, exist_ok=True)
     options = ReplayOptions(
         start,
         duration,
@@ -121,8 +122,17 @@ def replay(
         longest_pause=longest_pause,
         loop=loop,
         domain_id=domain,
+        names=names,
     )
     stopping = threading.Event()
+    if publish_only:
+        with stop_on_signals(stopping), message_bar(console, "replay") as progress:
+            require_whole(bag, publish(bag, site, options, progress, stopping.is_set))
+        return
+    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
+    if record:
+        BagWriter.require_free(out / "bag")
+    out.mkdir(parents=True, exist_ok=True)
     with message_bar(console, "replay") as progress:
         if offline:
             summaries = run_offline(bag, site, options, progress)
@@ -132,39 +142,17 @@ def replay(
     print_nodes(console, node_rows(summaries))
     print_outcome(console, summaries)
     if not stopping.is_set():
-        require_frames(bag, load_site(site), summaries)
+        require_frames(bag, load_site(site), summaries, names)
     console.print(f"fuel map: {out / 'fuel_map.tif'}")
     require_whole(bag, summaries)
 
 
-def _publish(
-    bag: Path,
-    site: Path,
-    rate: float,
-    longest_pause: float,
-    loop: bool,
-    start: float,
-    duration: float | None,
-    domain: int | None,
-) -> None:
-    import threading
+def _names(remap: list[str]) -> dict[str, str]:
+    """Return the names of `--remap`, by recorded topic. Raises ConfigError."""
+    from ltm_core.base.errors import ConfigError
 
-    from rich.console import Console
-
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.cli.output import message_bar, stop_on_signals
-    from ltm_ros.recordings.replay.offline import RECORDING, Selection, require_whole
-    from ltm_ros.recordings.replay.run import LivePlayer
-    from ltm_ros.runtime.ros_environment import apply_to_process
-
-    apply_to_process(domain)
-    selection = Selection.open(bag, load_site(site), start, duration)
-    stopping = threading.Event()
-    with (
-        stop_on_signals(stopping),
-        LivePlayer(selection, rate, longest_pause) as player,
-        message_bar(Console(), "replay") as progress,
-    ):
-        player.wait_for_listeners()
-        player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)
-    require_whole(bag, {RECORDING: selection.health.summary()})
+    names = dict(text.partition(":=")[::2] for text in remap)
+    for topic, name in names.items():
+        if not topic.startswith("/") or not name.startswith("/"):
+            raise ConfigError(f"--remap {topic}:={name}: give two absolute topics, such as /odom:=/ridge/north/pose")
+    return names

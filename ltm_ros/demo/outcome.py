@@ -194,8 +194,8 @@ def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]
     ]
 
 
-PHONE = Assumptions(focal_35mm=25.0, height_above_ground=1.6)
-"""Lens of the phone and height above ground, which the recording lacks."""
+PHONE = Assumptions(height_above_ground=1.6)
+"""Height of the phone above ground, which its sensors lack."""
 _WIDTH = 1000
 _COLORS = ((205, 40, 40), (0, 130, 220), (25, 25, 25), (240, 150, 0))
 _SHARE = 0.11
@@ -231,24 +231,31 @@ class Walk:
 
 
 def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Walk:
-    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline, with
-    the phone's poses, the photos', and the true ones. Raises LtmError."""
+    """Replay the walk (site.yaml, recording/, photos/, sensor_logger.zip, true_poses.csv) offline into `out`, with the
+    poses of the phone's sensors, those found in the photos, and the true ones. Raises LtmError."""
     site_path = walk / "site.yaml"
     site = load_site(site_path)
-    log = [walk / "sensor_logger.zip"]
     found = import_photos(
-        log, out / "found", site=site, assumed=PHONE, progress=progress, refinement=PoseRefinement(site)
+        [walk / "photos", walk / "sensor_logger.zip"],
+        out / "found",
+        site=site,
+        assumed=PHONE,
+        progress=progress,
+        refinement=PoseRefinement(site),
     )
-    import_photos(log, out / "phone", site=site, assumed=PHONE)
     import_photos([walk / "photos"], out / "true", walk / "true_poses.csv", site)
-    kinds = (("phone", "of the phone's sensors"), ("found", "found in the photos"), ("true", "true"))
+    kinds = (
+        ("phone", walk / "recording", "of the phone's sensors"),
+        ("found", out / "found", "found in the photos"),
+        ("true", out / "true", "true"),
+    )
     maps, directions = [], {}
-    for name, title in kinds:
+    for name, bag, title in kinds:
         options = ReplayOptions(record=out / f"{name}_map")
-        run_offline(out / name, site_path, options, lambda done, total: None)
-        errors = recorded_pose_errors(out / name, out / "true", site)
+        run_offline(bag, site_path, options, lambda done, total: None)
+        errors = recorded_pose_errors(bag, out / "true", site)
         maps.append(_map(title, errors, Recorded(out / f"{name}_map", site_path, site, walk.parent / "demo")))
-        directions[title] = _directions(out / name, site)
+        directions[title] = _directions(bag, site)
     accepted = sum(refinement.verdict == "accepted" for _, refinement in found.refined)
     return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions))
 

@@ -127,7 +127,7 @@ def run_demo(
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),
             ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, with Scott and Burgan fuel models"),
             ("landscape.tif", "the same as a GeoTIFF of eight bands, for FlamMap 6.2 and IFTDSS"),
-            ("walk/", "bags of a walk with a phone, with poses from sensors and from photos, and their maps"),
+            ("walk/", "bags of a walk with a phone, with poses found in the photos and true ones, and the maps"),
             ("state/", "the fuel map's store: evidence, counted frames, history"),
             ("demo.rrd", "the run in Rerun"),
             ("pictures/", "the images of this page"),

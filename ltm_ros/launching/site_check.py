@@ -28,6 +28,7 @@ from ltm_ros.cameras.protocols.credentials import read_secret
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.runtime.handler import EX_CONFIG
+from ltm_ros.runtime.topics import TF, transform_topics
 from ltm_ros.runtime.web_server import bind_error, refusal
 
 LEAST_SPACE = 200 << 20
@@ -197,6 +198,10 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
 def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
     """Check cameras; nothing that they lack keeps a graph from starting, because requests are repeated."""
     for name in wanted.cameras or site.cameras:
+        moving, _ = transform_topics(site.cameras[name])
+        if moving and TF is None:
+            lacks = f"{moving} is read in replays only: tf2_msgs is not installed; use ROS 2 from apt, or another pose"
+            yield SiteFinding(MACHINE, f"pose of {name}", SiteVerdict.DOUBTFUL, lacks)
         source = site.cameras[name].source
         if source is None:
             continue

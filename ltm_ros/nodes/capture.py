@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,23 +18,27 @@ from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_correction, pose_to_msg
+from ltm_msgs_py.pose import link_transform, mount_transform, msg_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
-from ltm_ros.runtime.admission import Admission
-from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
+from ltm_ros.runtime.admission import Admission, RepeatCheck
+from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck, data_bytes
+from ltm_ros.runtime.stamp_join import StampCheck, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
+    POSE,
     POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     POSED_POSE,
     STATED_POSE,
+    TF,
+    TF_STATIC,
+    transform_topics,
 )
 
 AHEAD_NS = 10**10
@@ -80,6 +85,10 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._refines = site.refine_poses is not None
         if self._refines:
             self.publications = (*self.publications, STATED_POSE)
+        if TF is not None and TF_STATIC is not None:
+            self.publications = (*self.publications, TF, TF_STATIC)
+        self._own_inputs = site.camera(config.camera)
+        self._poses, self._mounted = CameraPoses(self._frame_id), False
         self._correction: PoseCorrection | None = None
         self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
@@ -104,7 +113,15 @@ class CaptureHandler(Handler[CaptureConfig]):
         topics[FINISHED] = self.on_finished
         if self._refines:
             topics[POSE_CORRECTION] = self.on_correction
-        others = self._join.others
+        others = dict(self._join.others)
+        poses = [topic for topic in others if topic.counted_name == POSE.name]
+        if poses and self._own_inputs.topics.pose is not None:
+            others |= dict.fromkeys(poses, lambda message: self._join_poses(self._poses.of_pose(message)))
+            moving, static = transform_topics(self._own_inputs)
+            if TF is not None and TF_STATIC is not None:
+                others[replace(TF_STATIC, name=static)] = partial(self._on_transforms, static=True)
+                if moving:
+                    others[replace(TF, name=moving)] = partial(self._on_transforms, static=False)
         infos = (topic for topic in others if topic.counted_name == CAMERA_INFO.name)
         return {**others, **topics, **dict.fromkeys(infos, self.on_camera_info)}
 
@@ -134,7 +151,15 @@ class CaptureHandler(Handler[CaptureConfig]):
                 f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen",
             )
             return
+        self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
         self._join.add_image(stamp, message)
+
+    def _on_transforms(self, message: Any, static: bool) -> None:
+        self._join_poses(self._poses.of_transforms(message.transforms, static))
+
+    def _join_poses(self, poses: Iterable[Any]) -> None:
+        for pose in poses:
+            self._join.on_pose(pose)
 
     def on_camera_info(self, message: Any) -> None:
         if not self._too_many_pixels("camera_info", int(message.width), int(message.height)):
@@ -165,6 +190,17 @@ class CaptureHandler(Handler[CaptureConfig]):
         if _is_raw(frame.image) or self._fits(frame.image, frame.camera):
             self._admission.offer(stamp_of(frame.image), frame)
 
+    def _publish_frames(self, posed: Any) -> None:
+        """Publish the camera's frames for RViz and Foxglove, if anything listens; recorders write them themselves."""
+        if TF is None or TF_STATIC is None or not self.outlet.wanted(TF):
+            return
+        camera = self.config.camera
+        if not self._mounted:
+            self._mounted = True
+            self.outlet.publish(TF_STATIC, TF_STATIC.type(transforms=[mount_transform(camera)]))
+        stamp = stamp_of(posed)
+        self.outlet.provide(TF, stamp, lambda: TF.type(transforms=[link_transform(camera, posed)]))
+
     def _send(self, frame: JoinedFrame) -> None:
         """Publish a frame. Images are decoded only here, so rejected ones cost almost nothing."""
         stamp = stamp_of(frame.image)
@@ -177,7 +213,9 @@ class CaptureHandler(Handler[CaptureConfig]):
             self.health.note("pose_corrected" if self._correction.known else "pose_suspected")
         posed = PosedImage(photo, frame.camera, pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
-        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", covariance))
+        sent = pose_to_msg(posed.pose, stamp, "map", covariance)
+        self.outlet.publish(POSED_POSE, sent)
+        self._publish_frames(sent)
         self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:

@@ -63,15 +63,13 @@ class DepthHandler(Handler[DepthConfig]):
             self.publications = (*self.publications, DEPTH_INFO)
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
-        self._join = StampJoin(("info", "pose"), self._trace, health, max_wait=config.max_wait)
+        parts = {"info": POSED_CAMERA_INFO, "pose": POSED_POSE}
+        self._join = StampJoin(parts, self._trace, health, max_wait=config.max_wait)
         _compile_kernels()
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        found: dict[Any, Callable[[Any], None]] = {
-            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
-            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
-        }
+        found: dict[Any, Callable[[Any], None]] = {**self._join.subscriptions}
         if self.config.surfaces:
             found[self._surface] = self._follower.on_message
         return found

@@ -121,6 +121,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def start(self) -> None:
         geometry = self._site.in_crs(self._geometry)
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
+        info["origin"] = list(self._site.origin)
         info["growth"] = self._site.fuel.growth.model_dump()
         info["labels_measured"] = state = labels_state(self._site)
         self.health.gauge("labels", state)

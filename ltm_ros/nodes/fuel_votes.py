@@ -43,18 +43,18 @@ class FuelVotesHandler(Handler[JoinConfig]):
         site = load_site(config.site)
         self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
         self._withdrawn = np.zeros(2, np.int64)
-        parts = ("depth", "info", "labels", "confidence", "pose")
+        parts = {
+            "depth": DEPTH_IMAGE,
+            "info": DEPTH_CAMERA_INFO,
+            "labels": LABELS_IMAGE,
+            "confidence": LABELS_CONFIDENCE,
+            "pose": POSED_POSE,
+        }
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {
-            DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
-            DEPTH_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
-            LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
-            LABELS_CONFIDENCE: lambda m: self._join.add("confidence", stamp_of(m), m),
-            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
-        }
+        return self._join.subscriptions
 
     def start(self) -> None:
         """Compile the kernels, so that the first frame is not delayed."""

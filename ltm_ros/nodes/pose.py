@@ -65,16 +65,12 @@ class PoseHandler(Handler[PoseKeepingConfig]):
         self._file = memory_file(folder, config.camera) if config.folder else None
         self._every_ns = round(site.refine_poses.every * 1e9)
         self._last_ns = -self._every_ns
-        self._join = StampJoin(("image", "info", "pose", "labels"), self._look, health, max_wait=config.max_wait)
+        parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": STATED_POSE, "labels": LABELS_IMAGE}
+        self._join = StampJoin(parts, self._look, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {
-            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
-            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
-            STATED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
-            LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
-        }
+        return self._join.subscriptions
 
     def start(self) -> None:
         camera = self._site.camera(self.config.camera)

@@ -15,6 +15,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
+from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
+from ltm_msgs_py.bag.reader import decoded
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
 from ltm_ros.runtime.delivery_checks import LossCounter, loss_report, with_info, writers_of
@@ -25,7 +27,10 @@ from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
-from ltm_ros.runtime.topics import RECORDED, camera_topic, input_topic, site_topic
+from ltm_ros.runtime.topics import POSED_POSE, RECORDED, camera_topic, input_topic, site_topic
+
+_FREQUENT = ("sensor_msgs/msg/Imu", TF_TYPE)
+"""Types of small messages that come up to two hundred times a second."""
 
 
 class RecorderConfig(NodeConfig):
@@ -57,6 +62,9 @@ class Recorder(Node):  # type: ignore[misc]
         self.health = Health()
         self._patterns = _patterns(config)
         self._taken: set[str] = set()
+        site = load_site(config.site)
+        poses = {} if config.topics else {camera_topic(site.name, name, POSED_POSE): name for name in site.cameras}
+        self._poses, self._frames = frozenset(poses), CameraFrames(poses)
         path = Path(config.bag)
         limits = RecordingLimits.of(
             path, config.max_bytes, config.min_free_bytes, config.file_bytes, config.file_seconds
@@ -93,7 +101,7 @@ class Recorder(Node):  # type: ignore[misc]
                 continue
             self._disk.add_topic(topic, types[0], latched)
             qos = QoSProfile(
-                depth=10,
+                depth=100 if types[0] in _FREQUENT else 10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
@@ -114,7 +122,18 @@ class Recorder(Node):  # type: ignore[misc]
 
     def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
         self.health.received(topic)
-        self._disk.take(topic, type_name, cdr, self.get_clock().now().nanoseconds)
+        now = self.get_clock().now().nanoseconds
+        self._disk.take(topic, type_name, cdr, now)
+        if topic not in self._poses:
+            return
+        try:
+            for name, raw, once in self._frames.beside(topic, decoded(cdr, type_name)):
+                if name not in self._taken:
+                    self._taken.add(name)
+                    self._disk.add_topic(name, TF_TYPE, once)
+                self._disk.take(name, TF_TYPE, raw, now)
+        except LtmError as error:
+            self.health.drop(cause_of(error), f"{topic}: {error}")
 
 
 def _patterns(config: RecorderConfig) -> list[str]:

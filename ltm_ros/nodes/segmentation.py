@@ -46,17 +46,12 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
-        self._join = StampJoin(("image", "info", "pose"), self._label_view, health, max_wait=config.max_wait)
+        parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE}
+        self._join = StampJoin(parts, self._label_view, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        if not self._step.by_view:
-            return {POSED_IMAGE: self.on_image}
-        return {
-            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
-            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
-            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
-        }
+        return self._join.subscriptions if self._step.by_view else {POSED_IMAGE: self.on_image}
 
     def start(self) -> None:
         step = self._step

@@ -100,7 +100,8 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
             self.publications = (*self.publications, TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
-        labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
+        required = [Part(name, topic=topic) for name, topic in _PARTS.items()]
+        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=LABELS_IMAGE)]
         self._joins = {
             camera: StampJoin(
                 labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera

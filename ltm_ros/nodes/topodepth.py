@@ -79,21 +79,17 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         self._site = site
         self._versions = surface_versions(site, Path(config.surfaces)) if config.surfaces else None
         self._version = AS_GIVEN
-        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
-        parts: list[Part | str] = ["image", "info", "pose", "depth", *(["traced"] if config.surfaces else []), labels]
+        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting, topic=LABELS_IMAGE)
+        topics = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE, "depth": DEPTH_IMAGE}
+        required = [Part(name, topic=topic) for name, topic in topics.items()]
+        parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
         self._step.compile_kernels()
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        found: dict[Any, Callable[[Any], None]] = {
-            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
-            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
-            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
-            DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
-            LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
-        }
+        found: dict[Any, Callable[[Any], None]] = {**self._join.subscriptions}
         if self.config.surfaces:
             found[DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
         return found

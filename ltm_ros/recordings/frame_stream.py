@@ -7,7 +7,6 @@ its last message has come. So memory holds only frames that overlap in time, wha
 from __future__ import annotations
 
 import logging
-import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from typing import Any
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.site import Site
+from ltm_msgs_py.bag.cdr import header_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
@@ -72,22 +72,6 @@ PARTS: Parts = {
 """The parts that our nodes and importers write."""
 
 _log = logging.getLogger(__name__)
-_HEADER = struct.Struct("<4siI")
-
-
-def raw_stamp(message: BagMessage) -> int:
-    """Return `header.stamp` of a message in nanoseconds, without decoding the rest.
-
-    Raises RecordingError for bytes that are not little-endian CDR.
-    """
-    if len(message.raw) < _HEADER.size or message.raw[1] != 1:
-        raise RecordingError(
-            f"{message.topic} at {message.log_time_ns} ns begins "
-            f"{message.raw[:12].hex(' ') or 'with nothing'}: expected "
-            "little-endian CDR with a header"
-        )
-    _, seconds, nanoseconds = _HEADER.unpack_from(message.raw)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +136,9 @@ class FrameStream:
             if message.type_name not in accepted_types(topic) or message.encoding != "cdr":
                 continue
             try:
-                stamp = raw_stamp(message)
+                stamp, _ = header_of(message.raw)
             except RecordingError as error:
-                _log.warning("%s", error)
+                _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
                 continue
             yield camera, part, topic, stamp, message
 

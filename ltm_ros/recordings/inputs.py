@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,12 @@ from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.reader import TopicInfo, decoded
+from ltm_msgs_py.bag.cdr import TF_TYPE, header_of, transforms_of
+from ltm_msgs_py.bag.reader import BagMessage, BagReader, TopicInfo, decoded
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import POSE_TYPES, as_stamped_pose, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
+from ltm_ros.runtime.frame_join import CameraPoses
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -28,6 +32,7 @@ from ltm_ros.runtime.topics import (
     image_topics,
     input_topic,
     other_inputs,
+    transform_topics,
 )
 
 _IMAGES = (IMAGE_COMPRESSED.type, IMAGE_RAW.type)
@@ -72,6 +77,118 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
     return found
 
 
+class InputReader:
+    """The input messages of a site's cameras in a bag, as their nodes subscribe to them (`topics`, by absolute name).
+
+    A pose in transforms, or of another frame that transforms lead on from, becomes the camera's own pose.
+    """
+
+    def __init__(self, reader: BagReader, site: Site) -> None:
+        recorded = reader.topic_infos()
+        self.reader, self._site_name = reader, site.name
+        self.topics = recorded_inputs(site, recorded)
+        self._images = {
+            camera: [camera_topic(site.name, camera, topic) for topic in image_topics(config)]
+            for camera, config in site.cameras.items()
+        }
+        self._moving: dict[str, str] = {}
+        self._static: dict[str, str] = {}
+        self._stated: dict[str, str] = {}
+        self._poses: dict[str, str] = {}
+        """Topics of moving and static transforms, of stated poses, and of the poses made of them, by camera."""
+        for camera, config in site.cameras.items():
+            pose = next((topic for topic in other_inputs(config) if topic.counted_name == POSE.name), None)
+            moving, static = transform_topics(config)
+            if pose is None:
+                continue
+            stated = camera_topic(site.name, camera, pose)
+            if moving:
+                self._moving[camera] = moving
+            elif static in recorded and stated in recorded:
+                self._stated[camera] = stated
+            else:
+                continue
+            self._static[camera], self._poses[camera] = static, camera_topic(site.name, camera, POSE)
+        for stated in self._stated.values():
+            self.topics.pop(stated, None)
+        self.topics |= dict.fromkeys(self._poses.values(), replace(POSE, counted=False))
+
+    @property
+    def converts(self) -> bool:
+        """Return whether messages are converted, so that their number is unknown."""
+        return bool(self._poses)
+
+    def messages(
+        self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """Yield messages of some of `topics`, as `BagReader.messages`."""
+        poses = {camera: self._camera_poses(camera) for camera, name in self._poses.items() if name in topics}
+        images = {name: camera for camera in poses if camera in self._moving for name in self._images[camera]}
+        sources = {
+            topics_of[camera] for topics_of in (self._moving, self._stated) for camera in poses.keys() & topics_of
+        }
+        plain = set(topics) - {*self._poses.values()}
+        for message in self.reader.messages(plain | sources | images.keys(), start_ns, end_ns):
+            for camera, followed in poses.items():
+                if self._moving.get(camera) == message.topic:
+                    yield from _transformed(followed, self._poses[camera], message)
+                elif self._stated.get(camera) == message.topic:
+                    yield from _converted(followed, self._poses[camera], message)
+            if message.topic in images:
+                camera = images[message.topic]
+                yield from _at_image(poses[camera], self._poses[camera], message)
+            if message.topic in plain:
+                yield message
+        for camera in poses.keys() & self._moving.keys():
+            if missing := poses[camera].missing():
+                _log.warning("%s: %s", camera, missing)
+
+    def _camera_poses(self, camera: str) -> CameraPoses:
+        """Return a camera's transforms with all static ones, also those before a replay's start."""
+        first, frame = next(self.reader.messages(self._images[camera]), None), ""
+        with suppress(LtmError):  # the image's reader counts it
+            frame = header_of(first.raw)[1] if first else ""
+        poses = CameraPoses(frame or f"{camera}_optical")
+        for message in self.reader.messages([self._static[camera]]):
+            for _ in _transformed(poses, "", message, static=True):
+                pass
+        return poses
+
+
+def _transformed(poses: CameraPoses, name: str, message: BagMessage, static: bool = False) -> Iterator[BagMessage]:
+    try:
+        for pose in poses.of_transforms(transforms_of(message.raw), static):
+            yield _pose_message(name, message, pose)
+    except LtmError as error:
+        _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
+
+
+def _converted(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
+    """Yield a recorded pose as the camera's; an invalid one as it is, for its reader to count."""
+    try:
+        if message.type_name not in POSE_TYPES:
+            raise MessageError(message.type_name)
+        for pose in poses.of_pose(decoded(message.raw, message.type_name, message.encoding)):
+            yield _pose_message(name, message, pose)
+    except LtmError:
+        yield replace(message, topic=name)
+
+
+def _at_image(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
+    try:
+        stamp, frame = header_of(message.raw)
+        for pose in poses.of_image(frame, stamp):
+            yield _pose_message(name, message, pose)
+    except LtmError:
+        return  # the image's reader counts it
+
+
+def _pose_message(name: str, source: BagMessage, pose: Any) -> BagMessage:
+    from rclpy.serialization import serialize_message  # who only reads topics need not load the middleware
+
+    return BagMessage(name, source.log_time_ns, source.publish_time_ns, type_name_of(pose), serialize_message(pose))
+
+
 def is_image(topic: Topic) -> bool:
     return topic.type in _IMAGES
 
@@ -82,9 +199,13 @@ def beside_expected(site: Site, recorded: Mapping[str, str], cameras: Iterable[s
     for camera in cameras or site.cameras:
         config = site.cameras[camera]
         proposed: dict[str, str] = {}
+        moving, _ = transform_topics(config)
+        converted = {camera_topic(site.name, camera, POSE): moving} if moving else {}
         for topics in (image_topics(config), *((topic,) for topic in other_inputs(config))):
             names = [camera_topic(site.name, camera, topic) for topic in topics]
             types = [accepted_types(topic) for topic in topics]
+            if names[0] in converted:
+                names, types = [converted[names[0]]], [(TF_TYPE,)]
             expected.append(" or ".join(f"{n} ({' or '.join(t)})" for n, t in zip(names, types, strict=True)))
             if not any(recorded.get(name) in of for name, of in zip(names, types, strict=True)):
                 proposed |= _proposed(site, camera, topics, recorded)
@@ -101,10 +222,12 @@ def _proposed(site: Site, camera: str, topics: Sequence[Topic], recorded: Mappin
     """Return the recorded topic that may be meant, by its key of the site file; none without any."""
     image = is_image(topics[0])
     types = [name for topic in ((IMAGE_COMPRESSED, IMAGE_RAW) if image else topics) for name in accepted_types(topic)]
+    types += [TF_TYPE] if topics[0].counted_name == POSE.name else []
     taken = {camera_topic(site.name, name, topic) for name, config in site.cameras.items() if name != camera
              for topic in (*image_topics(config), *other_inputs(config))}  # fmt: skip
     found = [name for name in sorted(recorded, key=lambda n: (camera not in n.split("/"), n))
-             if recorded[name] in types and name not in taken and "depth" not in name.lower()]  # fmt: skip
+             if recorded[name] in types and name not in taken and "depth" not in name.lower()
+             and not name.endswith("_static")]  # fmt: skip
     if not found:
         return {}
     usual = [camera_topic(site.name, camera, topic) for topic in (IMAGE_COMPRESSED, IMAGE_RAW)]

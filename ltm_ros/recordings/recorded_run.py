@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.resources import config_path, project_path
@@ -27,8 +26,10 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame
-from ltm_ros.runtime.topics import FUEL_MAP, POSE, site_topic
+from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input
+from ltm_ros.runtime.topics import CAMERA_INFO, FUEL_MAP, POSE, camera_topic, input_topic, site_topic
 
 FUEL_TRUTH = "fuel_truth.tif"
 
@@ -67,7 +68,7 @@ class Recorded:
 
         Raises RecordingError without a site or date, ConfigError for an invalid site.
         """
-        path = site or _site_of(bag)
+        path = site or site_of(bag)
         folder = truth or path.resolve().parent
         dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
         if date is None and len(dates) > 1:
@@ -109,7 +110,10 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
             yield RecordedFrame(camera, frame.stamp_ns, *parts)
 
 
-def _site_of(bag: Path) -> Path:
+def site_of(bag: Path) -> Path:
+    """Return the site file in or beside a bag, or the shipped one with the cameras of its topics. Raises
+    RecordingError.
+    """
     folder = bag.resolve()
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
@@ -121,9 +125,7 @@ def _site_of(bag: Path) -> Path:
                 return project_path(shipped)
             except LtmError:
                 continue
-    raise RecordingError(
-        f"{bag}: no site.yaml beside it, and no shipped site has the cameras {', '.join(sorted(names))}: give --site"
-    )
+    raise RecordingError(f"{bag}: no site.yaml is in it or beside it; give the site file with --site")
 
 
 def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
@@ -220,16 +222,23 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
 
     Raises RecordingError if there are none at all.
     """
-    stream = FrameStream.open(bag, site, {"camera": PARTS["camera"], "pose": ((POSE, _map_pose),)})
+    reader = BagReader(bag)
+    inputs = InputReader(reader, site)
+    owners = {
+        camera_topic(site.name, name, topic): name
+        for name, config in site.cameras.items()
+        for topic in (input_topic(config, CAMERA_INFO), input_topic(config, POSE), POSE)
+    }
     cameras: dict[str, Camera] = {}
     poses: dict[str, list[Pose]] = {name: [] for name in site.cameras}
-    for frame in stream.frames():
+    for message in inputs.messages([name for name in inputs.topics if name in owners]):
+        camera, topic = owners[message.topic], inputs.topics[message.topic]
         with suppress(LtmError):  # a replay counts what is damaged
-            if frame.camera_name not in cameras and "camera" in frame:
-                cameras[frame.camera_name] = frame.take("camera")
-        with suppress(LtmError):
-            if len(poses[frame.camera_name]) < _MOST and "pose" in frame:
-                _add(poses[frame.camera_name], frame.take("pose"))
+            content = decoded_input(topic, message.raw, message.type_name, message.encoding)
+            if topic.counted_name == POSE.name:
+                _add(poses[camera], msg_to_pose(content, "map"))
+            elif camera not in cameras:
+                cameras[camera] = msg_to_camera(content)
     for name, config in site.cameras.items():
         if config.calibration is not None:
             cameras[name] = config.calibration.camera()
@@ -237,16 +246,14 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     if not views:
         raise RecordingError(
             f"{bag}: contains no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); "
-            f"its topics are {stream.topics}"
+            f"{beside_expected(site, reader.topics())}"
         )
     return views
 
 
-def _map_pose(message: Any) -> Pose:
-    return msg_to_pose(message, "map")
-
-
 def _add(poses: list[Pose], pose: Pose) -> None:
+    if len(poses) >= _MOST:
+        return
     azimuth, pitch, _ = pose.angles_deg
     for other in poses:
         turned = abs((azimuth - other.angles_deg[0] + 180) % 360 - 180)

@@ -212,3 +212,17 @@ class Admission(Generic[FrameT]):
             self._health.drop(cause_of(earlier), str(earlier))
         if errors:
             raise errors[-1]
+
+
+class RepeatCheck:
+    """Detects repeated images of one camera, in order of arrival."""
+
+    def __init__(self) -> None:
+        self._last = ""
+
+    def repeats(self, content: str) -> bool:
+        """Return whether an image equals the previous one; `content`: its digest. Sensor noise makes working cameras'
+        images differ.
+        """
+        same, self._last = content == self._last, content
+        return same

@@ -5,11 +5,13 @@ The node `capture` joins live messages, the archive joins recorded ones: the sam
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from pydantic import Field
 
 from ltm_core.base.errors import ImageError
@@ -17,15 +19,15 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
+from ltm_core.geometry.pose import Pose, moved_covariance
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.pose import as_stamped_pose, msg_to_covariance, msg_to_pose, msg_to_transform, pose_to_msg
 from ltm_msgs_py.sensors import msg_to_attitude, msg_to_camera, msg_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
+from ltm_ros.runtime.stamp_join import MAX_GAP_NS, Match, Part, StampJoin
 from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, camera_topic, image_topics, other_inputs
 
 _FASTER = ", or with two stamps around it, at most 0.25 s apart; else set nodes.capture.pose_tolerance"
@@ -116,7 +118,10 @@ class FrameJoin:
         """Return the other topics to join, by the site file, with their callbacks."""
         takes = {CAMERA_INFO: self.on_camera_info, POSE: self.on_pose, FIX: self.on_fix, IMU: self.on_imu}
         by_name = {topic.name: take for topic, take in takes.items()}
-        return {topic: by_name[topic.counted_name] for topic in self._other_inputs}
+        found = {topic: by_name[topic.counted_name] for topic in self._other_inputs}
+        if any(topic.any_pose for topic in found):  # replays send them, if transforms lead on from the named ones
+            found[replace(POSE, counted=False)] = self.on_pose
+        return found
 
     def add_image(self, stamp_ns: int, image: Any) -> None:
         """Add an image. Raises the LtmError of a frame that it completes."""
@@ -199,10 +204,136 @@ _StatedPose = tuple[Pose, Float64Array | None]
 def _between(one: _StatedPose, other: _StatedPose, share: float) -> _StatedPose:
     """Interpolate two poses; the covariance is the larger one, unknown if either is."""
     (a, of_a), (b, of_b) = one, other
-    turn = matrix_of_vector(share * vector_of_matrix(b.rotation @ a.rotation.T))
-    pose = Pose(a.position + share * (b.position - a.position), turn @ a.rotation)
-    return pose, None if of_a is None or of_b is None else max(of_a, of_b, key=np.trace)
+    return a.towards(b, share), None if of_a is None or of_b is None else max(of_a, of_b, key=np.trace)
 
 
 def _equal(one: Float64Array | None, other: Float64Array | None) -> bool:
     return one is other if one is None or other is None else np.array_equal(one, other)
+
+
+@dataclass
+class _Edge:
+    """The poses of a frame in its parent by stamp, ascending; static: one, which always holds."""
+
+    parent: str
+    static: bool
+    stamps: list[int] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    covariance: Float64Array | None = None
+
+    def add(self, stamp: int, pose: Pose) -> None:
+        if self.static or (self.stamps and stamp < self.stamps[-1] - _KEPT_NS):  # a clock was set back
+            self.stamps, self.poses = [], []
+        if not self.stamps or stamp > self.stamps[-1]:
+            self.stamps.append(stamp)
+            self.poses.append(pose)
+        old = bisect_left(self.stamps, self.stamps[-1] - _KEPT_NS)
+        del self.stamps[:old], self.poses[:old]
+
+    def at(self, stamp: int) -> Pose | None:
+        """Return the pose at a time; None if the stamps around it are more than `MAX_GAP_NS` apart."""
+        if self.static:
+            return self.poses[0]
+        n = bisect_left(self.stamps, stamp)
+        if n < len(self.stamps) and self.stamps[n] == stamp:
+            return self.poses[n]
+        if not 0 < n < len(self.stamps) or self.stamps[n] - self.stamps[n - 1] > MAX_GAP_NS:
+            return None
+        begin, end = self.stamps[n - 1], self.stamps[n]
+        return self.poses[n - 1].towards(self.poses[n], (stamp - begin) / (end - begin))
+
+
+_KEPT_NS = 10_000_000_000
+"""Time for which transforms are kept, as in tf2."""
+
+
+class CameraPoses:
+    """Follows chains of transforms from `map` to a camera's frame, and returns poses of that frame.
+
+    Transforms of a chain may have different rates: there is a pose at each stamp of any of them, and the others are
+    interpolated to it (`MAX_GAP_NS`). `frame`: the camera's frame, that of its images.
+    """
+
+    def __init__(self, frame: str = "") -> None:
+        self.frame = frame
+        self._edges: dict[str, _Edge] = {}
+        self._done = -1
+
+    def of_transforms(self, transforms: Iterable[Any], static: bool) -> Iterator[PoseWithCovarianceStamped]:
+        """Take the transforms of a TFMessage; yield new poses. Raises PoseError for an invalid transform."""
+        for one in transforms:
+            edge = self._edge(one.header.frame_id, one.child_frame_id, static)
+            edge.add(stamp_of(one), msg_to_transform(one))
+        yield from self._new()
+
+    def of_pose(self, msg: Any) -> Iterator[PoseWithCovarianceStamped]:
+        """Take a message of `POSE_TYPES`; yield it as the camera's pose in `map`, by transforms if it is that of
+        another frame, or in another. Raises PoseError for another frame's without transforms.
+        """
+        parent, child = msg.header.frame_id, getattr(msg, "child_frame_id", "") or self.frame
+        if parent != "map" or not (child == self.frame or child.endswith("optical")):
+            stated = as_stamped_pose(msg, any_frame=True)
+            edge = self._edge(parent, child, False)
+            edge.covariance = msg_to_covariance(stated)
+            edge.add(stamp_of(stated), msg_to_pose(stated))
+            if self._chain():
+                yield from self._new()
+                return
+        yield as_stamped_pose(msg)
+
+    def of_image(self, frame: str, stamp_ns: int) -> Iterator[PoseWithCovarianceStamped]:
+        """Take the frame and stamp of an image; yield its pose if the whole chain is static."""
+        self.frame = frame or self.frame
+        chain = self._chain()
+        if chain and all(edge.static for edge in chain) and (pose := _along(chain, stamp_ns)[0]) is not None:
+            yield pose_to_msg(pose, stamp_ns)
+
+    def missing(self) -> str:
+        """Return why there is no pose, in words; empty if a chain is known."""
+        if self._chain():
+            return ""
+        known = ", ".join(f"{edge.parent} -> {child}" for child, edge in sorted(self._edges.items())) or "none"
+        return f"no chain of transforms leads from 'map' to the frame {self.frame!r} of its images; known: {known}"
+
+    def _edge(self, parent: str, child: str, static: bool) -> _Edge:
+        edge = self._edges.get(child)
+        if edge is None or (edge.parent, edge.static) != (parent, static):
+            edge = self._edges[child] = _Edge(parent, static)
+        return edge
+
+    def _chain(self) -> list[_Edge]:
+        """Return the edges from `map` to the camera's frame; none if they are not connected."""
+        chain: list[_Edge] = []
+        frame = self.frame
+        while frame != "map" and frame in self._edges and len(chain) < len(self._edges):
+            chain.insert(0, self._edges[frame])
+            frame = chain[0].parent
+        return chain if frame == "map" else []
+
+    def _new(self) -> Iterator[PoseWithCovarianceStamped]:
+        chain = self._chain()
+        moving = [edge for edge in chain if not edge.static]
+        if not moving:
+            return
+        newest = min(edge.stamps[-1] for edge in moving)
+        if newest < self._done - _KEPT_NS:
+            self._done = -1
+        for stamp in sorted({s for edge in moving for s in edge.stamps if self._done < s <= newest}):
+            pose, covariance = _along(chain, stamp)
+            if pose is not None:
+                yield pose_to_msg(pose, stamp, covariance=covariance)
+        self._done = max(self._done, newest)
+
+
+def _along(chain: list[_Edge], stamp: int) -> tuple[Pose | None, Float64Array | None]:
+    """Return the pose at the end of a chain, and its covariance if an edge states one."""
+    pose = Pose(np.zeros(3), np.eye(3))
+    stated: tuple[Float64Array, Float64Array] | None = None
+    for edge in chain:
+        if (step := edge.at(stamp)) is None:
+            return None, None
+        before, pose = pose, step.after(pose)
+        if edge.covariance is not None:
+            turn = np.kron(np.eye(2), before.rotation)
+            stated = pose.position, turn @ edge.covariance @ turn.T
+    return pose, None if stated is None else moved_covariance(stated[1], pose.position - stated[0])

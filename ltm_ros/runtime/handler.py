@@ -18,7 +18,7 @@ from ltm_ros.runtime.health import Health
 class Topic:
     """`name`: relative to the node's namespace, or absolute. `latched`: late subscribers get the last message. `depth`:
     messages kept for a slow subscriber. `counted`: whether messages count as frames received, under `usual_name` if
-    the site file gives the topic another one.
+    the site file gives the topic another one. `any_pose`: messages of the other types of poses are accepted, too.
     """
 
     name: str
@@ -27,6 +27,7 @@ class Topic:
     depth: int = 10
     counted: bool = True
     usual_name: str = ""
+    any_pose: bool = False
 
     @property
     def counted_name(self) -> str:

@@ -17,6 +17,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.pose import POSE_TYPES
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
@@ -57,6 +59,7 @@ class OutletNode(Node):  # type: ignore[misc]
         self._heard: list[TopicCount] = []
         self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
+        self._undecided: dict[str, Callable[[type], None]] = {}
 
     def publish(self, topic: Topic, message: Any) -> None:
         """Implement Outlet."""
@@ -124,14 +127,29 @@ class OutletNode(Node):  # type: ignore[misc]
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
 
-        self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+        if topic.any_pose:
+            self._undecided[name] = lambda kind: self.create_subscription(kind, name, with_info(take), _qos(topic))
+        else:
+            self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+
+    def _settle_types(self) -> None:
+        """Subscribe to topics of several accepted types once a publisher shows which."""
+        for name, subscribe in list(self._undecided.items()):
+            offered = {end.topic_type for end in self.get_publishers_info_by_topic(name)}
+            if found := next((kind for kind in POSE_TYPES if kind in offered), None):
+                del self._undecided[name]
+                subscribe(message_class(found))
+            elif offered:
+                supported = ", ".join(POSE_TYPES)
+                self.health.trouble("type", f"{name} has type {', '.join(sorted(offered))}; supported: {supported}")
 
     def destroy_node(self) -> None:
         TRAFFIC.forget([*self._said.values(), *self._heard])
         super().destroy_node()
 
     def state_listeners(self) -> None:
-        """Report the number of subscribers of each publisher."""
+        """Report the number of subscribers of each publisher; called every half second."""
+        self._settle_types()
         for topic, publisher in self._publishers_by_topic.items():
             self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,15 @@ from pydantic import Field
 
 from ltm_core.base.errors import LtmError
 from ltm_core.site.sections import MessageLimits
-from ltm_ros.runtime.handler import NodeConfig
+from ltm_msgs_py.bag.schemas import type_name_of
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.handler import NodeConfig, Topic
 from ltm_ros.runtime.health import Health, cause_of
 
 CLOCKS_SET_NS = 946_684_800_000_000_000
 """The year 2000: an earlier stamp is from a clock that was never set, and would count as a view decades apart."""
 MAX_AHEAD_S = 10.0
-"""Default of nodes in seconds: synchronised clocks agree within a second. Stamps far ahead would displace
-late frames.
-"""
+"""Default of nodes in seconds: synchronised clocks agree within a second. Stamps far ahead would displace others."""
 MAX_BEHIND_S = 7 * 86400.0
 """Default of nodes in seconds: a radio link may fail for days and deliver then; use a replay for older frames."""
 JUMP_S = 60.0
@@ -61,11 +62,8 @@ class StampCheck:
             return True
         behind = (now - stamp_ns) / 1e9
         if now and behind > self._max_behind:
-            self._health.drop(
-                "past",
-                f"{what}: {behind:.0f} s behind this node's clock; synchronise the clocks, or replay "
-                "messages of this age",
-            )
+            remedy = "synchronise the clocks, or replay messages of this age"
+            self._health.drop("past", f"{what}: {behind:.0f} s behind this node's clock; {remedy}")
             return True
         if now:
             if abs(behind - self._lateness.get(what, behind)) > JUMP_S:
@@ -74,29 +72,13 @@ class StampCheck:
         return False
 
     def ahead(self, what: str, stamp_ns: int) -> bool:
-        """Return whether the stamp is in the future; the only check for messages that may be old, such as a repeated
-        map.
-        """
+        """Return whether the stamp is in the future; the only check for messages that may be old."""
         now = self._now_ns()
         if now and stamp_ns > now + self._max_ahead * 1e9:
             ahead = (stamp_ns - now) / 1e9
             self._health.drop("future", f"{what}: {ahead:.0f} s ahead of this node's clock; synchronise the clocks")
             return True
         return False
-
-
-class RepeatCheck:
-    """Detects repeated images of one camera, in order of arrival."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def repeats(self, content: str) -> bool:
-        """Return whether an image equals the previous one; `content`: its digest. Sensor noise makes working cameras'
-        images differ.
-        """
-        same, self._last = content == self._last, content
-        return same
 
 
 _NONE = np.iinfo(np.int64).min
@@ -151,6 +133,7 @@ class Part:
     `tolerance_ns`: of `Match.NEAREST`. `between`: interpolates two messages around a frame, at most `MAX_GAP_NS` apart,
     at a share of the way. `wait_s`: seconds for which a frame that has all else waits for this part before
     it continues without; None: the part is required. `remembered`: messages kept of a part that begins no frames.
+    `topic`: of its messages, for subscriptions and reports.
     """
 
     name: str
@@ -159,12 +142,16 @@ class Part:
     wait_s: float | None = None
     remembered: int = REMEMBERED
     between: Callable[[Any, Any, float], Any] | None = None
+    topic: Topic | None = None
+
+    @property
+    def shown(self) -> str:
+        """Return topic and type, or the name without a topic."""
+        return self.name if self.topic is None else f"{self.topic.name} ({type_name_of(self.topic.type())})"
 
     @property
     def begins(self) -> bool:
-        """Return whether a message of this part begins a frame; one that may belong to several frames or
-        none does not.
-        """
+        """Return whether a message begins a frame, because it belongs to exactly one."""
         return self.match is Match.EXACT and self.wait_s is None
 
 
@@ -183,7 +170,7 @@ class _FrameParts:
 
 
 def data_bytes(message: Any) -> int:
-    """Return the bytes of image data, or of a message's `data`."""
+    """Return the bytes of a message's `data`."""
     return len(getattr(message, "data", ()))
 
 
@@ -195,15 +182,15 @@ class StampJoin:
     optional parts, none longer than `max_wait` seconds, and all with at most `capacity_bytes` of data; a single message
     is always accepted.
 
-    Args: parts: the parts of a frame; a name alone is a required part of equal stamp. complete: takes `**{name:
-    message}`; None for a missing optional part. May raise LtmError. health: counts duplicates, and incomplete frames as
-    `unjoined`, with their missing parts. give_up: called instead of `health` for an incomplete frame: its stamp, its
-    missing parts, and why it no longer waits. camera: camera of the frames, if the node has several.
+    Args: parts: the parts of a frame; a name, also with its topic, is a required part of equal stamp. complete: takes
+    `**{name: message}`; None for a missing optional part. May raise LtmError. health: counts duplicates, and incomplete
+    frames as `unjoined`. give_up: called instead of `health` for an incomplete frame: its stamp, its missing parts, and
+    why it no longer waits. camera: camera of the frames, if the node has several.
     """
 
     def __init__(
         self,
-        parts: Sequence[Part | str],
+        parts: Mapping[str, Topic] | Sequence[Part | str],
         complete: Callable[..., None],
         health: Health,
         capacity: int = 30,
@@ -213,6 +200,8 @@ class StampJoin:
         capacity_bytes: int = WAITING_BYTES,
         camera: str = "",
     ) -> None:
+        if isinstance(parts, Mapping):
+            parts = [Part(name, topic=topic) for name, topic in parts.items()]
         self._parts = {p.name: p for p in (Part(p) if isinstance(p, str) else p for p in parts)}
         self._complete, self._health = complete, health
         self._capacity, self._whole_capacity, self._max_wait = capacity, whole_capacity, max_wait
@@ -224,17 +213,27 @@ class StampJoin:
             name: OrderedDict() for name, part in self._parts.items() if not part.begins
         }
 
+    @property
+    def subscriptions(self) -> dict[Topic, Callable[[Any], None]]:
+        """Return the topics of the parts, with callbacks that add their messages."""
+        found = ((part.topic, part.name) for part in self._parts.values())
+        return {topic: partial(self._add_stamped, name) for topic, name in found if topic is not None}
+
+    def _add_stamped(self, name: str, message: Any) -> None:
+        self.add(name, stamp_of(message), message)
+
     def known(self, name: str, stamp_ns: int) -> bool:
         """Return whether a message of this part and stamp would be a duplicate."""
         frame = self._waiting.get(stamp_ns)
         return self._parts[name].begins and (stamp_ns in self._done or (frame is not None and name in frame.parts))
 
     def add(self, name: str, stamp_ns: int, message: Any) -> None:
-        """Add a message and complete each frame that has all parts. Raises the last of their errors at the end; earlier
-        ones are counted.
-        """
+        """Add a message and complete each frame that has all parts. Raises the last of their errors."""
         if self.known(name, stamp_ns):
-            self._health.drop("duplicate", f"a second {name} of stamp {stamp_ns} ns; stamps of a camera must be unique")
+            self._health.drop(
+                "duplicate",
+                f"a second {self._parts[name].shown} of stamp {stamp_ns} ns; stamps of a camera must be unique",
+            )
             return
         part = self._parts[name]
         if part.begins:
@@ -248,11 +247,11 @@ class StampJoin:
         self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
 
     def discard(self, stamp_ns: int) -> None:
-        """Forget a frame that will not be completed and is counted elsewhere."""
+        """Forget a frame that is counted elsewhere."""
         self._waiting.pop(stamp_ns, None)
 
     def tick(self, waited: float) -> None:
-        """Advance time: frames that have waited long enough continue without optional parts, or are dropped."""
+        """Advance time: old frames continue without optional parts, or are dropped."""
         for stamp, frame in list(self._waiting.items()):
             frame.waited += waited
             frame.lacking_optional += waited if frame.whole else 0.0
@@ -344,6 +343,7 @@ class StampJoin:
 
     def _count_unjoined(self, stamp: int, lacking: list[str], why: str) -> None:
         whose = f"{self._camera}: " if self._camera else ""
-        self._health.drop("unjoined", f"{whose}stamp {stamp} ns is incomplete, without {', '.join(lacking)} ({why})")
+        parts = ", ".join(self._parts[name].shown for name in lacking)
+        self._health.drop("unjoined", f"{whose}stamp {stamp} ns is incomplete, without {parts} ({why})")
         for name in lacking:
             self._health.note(f"unjoined.{self._camera}.{name}" if self._camera else f"unjoined.{name}")

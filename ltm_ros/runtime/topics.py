@@ -10,6 +10,8 @@ from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import Header, String
 
+from ltm_core.base.errors import RecordingError
+from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.runtime.handler import Topic
 
 if TYPE_CHECKING:
@@ -22,6 +24,14 @@ POSE = Topic("pose", PoseWithCovarianceStamped)
 FIX = Topic("fix", NavSatFix, counted=False)
 IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundred a second
 """Sensor from which a camera's pose is computed if its site file enables it (`sensors`)."""
+
+try:
+    _TF: type | None = message_class("tf2_msgs/msg/TFMessage")
+except RecordingError:  # its package has no wheel
+    _TF = None
+TF = None if _TF is None else Topic("/tf", _TF, depth=100, counted=False)
+TF_STATIC = None if _TF is None else Topic("/tf_static", _TF, latched=True, depth=100, counted=False)
+"""Transforms from `map` to each camera's link and optical frame (REP-105), if the package tf2_msgs is installed."""
 
 SOURCE_INFO = Topic("source/info", String, latched=True)
 """Uncertainty of a frame's stamp, its source, and whether this computer's clock was synchronised."""
@@ -125,9 +135,24 @@ def camera_topic(site: str, camera: str, topic: Topic) -> str:
 
 
 def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
-    """Return a topic under the name that the site file gives it, if any."""
+    """Return a topic under the name that the site file gives it, if any. Named poses may have any rate and type;
+    transforms become poses on the usual topic.
+    """
     name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
-    return replace(topic, name=name, usual_name=topic.name) if name else topic
+    if not name:
+        return topic
+    if topic is not POSE:
+        return replace(topic, name=name, usual_name=topic.name)
+    if transform_topics(camera)[0]:
+        return replace(topic, counted=False)
+    return replace(topic, name=name, usual_name=topic.name, counted=False, any_pose=True)
+
+
+def transform_topics(camera: CameraConfig) -> tuple[str, str]:
+    """Return the topics of moving transforms, if the site file names them as the camera's pose, and of static ones."""
+    name = camera.topics.pose or ""
+    moving = name if name.endswith("/tf") else ""
+    return moving, f"{moving or '/tf'}_static"
 
 
 def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:

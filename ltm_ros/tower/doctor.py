@@ -144,6 +144,10 @@ def check_ros() -> Iterator[DoctorFinding]:
     absent = [name for name in MESSAGE_PACKAGES if importlib.util.find_spec(name) is None]
     said = f"no {', '.join(absent)}" if absent else ", ".join(MESSAGE_PACKAGES)
     yield DoctorFinding.judged("ros", "messages", not absent, said, remedy, DoctorState.MISSING)
+    if importlib.util.find_spec("tf2_msgs") is None:
+        lacks = "not found: live graphs neither read nor publish /tf; recordings and replays do"
+        remedy = "use ROS 2 from apt: apt install ros-jazzy-tf2-msgs (it has no Python package)"
+        yield DoctorFinding("ros", "tf2_msgs", DoctorState.OPTIONAL, lacks, remedy)
 
 
 def check_transport() -> Iterator[DoctorFinding]:

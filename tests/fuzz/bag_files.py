@@ -17,7 +17,7 @@ from fuzz.target import Target
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
+from ltm_msgs_py.bag.cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
@@ -133,5 +133,5 @@ def _read_picture(folder: Path) -> None:
 
 BAG_FILES = (
     Target("bag", "a.mcap", _bags, _read_bag, _spoil_bag, weight=3.0),
-    Target("picture_cdr", "picture.cdr", _pictures, _read_picture),
+    Target("cdr", "picture.cdr", _pictures, _read_picture),
 )

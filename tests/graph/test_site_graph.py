@@ -18,6 +18,7 @@ from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite, apart, like_its
 from scenes.waiting import wait_for
 
 from ltm_core.base.errors import RecordingError
+from ltm_msgs_py.bag.cdr import transforms_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import CAMERA_NODES, describe
@@ -120,6 +121,12 @@ def test_recording_holds_every_frame_with_its_results(replayed: Replayed) -> Non
     given = BagReader(small.bag)
     for topic in given.topics():
         assert decoded(reader, topic) == decoded(given, topic), topic
+    moving, static = (
+        {(one.header.frame_id, one.child_frame_id, stamp_of(one)) for m in found for one in transforms_of(m.raw)}
+        for found in (reader.messages(["/tf"]), reader.messages(["/tf_static"]))
+    )
+    assert moving == {("map", f"{frame.camera_name}_link", frame.stamp_ns) for frame in small.frames()}
+    assert static == {(f"{camera}_link", f"{camera}_optical", 0) for camera in CAMERAS}
 
 
 def test_saved_map_is_that_of_the_offline_replay(replayed: Replayed, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from scenes.small_site import FRAMES, SmallSite
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.pipeline.stored_fuel import STORE_FILE
-from ltm_msgs_py.bag.picture_cdr import CompressedPicture
+from ltm_msgs_py.bag.cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.archive import files, photo_folder

@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 import yaml
 from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
 from scenes.networks import write_classifier, write_swapping_head
 from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.fuel.class_map import read_fuel_map
+from ltm_core.geometry.pose import Pose
+from ltm_msgs_py.bag.cdr import TF_TYPE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_array, msg_to_depth
 from ltm_msgs_py.json_topics import msg_to_model
+from ltm_msgs_py.pose import msg_to_transform
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_run import last_fuel_map
@@ -63,6 +67,31 @@ def test_twice_gives_the_same_bytes(small_site: SmallSite, first: tuple[Path, Su
     assert (tmp_path / "again/map.tif").read_bytes() == (once / "map.tif").read_bytes()
     assert messages_of(tmp_path / "again/bag") == messages_of(once / "bag")
     assert summaries.keys() == again.keys()
+
+
+def test_every_frame_id_leads_to_the_map_by_the_recordings_own_transforms(
+    small_site: SmallSite, first: tuple[Path, Summaries]
+) -> None:
+    """As another reader finds it; and the chain is each frame's pose."""
+    frames, parents, poses = set(), dict[str, str](), dict[tuple[str, int], Pose]()
+    with AnyReader([first[0] / "bag"]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.msgtype != TF_TYPE:
+                frames |= {message.header.frame_id} if hasattr(message, "header") else set()
+                continue
+            for one in message.transforms:
+                parents[one.child_frame_id] = one.header.frame_id
+                stamp = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec
+                poses[one.child_frame_id, stamp] = msg_to_transform(one)
+    assert frames == {"map", "tower_optical", "mast_optical"}
+    for frame in frames - {"map"}:
+        assert parents[parents[frame]] == "map"
+    for frame in small_site.frames():
+        link = poses[f"{frame.camera_name}_link", frame.stamp_ns]
+        seen = poses[f"{frame.camera_name}_optical", 0].after(link)
+        np.testing.assert_allclose(seen.position, frame.pose.position)
+        np.testing.assert_allclose(seen.rotation, frame.pose.rotation, atol=1e-12)
 
 
 def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, first: tuple[Path, Summaries]) -> None:

@@ -93,7 +93,7 @@ def test_a_phones_fixes_and_attitudes_are_played(tmp_path: Path) -> None:
         for name, message in messages.items():
             bag.write(f"/ridge/phone/{name}", message, STAMP)
     selection = Selection.open(tmp_path / "bag", load_site(tmp_path / "site.yaml"))
-    played = {message.topic.rsplit("phone/", 1)[1]: selection.reader.decode(message) for message in selection}
+    played = {message.topic.rsplit("phone/", 1)[1]: selection.inputs.reader.decode(message) for message in selection}
     assert played.keys() == messages.keys()
     assert (played["fix"].latitude, played["fix"].longitude) == (LAT, LON)
     assert played["imu"].orientation.w == 1.0

@@ -26,6 +26,9 @@ class Kept:
         """Whether the handler gets further messages before it is idle."""
         self._wants = wants
 
+    def wants(self, *topics: Topic) -> None:
+        self._wants = topics
+
     def publish(self, topic: Topic, message: Any) -> None:
         self.sent.append((topic, message))
 

@@ -36,7 +36,7 @@ ON_DEMAND = {
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
-    "rosbags": "message definitions where no ROS is installed",
+    "rosbags": "SQLite bags, and message definitions where no ROS is installed",
     "pyarrow": "archives worked again",
     "fsspec": "the same, on disk or S3",
     "dask": "the same, on many workers",

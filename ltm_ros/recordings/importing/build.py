@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -17,24 +18,29 @@ from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingErr
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_radians
+from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.sensors import attitude_to_msg, camera_to_msg, fix_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
 from ltm_ros.recordings.importing.photo import ImportedImage, Photo
 from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
 from ltm_ros.recordings.importing.pose_file import POSES, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
-from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
+from ltm_ros.recordings.importing.sensor_track import SensorTrack
+from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMU, POSE, camera_topic
 
 _APART_NS = 1_000_000
 """Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
+_BESIDE_NS = 1_000_000_000
+"""Time for which fixes and attitudes are written before the first photo and after the last."""
 _ANGLES = ("azimuth", "pitch", "roll")
 _UNKNOWN = (UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, UNKNOWN_AZIMUTH_SIGMA_DEG)
 """Standard deviations of unknown angles."""
@@ -129,24 +135,25 @@ def import_photos(
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
     folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
-    with (
-        BagWriter(out, compression=None, custom_data=custom) as writer,
-        folder or nullcontext(),
-    ):  # JPEG is not compressed again
+    with BagWriter(out, custom_data=custom) as writer, folder or nullcontext():
+        readings = deque(_readings(report.site, placed))
+        frames = CameraFrames({camera_topic(report.site, name, POSE): name for name, *_ in placed})
         for done, (name, file, row, stamp_ns) in enumerate(placed):
             item = place(_read(file, row), row, name, around, assumed)
             if refinement is not None:
                 item, found = refinement.refine(name, file.name, item)
                 report.refined.append((file.name, found))
-            _write(writer, report.site, name, item, stamp_ns)
+            _write_readings(writer, readings, stamp_ns)
+            _write(writer, report.site, name, item, stamp_ns, frames)
             if folder is not None:
                 folder.add(file.name, name, item, stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
+        _write_readings(writer, readings)
     return report
 
 
-def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
+def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_ns: int, frames: CameraFrames) -> None:
     optical = f"{camera}_optical"
     image = compressed_to_msg(item.photo.data, item.photo.image_format, stamp_ns, optical)
     for topic, msg in (
@@ -154,7 +161,37 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
         (POSE, pose_to_msg(item.pose, stamp_ns, covariance=item.covariance)),
         (IMAGE_COMPRESSED, image),
     ):
-        writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
+        writer.write(name := camera_topic(site, camera, topic), msg, stamp_ns)
+        for transforms, raw, latched in frames.beside(name, msg):
+            writer.add_topic(transforms, TF_TYPE, latched)
+            writer.write_raw(transforms, TF_TYPE, raw, stamp_ns)
+
+
+_Reading = tuple[str, str, Fix | Attitude]
+"""Topic and frame of what a device reported."""
+
+
+def _readings(site: str, placed: Sequence[tuple[str, ImportedImage, PhotoPose, int]]) -> list[_Reading]:
+    """Return the fixes and attitudes of recorded tracks as the device reported them, by stamp, from a second before its
+    first photo to a second after its last one.
+    """
+    stamps: dict[tuple[str, SensorTrack], list[int]] = {}
+    for camera, file, _, stamp in placed:
+        for track in file.tracks:
+            stamps.setdefault((camera, track), []).append(stamp)
+    found: list[_Reading] = []
+    for (camera, track), taken in stamps.items():
+        topics = {kind: camera_topic(site, camera, topic) for kind, topic in ((Fix, FIX), (Attitude, IMU))}
+        for one in track.readings(min(taken) - _BESIDE_NS, max(taken) + _BESIDE_NS):
+            found.append((topics[type(one)], f"{camera}_device", one))
+    return sorted(found, key=lambda reading: reading[2].stamp_ns)
+
+
+def _write_readings(writer: BagWriter, readings: deque[_Reading], until_ns: int | None = None) -> None:
+    while readings and (until_ns is None or readings[0][2].stamp_ns <= until_ns):
+        topic, frame, one = readings.popleft()
+        msg = fix_to_msg(one, frame) if isinstance(one, Fix) else attitude_to_msg(one, frame)
+        writer.write(topic, msg, one.stamp_ns)
 
 
 def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:

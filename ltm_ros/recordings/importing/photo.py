@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+from PIL.JpegImagePlugin import JpegImageFile, get_sampling
+
 from ltm_core.base.errors import ImageError
+from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import (
     decode_rgb,
     image_format,
@@ -20,7 +26,7 @@ from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
-from ltm_ros.recordings.importing.sensor_track import Sensed
+from ltm_ros.recordings.importing.sensor_track import Sensed, SensorTrack
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
@@ -70,20 +76,22 @@ class ImportedImage:
 
     `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
     each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
-    capture, if its row gives the start; empty: none.
+    capture, if its row gives the start; empty: none. `tracks`: recorded sensors that may apply to it.
     """
 
     name: str
     path: Path
     read: Callable[[], Photo]
     capture: str = ""
+    tracks: tuple[SensorTrack, ...] = ()
 
 
 def read_photo(path: Path) -> Photo:
     """Read a JPEG, PNG, HEIC, WebP, TIFF or AVIF photo, detected by its content.
 
     JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for other formats, the upright image is
-    compressed again (JPEG quality 95). What follows a JPEG's image, such as a motion photo's video, is cut off. Raises
+    compressed again: a JPEG with its own quantisation, others with JPEG quality 95. What follows a JPEG's image, such
+    as a motion photo's video, is cut off. Raises
     ImageError for other files, and for corrupt or incomplete ones.
     """
     return photo_of(read_picture(path), path)
@@ -101,10 +109,31 @@ def photo_of(data: bytes, path: Path) -> Photo:
         pixels = upright(decode_rgb(data, str(path)), turn)
         height, width = pixels.shape[:2]
         lens = lens_of_photo(exif, xmp, width, height)
+        if not reencoded:
+            stored = without_tail(data)
+        elif isinstance(image, JpegImageFile):
+            stored = _turned_jpeg(image, pixels, turn)
+        else:
+            stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
-    stored = encode_rgb(pixels, encoding, _REENCODED_QUALITY) if reencoded else without_tail(data)
     sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
     return Photo(path, stored, encoding, width, height, facts, sensed, reencoded, lens)
+
+
+def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
+    """Return turned pixels as a JPEG with the quantisation of the stored image: its blocks change hardly, and its size
+    stays.
+    """
+    tables = {number: np.reshape(table, (8, 8)) for number, table in stored.quantization.items()}
+    tables = {number: table.T if turn > 4 else table for number, table in tables.items()}  # a quarter turn
+    written = BytesIO()
+    Image.fromarray(pixels).save(
+        written,
+        "JPEG",
+        qtables={number: table.ravel().tolist() for number, table in tables.items()},
+        subsampling=get_sampling(stored) if stored.layers == 3 else -1,
+    )
+    return written.getvalue()
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:

@@ -184,7 +184,10 @@ def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]
     def picture(member: str, stamp_ns: int) -> ImportedImage:
         path = files.path / Path(member).name
         return ImportedImage(
-            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
+            path.name,
+            path,
+            lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns),
+            tracks=(track,),
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
@@ -203,7 +206,7 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
                 return told
         return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
 
-    return replace(picture, read=read)
+    return replace(picture, read=read, tracks=tuple(tracks))
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:

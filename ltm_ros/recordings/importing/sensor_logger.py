@@ -133,7 +133,14 @@ def _fixes(location: Table, place: str) -> Fixes:
     if "verticalAccuracy" in location:
         altitude = np.where(np.isfinite(vertical), altitude, np.nan)
     return Fixes(
-        stamps[order], lon[order], lat[order], altitude[order], accuracy[order], vertical[order], ellipsoidal=not known
+        stamps[order],
+        lon[order],
+        lat[order],
+        altitude[order],
+        accuracy[order],
+        vertical[order],
+        not known,
+        ellipsoid[order],
     )
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -14,7 +16,7 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialCalibration
-from ltm_core.cameras.sensor_pose import optical_angles_deg
+from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
 from ltm_core.geometry.pose import Pose
 
 
@@ -107,7 +109,7 @@ _WALKING_SPEED = 1.4
 @dataclass(frozen=True, eq=False)
 class Fixes:
     """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
-    NaN if unknown.
+    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too.
     """
 
     stamp_ns: Int64Array
@@ -117,6 +119,7 @@ class Fixes:
     position_sigma: Float64Array
     altitude_sigma: Float64Array
     ellipsoidal: bool | None = None
+    ellipsoid: Float64Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +166,23 @@ class SensorTrack:
         if climb is not None:
             facts |= {"climb": climb, "walk": self._walked()}
         return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
+
+    def readings(self, begin_ns: int, end_ns: int) -> Iterator[Fix | Attitude]:
+        """Yield the fixes, and the attitudes with a known north, as the device reported them in a time, by stamp."""
+        found: list[Fix | Attitude] = []
+        if (fixes := self.fixes) is not None:
+            height = fixes.altitude if fixes.ellipsoidal else fixes.ellipsoid
+            for n in range(*np.searchsorted(fixes.stamp_ns, (begin_ns, end_ns))):
+                variances = np.array([fixes.position_sigma[n], fixes.position_sigma[n], fixes.altitude_sigma[n]]) ** 2
+                covariance = np.diag(variances) if np.isfinite(variances).all() else None
+                altitude = np.nan if height is None else float(height[n])
+                lon, lat = float(fixes.lon[n]), float(fixes.lat[n])
+                found.append(Fix(int(fixes.stamp_ns[n]), lon, lat, altitude, covariance))
+        if (told := self.attitudes) is not None and told.north is not None:
+            turns = told.rotations.as_matrix()
+            for n in range(*np.searchsorted(told.stamp_ns, (begin_ns, end_ns))):
+                found.append(Attitude(int(told.stamp_ns[n]), turns[n], None))
+        yield from sorted(found, key=attrgetter("stamp_ns"))
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
         """Return the device's axes to east, north, up; None without a record at this time."""

@@ -14,16 +14,17 @@ from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.utc_time import DAY_NS
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of, stamp_text, time_text
 from ltm_ros.launching.graph import Graph, NodeSpec
-from ltm_ros.recordings.inputs import beside_expected, decoded_input, is_image, recorded_inputs, warn_of_ignored
+from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input, is_image, warn_of_ignored
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
-from ltm_ros.runtime.topics import CAMERA_TRUTH, camera_topic
+from ltm_ros.runtime.topics import CAMERA_TRUTH, POSED_POSE, camera_topic
 
 RECORDING = "recording"
 """Name of the recording in the summaries of a replay, beside those of the nodes."""
@@ -37,9 +38,9 @@ class Selection:
     messages, those that are invalid, and those lost in damaged parts.
     """
 
-    reader: BagReader
+    inputs: InputReader
     topics: dict[str, Topic]
-    """Recorded topics by absolute name, as their nodes subscribe to them."""
+    """Topics by absolute name, as their nodes subscribe to them."""
     begin_ns: int
     end_ns: int
     """One ns past the last message's log time."""
@@ -49,12 +50,21 @@ class Selection:
 
     @classmethod
     def open(
-        cls, bag: Path, site: Site, start: float = 0.0, duration: float | None = None, truth: bool = True
+        cls,
+        bag: Path,
+        site: Site,
+        start: float = 0.0,
+        duration: float | None = None,
+        truth: bool = True,
+        names: Mapping[str, str] | None = None,
     ) -> Selection:
-        """Open a bag. Raises RecordingError if it has no image of a camera of the site, or nothing in the span."""
-        reader = BagReader(bag)
+        """Open a bag; `names`: other names of its topics. Raises RecordingError if it has no image of a camera of the
+        site, or nothing in the span.
+        """
+        reader = BagReader(bag, names=names)
         recorded = reader.topics()
-        topics = recorded_inputs(site, reader.topic_infos())
+        inputs = InputReader(reader, site)
+        topics = inputs.topics
         images = [name for name, topic in topics.items() if is_image(topic)]
         more = ((camera, topic) for camera in site.cameras for topic in CAMERA_TRUTH if truth)
         named = {camera_topic(site.name, camera, topic): topic for camera, topic in more}
@@ -66,11 +76,11 @@ class Selection:
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
-        whole = start == 0 and duration is None and not reader.damage
+        whole = start == 0 and duration is None and not reader.damage and not inputs.converts
         counts = (
             Counter({topic: reader.topic_infos()[topic].message_count for topic in topics})
             if whole  # from the bag's index; a part, or a truncated bag, must be read
-            else Counter(message.topic for message in reader.messages(list(topics), begin, end))
+            else Counter(message.topic for message in inputs.messages(topics, begin, end))
         )
         if not counts.total():
             raise RecordingError(
@@ -78,19 +88,21 @@ class Selection:
                 f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
         frames = sum(counts[topic] for topic in images)
-        selection = cls(reader, topics, begin, end, counts.total(), frames)
+        selection = cls(inputs, topics, begin, end, counts.total(), frames)
         warn_of_ignored(site, selection.first)
         return selection
 
     def __iter__(self) -> Iterator[BagMessage]:
-        return self.reader.messages(list(self.topics), self.begin_ns, self.end_ns)
+        return self.inputs.messages(self.topics, self.begin_ns, self.end_ns)
 
     def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
         """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
         end, those that are lost.
         """
         for message in self:
-            self.health.received(message.topic)
+            counted = self.topics[message.topic].counted
+            if counted:
+                self.health.received(message.topic)
             try:
                 content = self.content(message)
                 if shift_ns:
@@ -99,11 +111,12 @@ class Selection:
                 self.health.drop(cause_of(error), f"{error} ({message.topic}, {time_text(message.log_time_ns)})")
                 continue
             yield message, content
-            self.health.published(message.topic)
-        lost = self.reader.lost
+            if counted:
+                self.health.published(message.topic)
+        lost = self.inputs.reader.lost
         count = sum(number for topic, number in lost.items() if not topic or topic in self.topics)
         if count and "damage" not in self.health.dropped:  # only in the first round of a loop
-            self.health.drop("damage", "; ".join(self.reader.damage), count)
+            self.health.drop("damage", "; ".join(self.inputs.reader.damage), count)
 
     def content(self, message: BagMessage) -> Any:
         """Return a message as its topic's type. Raises LtmError."""
@@ -111,11 +124,13 @@ class Selection:
 
     def first(self, name: str, topic: Topic) -> Any:
         """Return the first message of a recorded topic; None without any. Raises LtmError."""
-        message = next(self.reader.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
+        message = next(self.inputs.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
         return None if message is None else self.content(message)
 
 
-def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
+def require_frames(
+    bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
+) -> None:
     """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
     topics of the bag beside the expected ones.
     """
@@ -129,7 +144,7 @@ def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, s
             why = "; ".join(sorted(reasons)) or "no frame shows a cell of it; check the poses and the DEM's extent"
             raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
         why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
-        beside = beside_expected(site, BagReader(bag).topics())
+        beside = beside_expected(site, BagReader(bag, names=names).topics())
         raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
 
 
@@ -153,6 +168,8 @@ class OfflineGraph:
         self.healths: dict[str, Health] = {}
         self._pipeline = Pipeline(self._run)
         self._record = record
+        cameras = {spec.namespace: str(spec.parameters["camera"]) for spec in graph if spec.parameters.get("camera")}
+        self._frames = CameraFrames({f"{place}/{POSED_POSE.name}": name for place, name in cameras.items()})
         self.now_ns = 0
         """Log time of the current message."""
         for spec in graph:
@@ -177,6 +194,9 @@ class OfflineGraph:
         if self._record is not None:
             self._record.add_topic(topic, type_name_of(message), latched)
             self._record.write(topic, message, self.now_ns)
+            for name, raw, once in self._frames.beside(topic, message):
+                self._record.add_topic(name, TF_TYPE, once)
+                self._record.write_raw(name, TF_TYPE, raw, self.now_ns)
 
     def wanted(self, topic: str) -> bool:
         """Return whether anything uses a message of this topic."""
@@ -250,7 +270,7 @@ def replay_offline(
     """
     writer = BagWriter(record) if record is not None else None
     try:
-        offline = OfflineGraph(graph, writer, str(selection.reader.path))
+        offline = OfflineGraph(graph, writer, str(selection.inputs.reader.path))
         offline.healths[RECORDING] = selection.health
         for done, (message, content) in enumerate(selection.decoded(), start=1):
             _guarded(selection.health, partial(offline.feed, message.topic, content, message.log_time_ns))

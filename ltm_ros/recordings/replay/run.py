@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,6 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from ltm_core.base.errors import LtmError, RecordingError
+from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import ns_to_time
@@ -234,7 +235,7 @@ class ReplayOptions:
 
     `state`: an existing folder in which the fuel map, the terrain and the nodes `pose` keep what they know; None: it
     ends with the replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live
-    replay only.
+    replay only. `names`: other names of recorded topics.
     """
 
     start: float = 0.0
@@ -247,6 +248,11 @@ class ReplayOptions:
     loop: bool = False
     longest_pause: float = LONGEST_PAUSE
     domain_id: int | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def selection(self, bag: Path, site: Site) -> Selection:
+        """Open the recording. Raises RecordingError."""
+        return Selection.open(bag, site, self.start, self.duration, names=self.names)
 
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
@@ -272,10 +278,26 @@ def run_offline(
     bag: Path, site_path: Path, options: ReplayOptions, progress: Callable[[int, int], None]
 ) -> dict[str, dict[str, str]]:
     """Without DDS; each node's health summary. Raises LtmError on bad input."""
-    selection = Selection.open(bag, load_site(site_path), options.start, options.duration)
+    selection = options.selection(bag, load_site(site_path))
     graph = graph_of(site_path, options, sim_time=False)
     total = selection.message_count
     return replay_offline(selection, graph, options.record, lambda done: progress(done, total))
+
+
+def publish(
+    bag: Path,
+    site_path: Path,
+    options: ReplayOptions,
+    progress: Callable[[int, int], None],
+    stopped: Callable[[], bool],
+) -> dict[str, dict[str, str]]:
+    """Play into a graph that runs already; return the summary of the recording. Raises LtmError."""
+    apply_to_process(options.domain_id)
+    selection = options.selection(bag, load_site(site_path))
+    with LivePlayer(selection, options.rate, options.longest_pause) as player:
+        player.wait_for_listeners()
+        player.play(options.loop, lambda done: progress(done, selection.message_count), stopped)
+    return {RECORDING: selection.health.summary()}
 
 
 def run_live(
@@ -292,7 +314,7 @@ def run_live(
     Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work.
     """
     site = require_ready(site_path, Wanted(), console)
-    selection = Selection.open(bag, site, options.start, options.duration)
+    selection = options.selection(bag, site)
     apply_to_process(options.domain_id)
     graph = graph_of(site_path, options, sim_time=True)
     if options.rrd is not None:

@@ -65,7 +65,8 @@ def test_photos_recording_and_truth_of_one_walk(tmp_path: Path) -> None:
     true = frames(tmp_path / "frames")
     assert write_phone_capture(tmp_path / "frames", tmp_path / "out") == 2
     lens = Assumptions(focal_35mm=27.0, keep_unknown=True)
-    import_photos([tmp_path / "out/sensor_logger.zip"], tmp_path / "zip", site=site, assumed=lens)
+    sensors = [tmp_path / "out/photos", tmp_path / "out/sensor_logger.zip"]
+    import_photos(sensors, tmp_path / "zip", site=site, assumed=lens)
     import_photos([tmp_path / "out/photos"], tmp_path / "exif", site=site, assumed=lens)
     import_photos([tmp_path / "out/photos"], tmp_path / "true", tmp_path / "out/true_poses.csv", site)
     for k, truth in enumerate(true):

@@ -23,7 +23,7 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
-from ltm_msgs_py.bag.picture_cdr import RAW_TYPE, RawPicture, picture_of
+from ltm_msgs_py.bag.cdr import RAW_TYPE, RawPicture, picture_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import image_to_msg
 from ltm_ros.archive.content_digest import (

@@ -13,19 +13,29 @@ import numpy as np
 import PIL.Image
 import pytest
 import yaml
+from nav_msgs.msg import Odometry
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain
+from scenes.transforms import transform_to_msg
 
 from ltm_core.base.errors import CameraError, ConfigError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.raster.dem import Dem
+from ltm_msgs_py.bag.cdr import Transforms
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose import (
+    LINK_OPTICAL,
+    msg_to_covariance,
+    msg_to_pose,
+    msg_to_transform,
+    pose_to_msg,
+)
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
+from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -324,7 +334,7 @@ def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
 def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of({"topics": {"image": "/rig/image_raw", "pose": "/odom"}})
     topics = {topic.name: topic for topic in capture.subscriptions}
-    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, FINISHED.name}
+    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, "pose", FINISHED.name}
     assert (topics["/rig/image_raw"].type, topics["/odom"].counted_name) == (IMAGE_RAW.type, POSE.name)
     capture.on_camera_info(info(0))
     capture.subscriptions[topics["/odom"]](pose(S))
@@ -561,3 +571,50 @@ def test_clocks_that_were_never_set_are_refused(capture_of: CaptureOf) -> None:
     outlet.now = 1_800_000_000 * S
     capture.on_image(image(S))
     assert health.dropped == {"unset_clock": 1}
+
+
+@pytest.fixture
+def with_tf(monkeypatch: pytest.MonkeyPatch) -> tuple[Topic, Topic]:
+    """tf2_msgs as if it were installed."""
+    topics = Topic("/tf", Transforms), Topic("/tf_static", Transforms, latched=True)
+    for name, topic in zip(("TF", "TF_STATIC"), topics, strict=True):
+        monkeypatch.setattr(f"ltm_ros.nodes.capture.{name}", topic)
+    return topics
+
+
+def test_a_pose_from_live_transforms_and_frames_for_others(capture_of: CaptureOf, with_tf: tuple[Topic, Topic]) -> None:
+    """The pose between two transforms goes to the image; the frame sent is the images' own; ours are published."""
+    capture, outlet, health = capture_of({"topics": {"pose": "/robot/tf"}})
+    outlet.wants(*with_tf)
+    by_name = {topic.name: callback for topic, callback in capture.subscriptions.items()}
+    mount = transform_to_msg(LINK_OPTICAL, 0, "base", "driver_frame")
+    base = [transform_to_msg(LINK_OPTICAL.after(at(x)), round(t * S), "map", "base") for x, t in ((0, 0.9), (4, 1.1))]
+    by_name["/robot/tf_static"](Transforms([mount]))
+    capture.on_camera_info(info(S))
+    capture.on_image(image(S))
+    for one in base:
+        by_name["/robot/tf"](Transforms([one]))
+    (posed,) = outlet.on(POSED_POSE)
+    expected = LINK_OPTICAL.after(LINK_OPTICAL.after(at(2.0)))
+    np.testing.assert_allclose(msg_to_pose(posed).position, expected.position)
+    np.testing.assert_allclose(msg_to_pose(posed).rotation, expected.rotation, atol=1e-12)
+    assert health.dropped == {}
+    (moved,), (fixed,) = (outlet.on(topic)[0].transforms for topic in with_tf)
+    assert (moved.header.frame_id, moved.child_frame_id, fixed.header.frame_id) == ("map", "eye_link", "eye_link")
+    through = msg_to_transform(fixed).after(msg_to_transform(moved))
+    np.testing.assert_allclose(through.rotation, expected.rotation, atol=1e-12)
+    np.testing.assert_allclose(through.position, expected.position)
+
+
+def test_a_named_pose_may_be_odometry(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of({"topics": {"pose": "/odom"}})
+    (callback,) = (callback for topic, callback in capture.subscriptions.items() if topic.name == "/odom")
+    sent = Odometry(header=make_header(S, "map"), child_frame_id="eye_optical")
+    sent.pose = pose(S).pose
+    callback(sent)
+    capture.on_camera_info(info(S))
+    capture.on_image(image(S))
+    assert msg_to_pose(outlet.on(POSED_POSE)[0]).position == pytest.approx([1.0, 2.0, 3.0])
+    sent.child_frame_id = "base_link"
+    with pytest.raises(PoseError):
+        callback(sent)

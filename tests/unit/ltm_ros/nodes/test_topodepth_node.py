@@ -149,7 +149,7 @@ def test_a_frame_that_never_gets_its_depth_is_given_up_by_its_age(
     node.handler.tick(0.5)
     assert node.health.dropped == {"unjoined": 1}
     assert node.health.summary()["noted.unjoined.depth"] == "1"
-    assert "is incomplete, without depth (waited 9 s)" in node.health.last_error
+    assert "is incomplete, without depth/image (sensor_msgs/msg/Image) (waited 9 s)" in node.health.last_error
 
 
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(

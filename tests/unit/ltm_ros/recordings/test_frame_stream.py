@@ -8,14 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 
-from ltm_core.base.errors import RecordingError
 from ltm_core.site.sections import CameraConfig
-from ltm_msgs_py.bag.reader import BagMessage
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
-from ltm_ros.recordings.frame_stream import FrameStream, Parts, raw_stamp
+from ltm_ros.recordings.frame_stream import FrameStream, Parts
 from ltm_ros.runtime.topics import DEPTH_IMAGE, LABELS_IMAGE
 
 PARTS: Parts = {"depth": ((DEPTH_IMAGE, msg_to_depth),), "labels": ((LABELS_IMAGE, msg_to_array),)}
@@ -74,8 +71,3 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     # Sixty frames more are 22 MB: a third of them held would show, and nothing else that a process does is so large.
     few, many = peak(30), peak(90)
     assert many - few < 7 << 20
-
-
-def test_raw_stamp_of_no_message() -> None:
-    with pytest.raises(RecordingError, match="little-endian CDR"):
-        raw_stamp(BagMessage("/a", 0, 0, "sensor_msgs/msg/Image", b"\x00\x00"))

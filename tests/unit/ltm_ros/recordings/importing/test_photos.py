@@ -97,7 +97,7 @@ def contents(bag: Path, prefix: str = "/ridge/phone/") -> list[tuple[int, Camera
     """(stamp, camera, pose, compressed image) of each photo, after checking that the three belong together."""
     reader = BagReader(bag)
     by_topic: dict[str, list[Any]] = {}
-    for message in reader.messages():
+    for message in reader.messages(topics=[topic for topic in reader.topics() if not topic.startswith("/tf")]):
         by_topic.setdefault(message.topic.removeprefix(prefix), []).append(reader.decode(message))
         assert message.log_time_ns == stamp_of(by_topic[message.topic.removeprefix(prefix)][-1])
     assert set(by_topic) == {"image_raw/compressed", "camera_info", "pose"}
