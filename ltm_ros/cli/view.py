@@ -82,7 +82,6 @@ def _show_graph(
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
 
@@ -92,7 +91,7 @@ def _show_graph(
         wanted["save"] = str(save.resolve())
     # A separate name, because the graph may run a viewer that writes a file.
     node = replace(describe(site, path, view=wanted).node("viewer"), name="live_view", required=True)
-    with Runner(Graph(site.name, (node,)), log_folder=new_log_folder(site.name)) as runner:
+    with Runner(Graph(site.name, (node,))) as runner:
         if not _comes_up(runner, web_port):
             raise ConfigError("the viewer node could not start; its messages are above")
         if in_browser:

@@ -9,7 +9,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.heartbeat import TRAFFIC
+from ltm_ros.runtime.heartbeat import HEARTBEAT, TRAFFIC
 from ltm_ros.runtime.process_memory import memory_in_use
 
 
@@ -53,6 +53,7 @@ class DiagnosticsPublisher:
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
         self._said.messages += 1
+        HEARTBEAT.ready(self._healths)
 
     def _status(self, name: str, health: Health) -> DiagnosticStatus:
         level = DiagnosticStatus.WARN if health.troubled else DiagnosticStatus.OK

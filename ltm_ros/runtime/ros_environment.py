@@ -74,11 +74,6 @@ def ros_environment(
     return environment
 
 
-def ros_additions(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return only what `ros_environment` adds to `environ` or changes in it."""
-    return {name: value for name, value in ros_environment(environ).items() if environ.get(name) != value}
-
-
 def apply_to_process(domain_id: int | None = None, environ: MutableMapping[str, str] = os.environ) -> None:
     """Complete this process's own environment, before the first `rclpy.init`: Fast DDS reads its file only once."""
     environ.update(ros_environment(environ, domain_id=domain_id))

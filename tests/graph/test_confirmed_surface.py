@@ -42,7 +42,6 @@ def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_t
     runner = Runner(
         Graph(NAME, (whole.node("terrain"), whole.node("mast/depth"))),
         domain_id=ros_domain,
-        log_folder=tmp_path / "log",
         console=lambda line: None,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )

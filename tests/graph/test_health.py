@@ -68,7 +68,7 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
     path.write_text(yaml.safe_dump(keys | more))
     command = [sys.executable, "-c", LTM, "run", str(path), "--only", "tower", "--state", str(folder / "state")]
     with (folder / "console").open("w") as console:
-        graph = subprocess.Popen([*command, "--logs", str(folder / "logs")], stdout=console, stderr=subprocess.STDOUT)
+        graph = subprocess.Popen(command, stdout=console, stderr=subprocess.STDOUT)
         try:
             yield Tower(small_site, path, port, graph, folder / "console")
             graph.send_signal(signal.SIGTERM)
@@ -206,8 +206,7 @@ def test_a_person_reads_the_same_and_learns_what_is_down(tower: Tower) -> None:
     assert re.search(r"│ tower +│ alive +│ [\d :-]+│ +[\d.]+ s ago +│ +3 +│ +3 +│", ran.stdout), ran.stdout
     assert f"/{NAME}/fuel_map" in ran.stdout
 
-    log = tower.console.parent / "logs/fuel_map.log"
-    *_, last = (line for line in log.read_text().splitlines() if "-- started as process" in line)
+    *_, last = (line for line in tower.said().splitlines() if "[fuel_map] -- started as process" in line)
     pid = int(last.rpartition(" ")[2])
     os.kill(pid, signal.SIGSTOP)
     wait_for(lambda: tower.get("/healthz")[0] == 503, "the node to be missed", lambda: tower.get("/healthz"))

@@ -77,7 +77,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
     whole = describe(load_site(path), path)
     graph = Graph(SITE, (whole.node("locate"),))
     seen = {name: sighting(name, tower, FIRE, 0.05) for name, tower in TOWERS.items()}
-    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lambda line: None)
+    runner = Runner(graph, domain_id=ros_domain, console=lambda line: None)
     with runner, Bystander() as bystander:
         runner.wait_until_ready(300.0)
         tracks, fused = site_topic(SITE, LOCATE_TRACKS), site_topic(SITE, LOCATE_FUSED)

@@ -100,7 +100,7 @@ def test_a_publisher_that_cannot_be_heard_is_told_of(small_site: SmallSite, ros_
     """A driver that offers best effort, where the node asks for a reliable one."""
     node = describe(apart(small_site.site), small_site.path).node("mast/capture")
     offered = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    with Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path), Bystander() as bystander:
+    with Runner(Graph(NAME, (node,)), domain_id=ros_domain), Bystander() as bystander:
         bystander.node.create_publisher(IMAGE_RAW.type, IMAGES, offered)
 
         def error() -> str:
