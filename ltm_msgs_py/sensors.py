@@ -6,12 +6,14 @@ import math
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, NavSatFix
 
 from ltm_core.base.errors import CameraError, PoseError
+from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
+from ltm_msgs_py.pose import UNKNOWN_VARIANCES
 from ltm_msgs_py.stamp import make_header, stamp_of
 
 
@@ -61,6 +63,16 @@ def msg_to_fix(msg: Any) -> Fix:
         if not covariance.diagonal().any():
             covariance = None
     return Fix(stamp_of(msg), lon, lat, float(msg.altitude), covariance)
+
+
+def fix_to_msg(lon: float, lat: float, covariance: Float64Array, stamp_ns: int, frame_id: str) -> NavSatFix:
+    """Return a place with its (2, 2) covariance of east and north. The altitude, which is ellipsoidal, is NaN."""
+    msg = NavSatFix(header=make_header(stamp_ns, frame_id), latitude=lat, longitude=lon, altitude=math.nan)
+    matrix = np.diag([0.0, 0.0, UNKNOWN_VARIANCES[2]])
+    matrix[:2, :2] = covariance
+    msg.position_covariance = matrix.ravel()
+    msg.position_covariance_type = NavSatFix.COVARIANCE_TYPE_KNOWN
+    return msg
 
 
 def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:

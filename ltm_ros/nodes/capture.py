@@ -17,7 +17,7 @@ from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_correction, pose_to_msg
+from ltm_msgs_py.pose import msgs_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
@@ -30,6 +30,7 @@ from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
     POSE_CORRECTION,
+    POSE_INFO,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     POSED_POSE,
@@ -81,6 +82,8 @@ class CaptureHandler(Handler[CaptureConfig]):
         if self._refines:
             self.publications = (*self.publications, STATED_POSE)
         self._correction: PoseCorrection | None = None
+        self._correction_parts: dict[Topic, Any] = {}
+        """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
         self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
@@ -103,7 +106,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         topics: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
         topics[FINISHED] = self.on_finished
         if self._refines:
-            topics[POSE_CORRECTION] = self.on_correction
+            topics |= {topic: partial(self.on_correction, topic) for topic in (POSE_CORRECTION, POSE_INFO)}
         others = self._join.others
         infos = (topic for topic in others if topic.counted_name == CAMERA_INFO.name)
         return {**others, **topics, **dict.fromkeys(infos, self.on_camera_info)}
@@ -140,8 +143,10 @@ class CaptureHandler(Handler[CaptureConfig]):
         if not self._too_many_pixels("camera_info", int(message.width), int(message.height)):
             self._join.on_camera_info(message)
 
-    def on_correction(self, message: Any) -> None:
-        self._correction = msg_to_correction(message)
+    def on_correction(self, topic: Topic, message: Any) -> None:
+        parts = self._correction_parts = self._correction_parts | {topic: message}
+        if len(parts) == 2 and len({stamp_of(part) for part in parts.values()}) == 1:
+            self._correction = msgs_to_correction(parts[POSE_CORRECTION], parts[POSE_INFO])
 
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))

@@ -17,8 +17,9 @@ from rclpy.node import Node
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
+from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.clocks import kernel_clock
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher, status_message
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import TRAFFIC

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Mapping, Set
 from types import TracebackType
 from typing import Any, Self
 
 import rclpy
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.storage.config_io import checked
@@ -162,8 +163,8 @@ class OutletNode(Node):  # type: ignore[misc]
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
-    """Read the node's parameters as typed configuration, fixed from then on. Raises ConfigError, e.g. for
-    unknown ones.
+    """Read the node's parameters as typed configuration, and describe them; they are read-only from then on. Raises
+    ConfigError, e.g. for unknown ones.
     """
     given = {
         name: parameter.value
@@ -172,18 +173,29 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
     }
     config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
     for name, field in model.model_fields.items():
-        if name not in given and field.default is not PydanticUndefined:
-            node.declare_parameter(name, _ros_value(getattr(config, name)))
-
-    def refuse(parameters: list[Parameter]) -> SetParametersResult:
-        changed = ", ".join(p.name for p in parameters if p.name in model.model_fields)
-        return SetParametersResult(
-            successful=not changed,
-            reason=f"{changed}: cannot be changed while the node runs; change the site file" if changed else "",
-        )
-
-    node.add_on_set_parameters_callback(refuse)
+        described = _descriptor(field)
+        if name in given:
+            described.type = node.get_parameter(name).type_.value
+            node.set_descriptor(name, described)
+        elif field.default is not PydanticUndefined:
+            node.declare_parameter(name, _ros_value(getattr(config, name)), described)
     return config
+
+
+def _descriptor(field: FieldInfo) -> ParameterDescriptor:
+    """Return description and limits of a parameter, as its configuration class states them."""
+    described = ParameterDescriptor(description=" ".join((field.description or "").split()), read_only=True)
+    low = [float(v) for one in field.metadata if (v := getattr(one, "ge", getattr(one, "gt", None))) is not None]
+    high = [float(v) for one in field.metadata if (v := getattr(one, "le", getattr(one, "lt", None))) is not None]
+    if (low or high) and field.annotation is int:
+        limits = IntegerRange(from_value=int(max(low, default=-(2.0**63))), to_value=int(min(high, default=2**63 - 1)))
+        described.integer_range = [limits]
+    elif low or high:
+        limit = sys.float_info.max
+        described.floating_point_range = [
+            FloatingPointRange(from_value=max(low, default=-limit), to_value=min(high, default=limit))
+        ]
+    return described
 
 
 def _ros_value(value: object) -> object:
