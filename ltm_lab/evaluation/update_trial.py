@@ -28,11 +28,11 @@ from ltm_lab.evaluation.terrain.hillside_ground import TOWERS
 from ltm_lab.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.cells import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import depth_to_msg, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.surface_version import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.handler import Topic

@@ -12,13 +12,14 @@ from typing import Any
 
 from pydantic import Field
 
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msgs_to_correction, pose_to_msg
-from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.sensors import camera_to_msg, fix_to_msg
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
@@ -32,6 +33,7 @@ from ltm_ros.runtime.topics import (
     POSE_CORRECTION,
     POSE_INFO,
     POSED_CAMERA_INFO,
+    POSED_FIX,
     POSED_IMAGE,
     POSED_POSE,
     STATED_POSE,
@@ -71,13 +73,13 @@ class CaptureHandler(Handler[CaptureConfig]):
     room for it (`Admission`).
     """
 
-    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
+    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, POSED_FIX)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._frame_id = f"{config.camera}_optical"
-        self._limits = site.limits
+        self._limits, self._frame = site.limits, site.frame
         self._refines = site.refine_poses is not None
         if self._refines:
             self.publications = (*self.publications, STATED_POSE)
@@ -183,7 +185,14 @@ class CaptureHandler(Handler[CaptureConfig]):
         posed = PosedImage(photo, frame.camera, pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
         self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", covariance))
+        self.outlet.provide(POSED_FIX, stamp, partial(self._fix, posed, covariance))
         self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+
+    def _fix(self, posed: PosedImage, covariance: Float64Array | None) -> Any:
+        """Return a frame's place for maps."""
+        lon, lat = self._frame.to_lonlat(*posed.pose.position[:2])
+        known = self._join.assumed if covariance is None else covariance
+        return fix_to_msg(float(lon), float(lat), known[:2, :2], posed.stamp_ns, self._frame_id)
 
     def _too_large(self, message: Any) -> bool:
         """Return whether an image is too large to be queued; the size in its first bytes is checked later."""

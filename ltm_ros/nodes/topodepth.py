@@ -17,12 +17,12 @@ from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.vision.scene_view import SceneView
+from ltm_msgs_py.cells import msg_to_traced
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import status_to_msg
-from ltm_msgs_py.surface_version import msg_to_traced
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node

@@ -56,6 +56,8 @@ class OutletNode(Node):  # type: ignore[misc]
         self._publishers_by_topic: dict[Topic, Any] = {}
         self._said: dict[Topic, TopicCount] = {}
         self._heard: list[TopicCount] = []
+        self._reliable: dict[str, tuple[Any, Topic, Callable[..., None]]] = {}
+        """Subscriptions by absolute topic, with the function that takes messages."""
         self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
 
@@ -125,7 +127,10 @@ class OutletNode(Node):  # type: ignore[misc]
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
 
-        self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+        callback = with_info(take)
+        subscription = self.create_subscription(topic.type, name, callback, _qos(topic))
+        if not topic.latched:
+            self._reliable[subscription.topic_name] = subscription, topic, callback
 
     def destroy_node(self) -> None:
         TRAFFIC.forget([*self._said.values(), *self._heard])
@@ -147,10 +152,24 @@ class OutletNode(Node):  # type: ignore[misc]
             )
 
     def look_at_wiring(self) -> None:
-        """Report published topics that do not reach this node, if that persists."""
+        """Report published topics that do not reach this node, if that persists and is not for best effort."""
         former, self._unheard = self._unheard, unheard(self)
         for topic in former.keys() & self._unheard.keys():
-            self.health.trouble("unmatched", self._unheard[topic])
+            if not self._take_best_effort(topic):
+                self.health.trouble("unmatched", self._unheard[topic])
+
+    def _take_best_effort(self, topic: str) -> bool:
+        """Subscribe with best effort if all publishers of a topic offer only that, as many camera drivers do. Return
+        whether it was done: reliable messages lose nothing, so they are preferred."""
+        offered = [end.qos_profile.reliability for end in self.get_publishers_info_by_topic(topic)]
+        if topic not in self._reliable or set(offered) != {ReliabilityPolicy.BEST_EFFORT}:
+            return False
+        subscription, kind, callback = self._reliable.pop(topic)
+        self.destroy_subscription(subscription)
+        quality = QoSProfile(depth=kind.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(kind.type, topic, callback, quality)
+        self.health.note("best_effort")
+        return True
 
     def warn(self, text: str) -> None:
         """Log a warning, at a limited rate."""

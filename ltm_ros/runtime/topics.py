@@ -30,6 +30,8 @@ SOURCE_INFO = Topic("source/info", DiagnosticArray, latched=True)
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+POSED_FIX = Topic("posed/fix", NavSatFix, counted=False)
+"""Place of the camera, for maps."""
 STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
 """Pose as received, for frames whose poses are refined."""
 POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
@@ -101,6 +103,7 @@ RECORDED = (
             *CAMERA_TRUTH,
             SOURCE_INFO,
             POSED_POSE,
+            POSED_FIX,
             POSE_CORRECTION,
             POSE_INFO,
             DEPTH_IMAGE,

@@ -11,9 +11,8 @@ from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface, SurfaceManifest
 from ltm_core.surface.surface_io import confirmed_surface
 from ltm_core.surface.surface_map import SurfaceMap
-from ltm_msgs_py.cells import change_to_msg, changed_to_msg
+from ltm_msgs_py.cells import change_to_msg, changed_to_msg, manifest_to_msg
 from ltm_msgs_py.json_topics import TerrainInfo
-from ltm_msgs_py.surface_version import manifest_to_msg
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import Backoff

@@ -34,7 +34,7 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.surface.change import Changed
 from ltm_core.surface.confirmed_surface import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.cells import changed_to_msg
+from ltm_msgs_py.cells import changed_to_msg, manifest_to_msg, traced_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.json_topics import label_set_to_msg
@@ -42,7 +42,6 @@ from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import correction_to_msg, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_msgs_py.surface_version import manifest_to_msg, traced_to_msg
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler

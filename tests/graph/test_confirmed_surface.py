@@ -10,7 +10,7 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 from scenes.waiting import wait_for
 
-from ltm_msgs_py.surface_version import msg_to_traced, msg_to_version
+from ltm_msgs_py.cells import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

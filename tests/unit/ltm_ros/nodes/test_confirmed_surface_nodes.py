@@ -17,11 +17,11 @@ from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
+from ltm_msgs_py.cells import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.status import msg_to_values, status_to_msg
-from ltm_msgs_py.surface_version import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
 from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
