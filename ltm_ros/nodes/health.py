@@ -22,7 +22,7 @@ from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
@@ -63,7 +63,7 @@ class HealthNode(Node):  # type: ignore[misc]
         own = {self.get_fully_qualified_name(): self._health}
         self._diagnostics = DiagnosticsPublisher(self, own, others=self._camera_states)
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
-        live = LiveStream(self._page, self._pictures)
+        live = LiveStream(self._page, self._pictures, lambda error: self._health.drop(cause_of(error), str(error)))
         routes: dict[str, Route] = {
             "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
             "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),

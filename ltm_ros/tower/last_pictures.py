@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -53,7 +53,7 @@ from ltm_ros.tower.live_stream import KINDS
 WIDTH = 800
 """Maximum width of an image in pixels."""
 SMALL_QUALITY = 60
-"""JPEG quality of images that are made smaller, for slow connections."""
+"""JPEG quality for slow connections."""
 REACH = 3000.0
 """Radius of a camera's sector on the map in metres."""
 
@@ -88,20 +88,23 @@ class CameraPicture:
         u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
         return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
 
-    def jpeg(self, kind: str, palette: ClassPalette, width: int = WIDTH) -> bytes:
-        """Return a JPEG of `kind`: photo, labels or depth, at most `width` pixels wide. Raises ImageError if sizes
-        differ."""
-        picture = self.photo
-        if kind == "labels":
-            picture = overlay_labels(self.photo, self.labels, palette)
-        elif kind == "depth":
-            picture = overlay_depth(self.photo, self.depth)
-        rows, columns = picture.shape[:2]
+    def resized(self, width: int) -> CameraPicture:
+        """Return it at most `width` pixels wide, for slow connections."""
+        rows, columns = self.photo.shape[:2]
         if columns <= width:
-            return to_jpeg(picture)
+            return self
         size = width, max(1, round(rows * width / columns))
-        small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-        return to_jpeg(small, SMALL_QUALITY)
+        photo = np.asarray(cv2.resize(self.photo, size, interpolation=cv2.INTER_AREA), np.uint8)
+        labels, depth = (cv2.resize(one, size, interpolation=cv2.INTER_NEAREST) for one in (self.labels, self.depth))
+        return replace(self, photo=photo, labels=np.asarray(labels, np.uint8), depth=np.asarray(depth, np.float32))
+
+    def jpeg(self, kind: str, palette: ClassPalette, quality: int = 85) -> bytes:
+        """Return a JPEG of `kind`: photo, labels or depth. Raises ImageError if sizes differ."""
+        if kind == "labels":
+            return to_jpeg(overlay_labels(self.photo, self.labels, palette), quality)
+        if kind == "depth":
+            return to_jpeg(overlay_depth(self.photo, self.depth), quality)
+        return to_jpeg(self.photo, quality)
 
     @property
     def on_map(self) -> MapCamera:
@@ -170,8 +173,9 @@ class LastPictures:
         return picture.jpeg(kind, self._labels) if picture is not None else None
 
     def jpegs(self, picture: CameraPicture, width: int) -> list[bytes]:
-        """Return the JPEGs of all kinds. Raises ImageError."""
-        return [picture.jpeg(kind, self._labels, width) for kind in KINDS]
+        """Return the JPEGs of all kinds, at most `width` pixels wide. Raises ImageError."""
+        small = picture.resized(width)
+        return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
 
     def map_image(self) -> RgbImage | None:
         """Return the map (H, W, 3); None if none has come. Raises MessageError."""

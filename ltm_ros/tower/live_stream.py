@@ -12,7 +12,6 @@ A stream is a line `FIRST_LINE`, then records: a line of JSON with `kind` and `b
 
 from __future__ import annotations
 
-import contextlib
 import json
 import threading
 import time
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from ltm_ros.tower.last_pictures import CameraPicture
 
 FIRST_LINE: Final = b"ltm live 1\n"
-BYTES_PER_S: Final = 100_000
+BYTES_PER_S: Final = 90_000
 """Bytes of all streams in a second. With the headers of TCP, TLS and SSH they stay below 1 Mbit/s."""
 CHUNK: Final = 4096
 """Bytes after which the rate is checked."""
@@ -41,7 +40,8 @@ IDLE_S: Final = 0.1
 ROUND_S: Final = 2.5
 """Seconds in which every camera is sent once; images get smaller with the number of cameras."""
 WIDTHS: Final = (640, 480, 320, 240, 160)
-"""Widths of images in pixels, from which the largest that fits is taken."""
+"""Widths of images in pixels. The next smaller one is taken while a frame has too many bytes for its camera's share of
+the time, and the next larger one after a frame of less than a third of them."""
 TILE: Final = 128
 KINDS: Final = ("photo", "labels", "depth")
 """Images of a frame."""
@@ -60,10 +60,17 @@ class Shown(Protocol):
 
 
 class LiveStream:
-    """`page`: returns the content of `page.json`. `rate`: bytes per second of all connections together."""
+    """`page`: returns the content of `page.json`. `tell`: gets the errors of images that are not sent. `rate`: bytes of
+    all connections together in a second."""
 
-    def __init__(self, page: Callable[[], dict[str, Any]], pictures: Shown, rate: float = BYTES_PER_S) -> None:
-        self._page, self._pictures, self._rate = page, pictures, rate
+    def __init__(
+        self,
+        page: Callable[[], dict[str, Any]],
+        pictures: Shown,
+        tell: Callable[[LtmError], None],
+        rate: float = BYTES_PER_S,
+    ) -> None:
+        self._page, self._pictures, self._tell, self._rate = page, pictures, tell, rate
         self._lock = threading.Lock()
         self._free_at = 0.0
 
@@ -86,6 +93,7 @@ class LiveStream:
         sent: dict[str, float] = {}
         tiles: dict[tuple[int, int], bytes] = {}
         page_at = map_at = -float("inf")
+        size = 1
         while True:
             news = {camera: s for camera, s in self._pictures.stamps_s().items() if sent.get(camera) != s}
             # The camera that was sent longest ago comes first; a new one before all.
@@ -96,29 +104,35 @@ class LiveStream:
             if camera is not None and (picture := self._pictures.shown(camera)) is not None:
                 sent.pop(camera, None)
                 sent[camera] = picture.stamp_ns / 1e9
-                with contextlib.suppress(LtmError):  # the page shows no such image either, and why
-                    yield self._frame(picture, len(self._pictures.stamps_s()))
+                try:
+                    size, record = self._frame(picture, len(self._pictures.stamps_s()), size)
+                except LtmError as error:
+                    self._tell(error)
+                else:
+                    yield record
             elif camera is None:
                 time.sleep(IDLE_S)
             if time.monotonic() - map_at >= MAP_S:
                 map_at = time.monotonic()
-                with contextlib.suppress(LtmError):
-                    yield from self._changed_tiles(tiles)
+                yield from self._changed_tiles(tiles)
 
-    def _frame(self, picture: CameraPicture, cameras: int) -> bytes:
-        """Return the images of a frame, as large as the time for each camera allows. Raises ImageError."""
+    def _frame(self, picture: CameraPicture, cameras: int, size: int) -> tuple[int, bytes]:
+        """Return the images of a frame, and the index of the width for the next one. Raises ImageError."""
         room = self._rate * ROUND_S / max(1, cameras)
-        images: list[bytes] = []
-        for width in WIDTHS:
-            images = self._pictures.jpegs(picture, width)
-            if sum(map(len, images)) <= room:
-                break
-        sizes = [len(image) for image in images]
-        stamp_s = picture.stamp_ns / 1e9
-        return _record("frame", b"".join(images), camera=picture.name, stamp_s=stamp_s, sizes=sizes)
+        images = self._pictures.jpegs(picture, WIDTHS[size])
+        while (needed := sum(map(len, images))) > room and size < len(WIDTHS) - 1:
+            size += 1
+            images = self._pictures.jpegs(picture, WIDTHS[size])
+        sizes, stamp_s = [len(image) for image in images], picture.stamp_ns / 1e9
+        record = _record("frame", b"".join(images), camera=picture.name, stamp_s=stamp_s, sizes=sizes)
+        return max(0, size - 1) if needed < room / 3 else size, record
 
     def _changed_tiles(self, tiles: dict[tuple[int, int], bytes]) -> Iterator[bytes]:
-        image = self._pictures.map_image()
+        try:
+            image = self._pictures.map_image()
+        except LtmError as error:
+            self._tell(error)
+            return
         if image is None:
             return
         height, width = image.shape[:2]
