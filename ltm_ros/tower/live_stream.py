@@ -37,7 +37,7 @@ PAGE_S: Final = 2.0
 MAP_S: Final = 5.0
 """Seconds between two checks of the map for changed tiles."""
 IDLE_S: Final = 0.1
-ROUND_S: Final = 2.5
+ROUND_S: Final = 2.0
 """Seconds in which every camera is sent once; images get smaller with the number of cameras."""
 WIDTHS: Final = (640, 480, 320, 240, 160)
 """Widths of images in pixels. The next smaller one is taken while a frame has too many bytes for its camera's share of
