@@ -120,7 +120,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         state = labels_state(self._site)
         info = FuelMapInfo(
             **self._classes.info(),
-            crs=geometry.crs,
+            crs=geometry.crs or "",
             x_min=geometry.x_min,
             y_max=geometry.y_max,
             growth=self._site.fuel.growth.model_dump(mode="json"),

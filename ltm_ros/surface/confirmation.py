@@ -30,7 +30,7 @@ class TerrainPublisher:
         geometry = self._site.in_crs(self._map.reference.geometry)
         info = TerrainInfo(
             kinds={kind.name.lower(): int(kind) for kind in ChangeKind},
-            crs=geometry.crs,
+            crs=geometry.crs or "",
             x_min=geometry.x_min,
             y_max=geometry.y_max,
             resolution=geometry.resolution,
