@@ -53,10 +53,8 @@ def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
     node = spec.nodes[0]
     parameters = file.with_name(f"{file.name}.yaml")
     parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
-    remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
-    command = supervised_command(node.module, "--ros-args")
-    command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
-    return [*command, "--params-file", str(parameters), *_QUIET]
+    names = ["-r", f"__ns:={node.namespace}", "-r", f"__node:={node.name}"]
+    return supervised_command(node.module, "--ros-args", *names, "--params-file", str(parameters), *_QUIET)
 
 
 class Runner:

@@ -128,7 +128,8 @@ def ask(config: HealthConfig, path: str) -> Any:
         try:
             return json.loads(answer.read(LARGEST))
         except (OSError, http.client.HTTPException, ValueError) as error:
-            raise ConfigError(f"{port.host}:{port.port}: no tower answers, but another program ({error}); check the port") from error
+            said = f"no tower answers, but another program ({error}); check the port"
+            raise ConfigError(f"{port.host}:{port.port}: {said}") from error
 
 
 def check_health_port(path: Path) -> Iterator[DoctorFinding]:
