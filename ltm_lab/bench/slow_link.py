@@ -159,14 +159,15 @@ def _laptop(namespace: str, folder: Path, seconds: float, answers: Any) -> None:
     _enter(namespace)
     (folder / "wrong").write_text(TOKEN[::-1])
     url = f"https://{ADDRESSES[0]}:9464"
+    wrong, right = (TowerPort.of_url(url, folder / token, folder / "cert.pem") for token in ("wrong", "token"))
     try:
-        TowerMirror(TowerPort.of_url(url, folder / "wrong", folder / "cert.pem"))
+        TowerMirror(lambda: wrong)
     except RejectedError:
         pass
     else:
         raise LtmError("a wrong token is accepted")
     begun = time.monotonic()
-    with closing(TowerMirror(TowerPort.of_url(url, folder / "token", folder / "cert.pem"))) as mirror:
+    with closing(TowerMirror(lambda: right)) as mirror:
         while not (stamps := mirror.stamps_s()) and time.monotonic() - begun < 60.0:
             time.sleep(0.02)
         first_s, behind_s = time.monotonic() - begun, 0.0

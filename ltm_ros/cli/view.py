@@ -90,7 +90,7 @@ def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_b
 
     if error := bind_error("127.0.0.1", web_port):
         raise ConfigError(f"port {web_port} on 127.0.0.1 is in use ({error.strerror}): give another with --web-port")
-    with reached(tower, token, certificate) as port, closing(TowerMirror(port, web_port)) as mirror:
+    with reached(tower, token, certificate) as reach, closing(TowerMirror(reach, web_port)) as mirror:
         _announce(mirror.url, open_browser)
         _until_ended(None)
 

@@ -56,13 +56,14 @@ class _Record(BaseModel):
 
 
 class TowerMirror:
-    """Receives from `port` from construction until `close`, and connects again if the connection breaks.
+    """Receives from a tower from construction until `close`, and connects again if the connection breaks.
 
-    `url`: address of the page. Raises RejectedError if the tower rejects the token.
+    `reach`: returns the tower's port (`reached`). `url`: address of the page. Raises RejectedError if the tower rejects
+    the token.
     """
 
-    def __init__(self, port: TowerPort, web_port: int = 0) -> None:
-        self._port = port
+    def __init__(self, reach: Callable[[], TowerPort], web_port: int = 0) -> None:
+        self._reach = reach
         self._lock = threading.Lock()
         self._page: dict[str, Any] | None = None
         self._trouble = "connecting"
@@ -97,7 +98,7 @@ class TowerMirror:
             return {camera: stamp for camera, (stamp, _) in self._images.items()}
 
     def _connect(self) -> http.client.HTTPResponse:
-        response = self._port.request("GET", "/live")
+        response = self._reach().request("GET", "/live")
         with self._lock:
             self._response = response
         return response
@@ -167,7 +168,7 @@ class TowerMirror:
 
     def _mark(self, body: bytes) -> WebResponse:
         try:
-            with self._port.request("POST", "/mark", body) as response:
+            with self._reach().request("POST", "/mark", body) as response:
                 return WebResponse(response.read(MOST_BYTES), "application/json")
         except LtmError as error:
             return WebResponse.error(HTTPStatus.BAD_GATEWAY, str(error))
@@ -220,39 +221,64 @@ _DESTINATION = re.compile(r"(?P<host>[A-Za-z0-9_][A-Za-z0-9_.@-]*)(?::(?P<port>\
 
 
 @contextlib.contextmanager
-def reached(tower: str, token: Path | None, certificate: Path | None) -> Iterator[TowerPort]:
-    """Yield the tower's health port: of `https://HOST[:PORT]`, or by an SSH tunnel to `[USER@]HOST[:PORT]` that lasts
-    as long. Raises ConfigError."""
+def reached(tower: str, token: Path | None, certificate: Path | None) -> Iterator[Callable[[], TowerPort]]:
+    """Yield a function that returns the tower's health port: of `https://HOST[:PORT]`, or by an SSH tunnel to
+    `[USER@]HOST[:PORT]` that is opened again if it has ended, and closed afterwards. Raises ConfigError."""
     if "://" in tower:
-        yield TowerPort.of_url(tower, token, certificate)
+        port = TowerPort.of_url(tower, token, certificate)
+        yield lambda: port
         return
     match = _DESTINATION.fullmatch(tower)
     if match is None:
         raise ConfigError(f"--connect {tower}: give [USER@]HOST[:PORT] for SSH, or https://HOST[:PORT]")
-    here = _free_port()
-    there = f"127.0.0.1:{here}:127.0.0.1:{match['port'] or HEALTH_PORT}"
-    options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
+    tunnel = _Tunnel(match["host"], int(match["port"] or HEALTH_PORT))
+    here = TowerPort.of_url(f"{'http' if certificate is None else 'https'}://{tunnel.place}", token, certificate)
+
+    def reach() -> TowerPort:
+        tunnel.open()
+        return here
+
     try:
-        tunnel = subprocess.Popen(["ssh", "-N", "-T", *options, "-L", there, "--", match["host"]])  # nosec B603 B607
-    except FileNotFoundError as error:
-        raise ConfigError("--connect needs the program ssh: install openssh-client, or give https://HOST") from error
-    try:
-        _wait_for(lambda: _listens(here), tunnel, match["host"])
-        scheme = "http" if certificate is None else "https"
-        yield TowerPort.of_url(f"{scheme}://127.0.0.1:{here}", token, certificate)
+        tunnel.open()
+        yield reach
     finally:
-        tunnel.terminate()
-        tunnel.wait()
+        tunnel.close()
 
 
-def _wait_for(condition: Callable[[], bool], tunnel: subprocess.Popen[bytes], host: str) -> None:
-    deadline = time.monotonic() + TUNNEL_S
-    while not condition():
-        if tunnel.poll() is not None:
-            raise ConfigError(f"ssh {host}: ended with exit code {tunnel.returncode}; its message is above")
-        if time.monotonic() > deadline:
-            raise ConfigError(f"ssh {host}: no connection within {TUNNEL_S:.0f} s")
-        time.sleep(0.05)
+class _Tunnel:
+    """A process of SSH that forwards `place`, on loopback, to a port on the loopback of a host."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._here = host, _free_port()
+        self.place = f"127.0.0.1:{self._here}"
+        options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
+        self._command = ["ssh", "-N", "-T", *options, "-L", f"{self.place}:127.0.0.1:{port}", "--", host]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def open(self) -> None:
+        """Start the process unless it runs, and wait until it forwards. Raises ConfigError."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        try:
+            self._process = subprocess.Popen(self._command)  # nosec B603
+        except FileNotFoundError as error:
+            raise ConfigError(
+                "--connect needs the program ssh: install openssh-client, or give https://HOST"
+            ) from error
+        deadline = time.monotonic() + TUNNEL_S
+        while not _listens(self._here):
+            if self._process.poll() is not None:
+                said = f"ended with exit code {self._process.returncode}"
+                raise ConfigError(f"ssh {self._host}: {said}; its message is above")
+            if time.monotonic() > deadline:
+                self.close()
+                raise ConfigError(f"ssh {self._host}: no connection within {TUNNEL_S:.0f} s")
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
 
 
 def _free_port() -> int:

@@ -224,7 +224,7 @@ def test_a_person_reads_the_same_and_learns_what_is_down(tower: Tower) -> None:
 
 def test_the_live_view_shows_the_camera_elsewhere(tower: Tower) -> None:
     wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
-    with closing(TowerMirror(TowerPort("127.0.0.1", tower.port))) as mirror:
+    with closing(TowerMirror(lambda: TowerPort("127.0.0.1", tower.port))) as mirror:
         wait_for(mirror.stamps_s, "a frame", tower.said)
         with urlopen(f"{mirror.url}/picture/tower/labels.jpg", timeout=20) as answer:
             picture = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_COLOR)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
@@ -141,8 +142,8 @@ def tower() -> Iterator[tuple[Scene, WebServer]]:
     server.close()
 
 
-def port_of(server: WebServer, token: str = TOKEN) -> TowerPort:
-    return TowerPort("127.0.0.1", server.port, token=token)
+def port_of(server: WebServer, token: str = TOKEN) -> Callable[[], TowerPort]:
+    return lambda: TowerPort("127.0.0.1", server.port, token=token)
 
 
 def test_the_page_of_a_tower_is_served_here_and_follows_it(tower: tuple[Scene, WebServer]) -> None:
@@ -217,10 +218,11 @@ def test_an_address_that_is_none_is_an_error(tower: str) -> None:
 
 
 SSH = """#!{python}
-import socket, sys, threading
+import os, pathlib, socket, sys, threading
+pathlib.Path(__file__).with_name("pid").write_text(str(os.getpid()))
 here, there = (int(port) for port in sys.argv[sys.argv.index("-L") + 1].split(":")[1::2])
 assert sys.argv[-2:] == ["--", "me@tower"]
-listener = socket.create_server(("127.0.0.1", here))
+listener = socket.create_server(("127.0.0.1", here), reuse_port=False)
 def copy(one, other):
     while data := one.recv(4096):
         other.sendall(data)
@@ -241,8 +243,12 @@ def test_an_ssh_tunnel_lasts_as_long_as_the_view(
     program.chmod(0o755)
     token.write_text(TOKEN)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with reached(f"me@tower:{tower[1].port}", token, None) as port, closing(TowerMirror(port)) as mirror:
+    with reached(f"me@tower:{tower[1].port}", token, None) as reach, closing(TowerMirror(reach)) as mirror:
         wait_for(lambda: mirror.stamps_s() == {"north": 1.0}, "a frame through the tunnel")
+        os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
+        tower[0].frames["north"] = picture("north", 7)
+        wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "a frame through the next tunnel")
+        port = reach()
     with pytest.raises(ConfigError):
         port.request("GET", "/live")
 
