@@ -91,7 +91,8 @@ class LiveStream:
     def _records(self) -> Iterator[bytes]:
         yield FIRST_LINE
         sent: dict[str, float] = {}
-        tiles: dict[tuple[int, int], bytes] = {}
+        tiles: dict[tuple[int, ...], bytes] = {}
+        news_of_map: Iterator[bytes] = iter(())
         page_at = map_at = -float("inf")
         size = 1
         while True:
@@ -110,11 +111,13 @@ class LiveStream:
                     self._tell(error)
                 else:
                     yield record
+            if tile := next(news_of_map, b""):  # between two frames
+                yield tile
+            elif time.monotonic() - map_at >= MAP_S:
+                map_at = time.monotonic()
+                news_of_map = self._changed_tiles(tiles)
             elif camera is None:
                 time.sleep(IDLE_S)
-            if time.monotonic() - map_at >= MAP_S:
-                map_at = time.monotonic()
-                yield from self._changed_tiles(tiles)
 
     def _frame(self, picture: CameraPicture, cameras: int, size: int) -> tuple[int, bytes]:
         """Return the images of a frame, and the index of the width for the next one. Raises ImageError."""
@@ -127,7 +130,7 @@ class LiveStream:
         record = _record("frame", b"".join(images), camera=picture.name, stamp_s=stamp_s, sizes=sizes)
         return max(0, size - 1) if needed < room / 3 else size, record
 
-    def _changed_tiles(self, tiles: dict[tuple[int, int], bytes]) -> Iterator[bytes]:
+    def _changed_tiles(self, tiles: dict[tuple[int, ...], bytes]) -> Iterator[bytes]:
         try:
             image = self._pictures.map_image()
         except LtmError as error:
@@ -136,11 +139,14 @@ class LiveStream:
         if image is None:
             return
         height, width = image.shape[:2]
+        if tiles and next(iter(tiles))[2:] != (width, height):
+            tiles.clear()
         for y in range(0, height, TILE):
             for x in range(0, width, TILE):
                 content = np.ascontiguousarray(image[y : y + TILE, x : x + TILE]).tobytes()
-                if tiles.get((x, y)) != content:
-                    tiles[x, y] = content
+                place = (x, y, width, height)
+                if tiles.get(place) != content:
+                    tiles[place] = content
                     yield _record("tile", zlib.compress(content), x=x, y=y, width=width, height=height)
 
 

@@ -79,7 +79,7 @@ def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
         return list(_records(BytesIO(FIRST_LINE + b"".join(next(records) for _ in range(count)))))
 
     first = take(7)
-    assert [record.kind for record, _ in first] == ["page", "frame", "tile", "tile", "tile", "tile", "frame"]
+    assert [record.kind for record, _ in first] == ["page", "frame", "frame", "tile", "tile", "tile", "tile"]
     assert {record.camera for record, _ in first if record.kind == "frame"} == {"north", "east"}
     assert json.loads(zlib.decompress(first[0][1]))["site"] == "ridge"
     scene.frames["east"] = picture("east", 2)
