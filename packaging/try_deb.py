@@ -68,10 +68,7 @@ def put_site(machine: TrialMachine) -> None:
 
 
 def why(machine: TrialMachine) -> str:
-    return machine.says(
-        "systemctl status ltm --no-pager --lines 0; "
-        "journalctl --namespace=ltm -n 60 --no-pager"
-    )
+    return machine.says("systemctl status ltm --no-pager --lines 0; journalctl --namespace=ltm -n 60 --no-pager")
 
 
 def installed(machine: TrialMachine, trial: Trial, package: str) -> None:
