@@ -215,7 +215,6 @@ def test_parameters_are_fixed_while_a_node_runs(living: Living) -> None:
     wait_for(answer.done, "an answer")
     results = answer.result().results
     assert [result.successful for result in results] == [False] * 3
-    assert [result.reason.partition(":")[0] for result in results[:2]] == ["max_wait", "pose_tolerance"]
 
 
 def test_saving_without_a_path_is_refused(living: Living, survives: Callable[..., None]) -> None:
