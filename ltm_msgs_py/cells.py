@@ -1,11 +1,13 @@
-"""Convert fuel cells and surface changes to PointCloud2 and OccupancyGrid, and back."""
+"""Convert fuel cells and surface changes to PointCloud2 and OccupancyGrid, and versions of the surface to a status."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
@@ -16,9 +18,12 @@ from ltm_core.base.types import Float32Array, Int64Array
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
+from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifest
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import msg_to_values, status_to_msg
 
 _FIELDS: Final[dict[str, Any]] = {
     "life_form": np.uint8,
@@ -112,3 +117,36 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
 def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
     """Return kinds of change of a window; -1 without independent views."""
     return classes_to_msg(layers.told, layers.geometry, stamp_ns, frame_id)
+
+
+def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:
+    """Return the version in use, its digest and the shares of cells seen and changed."""
+    entry = manifest.entry(manifest.current)
+    values: dict[str, object] = {"version": manifest.current, "held": manifest.held}
+    if entry is not None:
+        values |= entry.model_dump(exclude={"version"}) | {
+            "seen_share": round(entry.seen / entry.cells, 4),
+            "changed_share": round(entry.changed_share, 4),
+        }
+    return status_to_msg("terrain/surface", 0 if entry is None else entry.as_of_ns, values)
+
+
+def msg_to_version(msg: Any) -> str:
+    """Return the version that a message names; never a file: who takes it looks it up in its own site's folder. Raises
+    MessageError without one."""
+    version = msg_to_values(msg).get("version")
+    if version == AS_GIVEN or (version is not None and re.fullmatch(VERSION, version, re.ASCII)):
+        return version
+    raise MessageError(
+        f"version {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
+    )
+
+
+def traced_to_msg(camera: str, stamp_ns: int, version: str) -> DiagnosticArray:
+    """Return the version to which the frame of a stamp was traced; AS_GIVEN: to the site's rasters."""
+    return status_to_msg(f"{camera}/depth", stamp_ns, {"version": version})
+
+
+def msg_to_traced(msg: Any) -> tuple[int, str]:
+    """Return the stamp of the frame, ns, and the version. Raises MessageError if they are missing."""
+    return stamp_of(msg), msg_to_version(msg)

@@ -1,113 +1,206 @@
-"""Convert label sets, skyline turns and versions of the confirmed surface to JSON topics, and back.
+"""Messages without a standard type: JSON in std_msgs/String, each with its model, its JSON Schema and a version.
 
-Versions of the confirmed surface <-> std_msgs/String of JSON, and which of them a frame was traced to.
-
-A message names a version, never a file: who takes it looks the version up in the folder that its own site names.
+A field that is added keeps the version; another meaning of a field, or one less, raises it. The schemas are in
+`config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints.
 """
 
 from __future__ import annotations
 
 import json
-import re
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic.json_schema import models_json_schema
 from std_msgs.msg import String
 
 from ltm_core.base.errors import MessageError
-from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifest
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+class JsonMessage(BaseModel):
+    """Base class. Unknown fields are errors, because a publisher of a later version must be seen."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+    def to_msg(self) -> String:
+        return String(data=self.model_dump_json())
 
 
-class _Label(_Strict):
+class Label(JsonMessage):
+    """A class of pixels or cells."""
+
     id: int = Field(ge=0, lt=UNLABELLED)
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
     color: list[int] = Field(min_length=3, max_length=3)
+    """Red, green and blue, 0 to 255."""
     ground_cover: bool
+    """Whether the class votes in fuel cells."""
 
 
-class _LabelInfo(_Strict):
+class LabelInfo(JsonMessage):
+    """`labels/info`: classes of the label images, and the network."""
+
+    version: Literal[1] = 1
     unlabelled: int
-    labels: list[_Label] = Field(min_length=1)
+    """Id of pixels without a label."""
+    labels: list[Label] = Field(min_length=1)
     model: str = Field("", max_length=200)
+    """Network and label head; empty: unknown."""
     reliability: str = Field("", max_length=200)
+    """What the labels were measured on."""
+
+
+class FuelMapInfo(JsonMessage):
+    """`fuel_map/info`: meaning and place of the fuel map's cells."""
+
+    version: Literal[1] = 1
+    unlabelled: int
+    labels: list[Label]
+    """Life forms."""
+    crs: str
+    x_min: float
+    """Western edge of the grid in the CRS."""
+    y_max: float
+    """Northern edge of the grid in the CRS."""
+    origin: tuple[float, float]
+    """Origin (x, y) of the map frame in the CRS."""
+    growth: dict[str, JsonValue]
+    """Limits of growth, as in the site file."""
+    labels_measured: str
+    """What the labels were measured on."""
+
+
+class FuelCode(JsonMessage):
+    """A fuel model."""
+
+    code: int
+    name: str
+
+
+class CameraOfTile(JsonMessage):
+    """What a camera has contributed to the tile of a cell."""
+
+    camera: str
+    model: str
+    frames: int
+    first_ns: int
+    last_ns: int
+
+
+class FuelMapAnswer(JsonMessage):
+    """`fuel_map/answer`: what is known of the queried cell."""
+
+    version: Literal[1] = 1
+    x: float
+    """Queried place in `map`, metres."""
+    y: float
+    stamp_ns: int
+    """Stamp of the query."""
+    row: int
+    """Row of the cell, from the north."""
+    col: int
+    prior: FuelCode | None
+    fuel: FuelCode | None
+    life_form: str
+    p_max: float | None
+    """Probability of the life form."""
+    entropy: float
+    evidence: float
+    changed: bool
+    """Whether the code differs from the prior's."""
+    last_seen_ns: int
+    seen_by: int
+    """Number of cameras."""
+    tile: list[CameraOfTile]
+
+
+class TerrainInfo(JsonMessage):
+    """`terrain/info`: meaning and place of the terrain map's cells."""
+
+    version: Literal[1] = 1
+    kinds: dict[str, int]
+    """Values of the kinds of change."""
+    crs: str
+    x_min: float
+    y_max: float
+    resolution: float
+    """Size of a cell, metres."""
+    width: int
+    height: int
+    threshold: float
+    """Least change, metres."""
+    canopy_known: bool
+    cameras: list[str]
+
+
+class Turned(JsonMessage):
+    """A camera that is probably misaligned."""
+
+    camera: str
+    probability: float
+    turned_deg: float | None
+    """By how much its stated azimuths are too great; None without marks of fires."""
+    sigma_deg: float | None
+    fires: int
+    by: list[Literal["marks", "pictures"]]
+
+
+class Geometry(JsonMessage):
+    """A geometry of RFC 7946."""
+
+    type: Literal["Point", "Polygon"]
+    coordinates: list[JsonValue]
+
+
+class Feature(JsonMessage):
+    """A place, an ellipse or a mode."""
+
+    type: Literal["Feature"] = "Feature"
+    geometry: Geometry
+    properties: dict[str, JsonValue]
+
+
+class LocateTracks(JsonMessage):
+    """`locate/tracks`: all tracks of the site, as GeoJSON (RFC 7946) with three further members."""
+
+    version: Literal[1] = 1
+    type: Literal["FeatureCollection"] = "FeatureCollection"
+    stamp_ns: int
+    turned: Turned | None = None
+    features: list[Feature]
+
+
+JSON_TOPICS: dict[str, type[JsonMessage]] = {
+    "labels/info": LabelInfo,
+    "fuel_map/info": FuelMapInfo,
+    "fuel_map/answer": FuelMapAnswer,
+    "terrain/info": TerrainInfo,
+    "locate/tracks": LocateTracks,
+}
+
+
+def json_schemas() -> dict[str, Any]:
+    """Return the content of `config/json_topics.schema.json`: the schema of each topic."""
+    models = [(model, "serialization") for model in JSON_TOPICS.values()]
+    _, schemas = models_json_schema(models)  # type: ignore[arg-type] # a list is invariant
+    topics = {topic: {"$ref": f"#/$defs/{model.__name__}"} for topic, model in JSON_TOPICS.items()}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": topics, **schemas}
 
 
 def label_set_to_msg(labels: LabelSet, model: str = "", reliability: str = "") -> String:
-    """Return the classes, their colours and their part in votes, as JSON; `model`: the network, if known;
-    `reliability`: what its labels were measured on."""
-    about = {"model": model, "reliability": reliability}
-    return String(data=json.dumps(labels.info() | {name: text for name, text in about.items() if text}))
+    """Return the classes, their colours and their part in votes; `model`: the network, if known; `reliability`: what
+    its labels were measured on."""
+    return LabelInfo(**labels.info(), model=model, reliability=reliability).to_msg()
 
 
 def msg_to_model(msg: Any) -> str:
     """Return the network of a `labels/info` message; empty if not stated. Raises MessageError for another message."""
-    return _checked(msg).model
-
-
-def _checked(msg: Any) -> _LabelInfo:
     try:
-        return _LabelInfo.model_validate_json(msg.data)
+        return LabelInfo.model_validate_json(msg.data).model
     except ValidationError as error:
         where = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'document'}: {e['msg']}" for e in error.errors()[:3])
         raise MessageError(f"labels/info is not a label set: {where}; got {msg.data[:120]!r}") from error
 
 
-_LONGEST = 4096
-
-
-def manifest_to_msg(manifest: SurfaceManifest) -> String:
-    """Return the version in use, its digest and the shares of cells seen and changed."""
-    entry = manifest.entry(manifest.current)
-    told: dict[str, Any] = {"version": manifest.current, "held": manifest.held}
-    if entry is not None:
-        told |= entry.model_dump(exclude={"version"}) | {
-            "seen_share": round(entry.seen / entry.cells, 4),
-            "changed_share": round(entry.changed_share, 4),
-        }
-    return String(data=json.dumps(told))
-
-
-def msg_to_version(msg: Any) -> str:
-    """Return the version that a message names. Raises MessageError without one."""
-    return _version(_parsed(msg, "terrain surface"), "version")
-
-
-def traced_to_msg(camera: str, stamp_ns: int, version: str) -> String:
-    """Return the surface version of a frame. `version`: to which the frame of that stamp was traced; AS_GIVEN: to the
-    site's rasters.
-    """
-    return String(data=json.dumps({"camera": camera, "stamp_ns": stamp_ns, "surface": version}))
-
-
-def msg_to_traced(msg: Any) -> tuple[int, str]:
-    """Return the stamp of the frame, ns, and the version. Raises MessageError if they are missing."""
-    told = _parsed(msg, "depth info")
-    stamp = told.get("stamp_ns")
-    if isinstance(stamp, bool) or not isinstance(stamp, int) or not 0 <= stamp < 2**63:
-        raise MessageError(f"depth info has the stamp {stamp!r}; expected whole nanoseconds >= 0")
-    return stamp, _version(told, "surface")
-
-
-def _parsed(msg: Any, what: str) -> dict[str, Any]:
-    text = msg.data
-    try:
-        told = json.loads(text) if len(text) <= _LONGEST else None
-    except (ValueError, RecursionError):
-        told = None
-    if not isinstance(told, dict):
-        raise MessageError(f"{what} is not a JSON mapping of at most {_LONGEST} characters: {text[:80]!r}")
-    return told
-
-
-def _version(told: dict[str, Any], key: str) -> str:
-    version = told.get(key)
-    if version == AS_GIVEN or (isinstance(version, str) and re.fullmatch(VERSION, version, re.ASCII)):
-        return version
-    raise MessageError(
-        f"{key} {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
-    )
+if __name__ == "__main__":
+    print(json.dumps(json_schemas(), indent=1))

@@ -1,9 +1,10 @@
-"""Convert poses, transforms, corrections of mounts and located places to geometry_msgs, and back.
+"""Convert poses, transforms, corrections of mounts and places to geometry_msgs, and back.
 
-A pose is that of the camera's optical frame in `header.frame_id`, with a covariance of zeros if it is unknown. A
-correction moves nothing: its x is the zero of the PTZ head's tilt axis (rad), 0 if unknown. A region is a
-PolygonStamped or PointStamped in the camera's optical frame whose x and y are pixels u and v. A place is a position
-with its covariance in `map`, without orientation.
+- Poses are PoseWithCovarianceStamped (or PoseStamped, Odometry): of the camera's optical frame in `header.frame_id`.
+- A correction of a mount is a PoseWithCovarianceStamped that moves nothing, with a covariance of zeros if it is as
+  stated; the tilt zero of a PTZ head is in the status `pose/info` of the same stamp.
+- Regions of images are PolygonStamped or PointStamped in the optical frame: x and y are pixels u and v; z is ignored.
+- Places are PoseWithCovarianceStamped in `map`, without orientation.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point32, Polygon, PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from geometry_msgs.msg import Pose as PoseMsg
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import MessageError, PoseError
@@ -21,6 +22,7 @@ from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.locating.region import MOST_VERTICES
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.stamp import make_header
+from ltm_msgs_py.status import msg_to_values
 
 POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -182,24 +184,40 @@ def _pose_msg(pose: Pose) -> PoseMsg:
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
-    """Return a correction. `stamp_ns`: of its last image."""
-    turn = Pose(np.array([correction.tilt_zero, 0.0, 0.0]), matrix_of_vector(correction.rotation))
+    """Return the rotation of a correction and its covariance; `stamp_ns`: of its last image. A PTZ head's tilt zero is
+    in `correction_values`."""
+    turn = Pose(np.zeros(3), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:
         covariance[3:, 3:] = correction.angles
-        covariance[0, 3:] = covariance[3:, 0] = correction.tilt_covariance[:3]
-        covariance[0, 0] = correction.tilt_covariance[3]
     return pose_to_msg(turn, stamp_ns, "map", covariance)
 
 
 def msg_to_correction(msg: Any) -> PoseCorrection:
-    """Return a correction. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
-    covariance = msg_to_covariance(msg)
-    pose = msg_to_pose(msg, "map")
-    rotation, tilt_zero = vector_of_matrix(pose.rotation), float(pose.position[0])
-    if covariance is None:
-        return PoseCorrection(rotation, None, tilt_zero)
-    return PoseCorrection(rotation, covariance[3:, 3:], tilt_zero, np.append(covariance[0, 3:], covariance[0, 0]))
+    """Return a correction without tilt zero. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
+    covariance, rotation = msg_to_covariance(msg), vector_of_matrix(msg_to_pose(msg, "map").rotation)
+    return PoseCorrection(rotation, None if covariance is None else covariance[3:, 3:])
+
+
+def correction_values(correction: PoseCorrection) -> dict[str, object]:
+    """Return the part of a correction that has no standard message: a PTZ head's tilt zero (rad), and its covariance
+    with the rotation about x, y and z and its variance (rad²)."""
+    return {"tilt_zero": correction.tilt_zero, "tilt_covariance": correction.tilt_covariance}
+
+
+def msgs_to_correction(correction: Any, info: Any) -> PoseCorrection:
+    """Return the correction of a mount from `pose/correction` and the `pose/info` of the same stamp. Raises
+    MessageError or PoseError if they are invalid."""
+    values, found = msg_to_values(info), msg_to_correction(correction)
+    try:
+        numbers = np.array([values["tilt_zero"], *values["tilt_covariance"].split()], np.float64)
+    except (KeyError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (5,) or not np.isfinite(numbers).all():
+        raise MessageError("pose/info: expected tilt_zero and the four numbers of tilt_covariance, all finite")
+    if found.angles is None:
+        return PoseCorrection(found.rotation, None, float(numbers[0]))
+    return PoseCorrection(found.rotation, found.angles, float(numbers[0]), numbers[1:])
 
 
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
@@ -232,3 +250,9 @@ def place_to_msg(
     matrix[3:, 3:] = np.diag(UNKNOWN_VARIANCES[3:])
     msg.pose.covariance = matrix.ravel()
     return msg
+
+
+def outline_to_msg(outline: Float64Array, stamp_ns: int) -> PolygonStamped:
+    """Return an outline (N, 2) of the map."""
+    points = [Point32(x=float(x), y=float(y)) for x, y in outline]
+    return PolygonStamped(header=make_header(stamp_ns, "map"), polygon=Polygon(points=points))

@@ -9,9 +9,11 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, Imu, NavSatFix, NavSatStatus
 
 from ltm_core.base.errors import CameraError, PoseError
+from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
+from ltm_msgs_py.pose import UNKNOWN_VARIANCES
 from ltm_msgs_py.stamp import make_header, stamp_of
 
 
@@ -69,8 +71,16 @@ def fix_to_msg(fix: Fix, frame_id: str) -> NavSatFix:
     msg.longitude, msg.latitude, msg.status.status = fix.lon, fix.lat, NavSatStatus.STATUS_FIX
     if fix.covariance is not None:
         msg.position_covariance = fix.covariance.ravel()
-        msg.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+        diagonal = not np.any(fix.covariance - np.diag(fix.covariance.diagonal()))
+        msg.position_covariance_type = NavSatFix.COVARIANCE_TYPE_KNOWN - diagonal
     return msg
+
+
+def place_to_fix(lon: float, lat: float, covariance: Float64Array, stamp_ns: int, frame_id: str) -> NavSatFix:
+    """Return a place with its (2, 2) covariance of east and north. The altitude, which is ellipsoidal, is NaN."""
+    matrix = np.diag([0.0, 0.0, UNKNOWN_VARIANCES[2]])
+    matrix[:2, :2] = covariance
+    return fix_to_msg(Fix(stamp_ns, lon, lat, math.nan, matrix), frame_id)
 
 
 def attitude_to_msg(attitude: Attitude, frame_id: str) -> Imu:

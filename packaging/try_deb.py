@@ -68,10 +68,7 @@ def put_site(machine: TrialMachine) -> None:
 
 
 def why(machine: TrialMachine) -> str:
-    return machine.says(
-        "systemctl status ltm --no-pager --lines 0; tail -n 15 /var/log/ltm/*.log; "
-        "journalctl --namespace=ltm -n 30 --no-pager"
-    )
+    return machine.says("systemctl status ltm --no-pager --lines 0; journalctl --namespace=ltm -n 60 --no-pager")
 
 
 def installed(machine: TrialMachine, trial: Trial, package: str) -> None:
@@ -126,7 +123,8 @@ def started(machine: TrialMachine, trial: Trial) -> None:
     trial.holds("ltm status: all nodes report, no camera sends", fine, said.splitlines()[0])
     score = machine.says("systemd-analyze security ltm | tail -1")
     trial.holds("hardened, as systemd sees the running unit", float(score.split(":")[1].split()[0]) <= 2.0, score)
-    machine.run("pid=$(sed -n 's/.*started as process //p' /var/log/ltm/fuel_map.log | tail -1); kill -9 $pid")
+    started_as = "s/^.fuel_map. -- started as process //p"
+    machine.run(f"kill -9 $(journalctl --namespace=ltm --output=cat | sed -n '{started_as}' | tail -1)")
     machine.wait_for(f"{SHOW} StatusText | grep -c 'down: fuel_map'", "1", 60)
     machine.wait_for(f"{SHOW} StatusText | grep -c 'all . processes run'", "1", 120)
     trial.holds("a killed node comes back, the service is not restarted", machine.says(f"{SHOW} NRestarts") == "0")

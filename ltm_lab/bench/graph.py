@@ -104,7 +104,7 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
         site = load_site(traffic.site)
         prepare_heights(site.dem.path)  # as `ltm run` does
         graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
-        runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
+        runner = Runner(graph, domain_id=domain_id, console=lambda line: None)
         with runner, Listener() as listener:
             started = time.monotonic()
             runner.wait_until_ready(READY_S)

@@ -72,11 +72,11 @@ def run_real_demo(
     options = ReplayOptions(
         export=out / "fuel_map.tif", record=out / "recording", rrd=out / "demo.rrd", domain_id=domain_id
     )
-    summaries = run_live(out / "imported", site_path, options, progress, console, out / "log")
+    summaries = run_live(out / "imported", site_path, options, progress, console)
     seconds = time.monotonic() - started
     frames = list(recorded_frames(out / "recording", site))
     if not frames:
-        raise RecordingError(f"the graph published no depth and labels for {PHOTO}; see {out / 'log'}")
+        raise RecordingError(f"the graph published no depth and labels for {PHOTO}; its messages are above")
     dem = site.open_dem()
     points = control_points(folder / CONTROL_POINTS, frames[0], dem, site)
     nodes = node_rows(summaries)

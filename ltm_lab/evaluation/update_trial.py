@@ -28,8 +28,8 @@ from ltm_lab.evaluation.terrain.hillside_ground import TOWERS
 from ltm_lab.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.cells import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import depth_to_msg, msg_to_depth
-from ltm_msgs_py.json_topics import msg_to_traced, msg_to_version
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of

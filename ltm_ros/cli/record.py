@@ -43,7 +43,6 @@ def record(
     from ltm_core.site.site_io import load_site
     from ltm_core.storage.disk_io import require_folder
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
@@ -57,8 +56,7 @@ def record(
     whole = describe(config, site, sim_time=sim_time, record=parameters)
     # With `ltm run`, the recorder is an extra; here it is the only node.
     graph = Graph(config.name, (replace(whole.node("recorder"), required=True),))
-    runner = Runner(graph, domain_id=domain, log_folder=new_log_folder(config.name))
-    raise typer.Exit(runner.run())
+    raise typer.Exit(Runner(graph, domain_id=domain).run())
 
 
 def replay(
@@ -138,7 +136,7 @@ def replay(
             summaries = run_offline(bag, site, options, progress)
         else:
             with stop_on_signals(stopping):
-                summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
+                summaries = run_live(bag, site, options, progress, console.print, stopping.is_set)
     print_nodes(console, node_rows(summaries))
     print_outcome(console, summaries)
     if not stopping.is_set():

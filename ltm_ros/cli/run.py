@@ -78,31 +78,20 @@ def run(
             "the site file's, else nothing is kept."
         ),
     ] = None,
-    logs: Annotated[
-        Path | None, typer.Option(help="Folder for the nodes' logs. Default: a new one in ~/.local/state/ltm.")
-    ] = None,
-    notify: Annotated[
-        bool | None,
-        typer.Option(
-            "--notify/--no-notify",
-            help="Report readiness, watchdog and stop to systemd. Default: if NOTIFY_SOCKET is set.",
-        ),
-    ] = None,
 ) -> None:
-    """Run a site: start its nodes, restart those that die; Ctrl-C or SIGTERM stops them in order.
+    """Run a site: start its nodes, restart those that die or hang; Ctrl-C or SIGTERM stops them in order.
 
+    Prints every line of the nodes, and reports to systemd if that started it (NOTIFY_SOCKET).
     Errors that `ltm check` finds end it before any process starts: exit code 78 if the site file must be corrected.
     """
     from ltm_ros.launching.graph import describe
-    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner, print_line
     from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
     from ltm_ros.runtime.process_memory import settle, steady_allocation
 
     steady_allocation()
-    named = ServiceManager.of_environment(os.environ, required=bool(notify))
-    manager = ServiceManager() if notify is False else named
+    manager = ServiceManager.of_environment(os.environ)
     folders: dict[str, Path] = {}
     kept: dict[str, ParameterValue] = {}
     recorded: dict[str, ParameterValue] | None = None
@@ -112,8 +101,6 @@ def run(
     if record is not None:
         folders["record"] = record.expanduser().resolve()
         recorded = {"bag": str(folders["record"])}
-    if logs is not None:
-        folders["logs"] = logs.expanduser()
     parameters = dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
     try:
@@ -121,12 +108,10 @@ def run(
         config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
     except NotReadyError as error:
         typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
-        manager.status(str(error))
+        manager.report(str(error), ready=False, alive=False)
         raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
-    place = logs or new_log_folder(config.name)
-    kept_in = [str(folder) for folder in {**folders, "logs": place}.values()]
     graph = describe(
         config,
         site,
@@ -134,21 +119,19 @@ def run(
         sim_time=sim_time,
         view=seen,
         record=recorded,
-        health={"folders": kept_in},
+        health={"folders": [str(folder) for folder in folders.values()]} if folders else {},
         parameters=parameters,
     )
-    runner = Runner(graph, log_folder=place, domain_id=domain)
-    processes = f"{len(graph)} nodes in {len(graph.processes)} processes"
-    typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
+    typer.echo(f"-- {config.name}: {len(graph)} nodes in {len(graph.processes)} processes; Ctrl-C stops them")
     if view:
         typer.echo(f"-- live view (available once the nodes run): {_address(graph.node('viewer').parameters)}")
     if config.health is not None:
         scheme = "https" if config.health.certificate else "http"
         typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
     settle()
-    status = runner.run(manager)
+    status = Runner(graph, domain_id=domain).run(manager)
     # Written without echo: a closed console is not an error of the run.
-    print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")
+    print_line(f"-- {config.name} has ended")
     raise typer.Exit(status)
 
 

@@ -16,6 +16,14 @@ if TYPE_CHECKING:
 
 def view(
     site: Annotated[Path | None, typer.Option("--site", help="Site file of the running graph to show.")] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option("--connect", help="Tower to show: [USER@]HOST[:PORT] through SSH, or https://HOST[:PORT]."),
+    ] = None,
+    token: Annotated[Path | None, typer.Option("--token", help="With --connect: file with the tower's token.")] = None,
+    certificate: Annotated[
+        Path | None, typer.Option("--certificate", help="With --connect: the tower's certificate (PEM).")
+    ] = None,
     rrd: Annotated[Path | None, typer.Option("--rrd", help="Rerun recording to open instead.")] = None,
     web: Annotated[
         bool | None,
@@ -33,12 +41,22 @@ def view(
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
-    """Show a running graph or a recording in Rerun. Listens on loopback only; Ctrl-C ends it."""
+    """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
+
+    Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s.
+    """
     from ltm_core.base.errors import ConfigError, RecordingError
     from ltm_core.storage.disk_io import require_files, require_folder
 
-    if (site is None) == (rrd is None):
-        raise ConfigError("give either --site (a running graph) or --rrd (a recording)")
+    if [site, rrd, connect].count(None) != 2:
+        raise ConfigError("give one of --site (a running graph), --rrd (a recording) and --connect (a tower)")
+    if connect is not None:
+        if screenshot is not None or save is not None or web is False:
+            raise ConfigError("--connect shows a page: remove --screenshot, --save and --native")
+        _show_tower(connect, token, certificate, open_browser, web_port)
+        return
+    if token is not None or certificate is not None:
+        raise ConfigError("--token and --certificate identify a tower: give --connect, too")
     if tab is not None and screenshot is None:
         raise ConfigError("--tab selects what --screenshot draws: give --screenshot, too")
     if screenshot is not None:
@@ -63,6 +81,20 @@ def view(
     _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
 
 
+def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_browser: bool, web_port: int) -> None:
+    from contextlib import closing
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.runtime.web_server import bind_error
+    from ltm_ros.tower.tower_mirror import TowerMirror, reached
+
+    if error := bind_error("127.0.0.1", web_port):
+        raise ConfigError(f"port {web_port} on 127.0.0.1 is in use ({error.strerror}): give another with --web-port")
+    with reached(tower, token, certificate) as reach, closing(TowerMirror(reach, web_port)) as mirror:
+        _announce(mirror.url, open_browser)
+        _until_ended(None)
+
+
 def _show_file(rrd: Path, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int) -> None:
     from ltm_ros.viewer.server import RerunProcess, web_url
 
@@ -82,7 +114,6 @@ def _show_graph(
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
 
@@ -92,7 +123,7 @@ def _show_graph(
         wanted["save"] = str(save.resolve())
     # A separate name, because the graph may run a viewer that writes a file.
     node = replace(describe(site, path, view=wanted).node("viewer"), name="live_view", required=True)
-    with Runner(Graph(site.name, (node,)), log_folder=new_log_folder(site.name)) as runner:
+    with Runner(Graph(site.name, (node,))) as runner:
         if not _comes_up(runner, web_port):
             raise ConfigError("the viewer node could not start; its messages are above")
         if in_browser:

@@ -76,10 +76,10 @@ def run_demo(
     options = ReplayOptions(
         export=out / "fuel_map.tif", record=out / "recording", state=state, rrd=out / "demo.rrd", domain_id=domain_id
     )
-    summaries = run_live(demo / "recording", site_path, options, progress, console, out / "log")
+    summaries = run_live(demo / "recording", site_path, options, progress, console)
     seconds = time.monotonic() - started
     if not (out / "fuel_map.tif").is_file():
-        raise RecordingError(f"the fuel_map node wrote no {out / 'fuel_map.tif'}; see {out / 'log'}")
+        raise RecordingError(f"the fuel_map node wrote no {out / 'fuel_map.tif'}; its messages are above")
 
     dem = site.open_dem()
     evidence = site_evidence_map(site, site.fuel_geometry(dem), labels)

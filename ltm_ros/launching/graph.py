@@ -18,7 +18,6 @@ from ltm_core.surface.surface_versions_io import FOLDER
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
-PACKAGE = "ltm"
 NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
@@ -57,7 +56,6 @@ class NodeSpec:
     module: str
     """Python module that runs the node: `python -m ltm_ros.nodes.depth`."""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
-    remappings: Sequence[tuple[str, str]] = ()
     required: bool = True
     """Whether the graph is useless without it."""
     busy: bool = False
@@ -251,10 +249,7 @@ def nodes_json(nodes: Sequence[NodeSpec]) -> str:
 
 
 def nodes_of_json(text: str) -> tuple[NodeSpec, ...]:
-    return tuple(
-        NodeSpec(**given | {"remappings": tuple((old, new) for old, new in given["remappings"])})
-        for given in json.loads(text)
-    )
+    return tuple(NodeSpec(**given) for given in json.loads(text))
 
 
 def _scalar_or_list(value: ParameterValue) -> str:

@@ -78,9 +78,7 @@ def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Si
     if exit_status(findings):
         raise NotReadyError(findings)
     for finding in findings:
-        if finding.verdict is SiteVerdict.DOUBTFUL and finding.name != str(
-            shared_memory.SHM_FOLDER
-        ):  # the runner reports it
+        if finding.verdict is SiteVerdict.DOUBTFUL:
             tell(f"warning: {finding.area}, {finding.name}: {finding.said}")
     return load_site(path)
 

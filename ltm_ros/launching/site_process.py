@@ -37,13 +37,12 @@ class JobNode(OutletNode):
 
     def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
-        remappings = [part for old, new in spec.remappings for part in ("-r", f"{old}:={new}")]
         super().__init__(
             node_type,
             {
                 "node_name": spec.name,
                 "namespace": spec.namespace,
-                "cli_args": ["--ros-args", *remappings] if remappings else [],
+                "cli_args": [],
                 "use_global_arguments": False,
                 "parameter_overrides": [Parameter(name, value=value) for name, value in spec.parameters.items()],
             },

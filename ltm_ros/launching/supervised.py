@@ -15,7 +15,6 @@ import runpy
 import signal
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
-import time
 from collections.abc import Mapping, Sequence
 
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
@@ -25,9 +24,6 @@ DESCRIPTOR = "LTM_HEARTBEAT"
 """Environment variable that holds the number of the heartbeat's file descriptor."""
 SHOW_STACKS = signal.SIGUSR1
 """Signal that makes a process print the stacks of all its threads."""
-GRACE_S = signal.SIGUSR2.value
-"""Seconds after which a process ends when its runner has died. See `die_with_parent`."""
-
 _PR_SET_PDEATHSIG = 1
 
 
@@ -62,36 +58,8 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
     return process, heard
 
 
-def signal_at_parents_death(number: int) -> None:
-    """Send this process a signal when its parent, the thread that started it, ends. Each thread may request one."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
-
-
-def die_with_parent() -> None:
-    """End this process within `GRACE_S` of its parent's end, even in a call that holds the interpreter's lock. Call it
-    from the main thread; `_end` requests an orderly end."""
-    libc = ctypes.CDLL(None)
-    libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
-    # alarm(2) serves directly as the signal handler: it takes an integer and needs no interpreter, and SIGALRM then
-    # ends the process.
-    libc.signal(GRACE_S, ctypes.cast(libc.alarm, ctypes.c_void_p))
-    signal_at_parents_death(GRACE_S)
-
-
-def _wake() -> None:
-    """Continue a stopped process (SIGSTOP) when its parent has ended, so that it can end."""
-    signal_at_parents_death(signal.SIGCONT)
-
-
 def _end() -> None:
     """The runner has died: end this process and everything that it has started."""
-    signal.alarm(GRACE_S)
-    # Its output is not read any more, and an error about that must not prevent the exit.
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for output in (1, 2):
-        os.dup2(nowhere, output)
-    os.kill(0, signal.SIGTERM)
-    time.sleep(GRACE_S - 2)
     os.kill(0, signal.SIGKILL)
 
 
@@ -113,9 +81,10 @@ def main() -> None:
     faulthandler.register(SHOW_STACKS)
     descriptor = int(os.environ.pop(DESCRIPTOR))
     os.set_inheritable(descriptor, False)
-    die_with_parent()
+    # The kernel also ends a process that is stopped, or that holds the interpreter's lock.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     # If the runner has died already, the pipe reports it at once.
-    HEARTBEAT.start(descriptor, prepare=_wake, reader_gone=_end)
+    HEARTBEAT.start(descriptor, reader_gone=_end)
     del sys.argv[0]
     try:
         runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -11,11 +11,9 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 from typing import IO
 
 from ltm_core.site.sections import WatchdogConfig
-from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
 from ltm_ros.runtime.handler import EX_CONFIG
@@ -93,25 +91,25 @@ def _end_group(group: int) -> None:
 
 @dataclass
 class NodeProcess:
-    """Runs `command` until `stop`; one thread follows the process, another its output. With a `watchdog`, a hung
-    process is killed with all its children and restarted; `command` must then be a `supervised_command`."""
+    """Runs `command`, a `supervised_command`, until `stop`; one thread follows the process, another its output. A hung
+    process is killed with all its children and restarted."""
 
     label: str
     command: Sequence[str]
     environment: Mapping[str, str]
-    log_file: Path
     console: Console
     policy: RestartPolicy = field(default_factory=RestartPolicy)
-    watchdog: WatchdogConfig | None = None
-    """Limits after which it counts as hung; None: only its death is detected."""
+    watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
+    """Limits after which it counts as hung."""
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
     """Traffic of all processes of the graph, to detect a process that receives nothing."""
     on_end: Callable[[], object] = lambda: None
     """Called when a process of it has ended: each crash leaves 70 MB of shared memory."""
-    on_given_up: Callable[[], None] = lambda: None
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
+    ready: frozenset[str] = field(default=frozenset(), init=False)
+    """Full names of its nodes that have sent a diagnostic in this run."""
     starts: int = field(default=0, init=False)
     hangs: int = field(default=0, init=False)
     """Number of times it was killed because it hung."""
@@ -130,8 +128,6 @@ class NodeProcess:
         self._hang = ""
         """Reason why the last run was killed as hung, if it was."""
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
-        self._log = NodeLog(self.log_file, lambda text: self.console(f"[{self.label}] -- {text}"))
-        self._log_lock = threading.Lock()
 
     @property
     def restarts(self) -> int:
@@ -173,10 +169,6 @@ class NodeProcess:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
-    def close(self) -> None:
-        """Close the log file; call when the node has stopped."""
-        self._log.close()
-
     def last_words(self) -> list[str]:
         """Return the newest lines of its output."""
         return list(self._tail)
@@ -194,7 +186,6 @@ class NodeProcess:
                 self.state = ProcessState.GIVEN_UP
                 reason = next((line for line in reversed(self._tail) if line.strip()), "it printed nothing")
                 self._tell(f"given up after {self._restarts.config_errors} starts ({self.last_exit}): {reason}")
-                self.on_given_up()
                 return
             self._tell(f"{self.last_exit} after {uptime_s:.1f} s; restarting in {delay_s:.1f} s")
             self._look_due = time.monotonic() + delay_s
@@ -213,8 +204,7 @@ class NodeProcess:
             self.pid = process.pid
             self.starts += 1
             self.state = ProcessState.RUNNING
-        with self._log_lock:  # so that a silent node has a log, too
-            self._log.write(f"-- started as process {process.pid}")
+        self._tell(f"started as process {process.pid}")
         assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
         reader.start()
@@ -231,12 +221,10 @@ class NodeProcess:
     def _follow(self, pid: int, heartbeat: int) -> str:
         """Wait until the process has ended; return why it was killed, if it hung. It is not reaped here, so that its
         process id cannot be reused."""
-        hearing, watch = None, None
-        if self.watchdog:
-            self.traffic.begin(self.label)
-            patience_s = self.watchdog.deaf * 2.0 ** min(self._deaf_runs, 10)
-            hearing = HearingWatch(self.label, self.traffic, patience_s)
-            watch = HangWatch(self.watchdog, self._slow_starts, hearing)
+        self.traffic.begin(self.label)
+        patience_s = self.watchdog.deaf * 2.0 ** min(self._deaf_runs, 10)
+        hearing = HearingWatch(self.label, self.traffic, patience_s)
+        watch = HangWatch(self.watchdog, self._slow_starts, hearing)
         hang = ""
         end = os.pidfd_open(pid)
         poll = select.poll()
@@ -254,13 +242,15 @@ class NodeProcess:
                 now = time.monotonic()
                 elapsed_s, last = now - last, now
                 self._look_due = now
-                if watch and not hang and (hang := watch.look(elapsed_s, heard, process_use(pid))):
+                if not hang and (hang := watch.look(elapsed_s, heard, process_use(pid))):
                     self._kill_hung(hang, end)
+                self.ready = watch.ready
         finally:
             os.close(end)
             os.close(heartbeat)
-        self._slow_starts = self._slow_starts + 1 if watch and hang and not watch.started else 0
-        self._deaf_runs = self._deaf_runs + 1 if hearing and hearing.deaf and not hearing.heard else 0
+        self.ready = frozenset()
+        self._slow_starts = self._slow_starts + 1 if hang and not watch.started else 0
+        self._deaf_runs = self._deaf_runs + 1 if hearing.deaf and not hearing.heard else 0
         return hang
 
     def _kill_hung(self, hang: str, end: int) -> None:
@@ -283,6 +273,4 @@ class NodeProcess:
         self._emit(f"-- {text}")
 
     def _emit(self, line: str) -> None:
-        with self._log_lock:
-            self._log.write(line)
         self.console(f"[{self.label}] {line}")

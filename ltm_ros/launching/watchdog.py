@@ -132,6 +132,8 @@ class HangWatch:
         self._cpu_s = 0.0
         self._heard = False
         self._rest = b""
+        self.ready: frozenset[str] = frozenset()
+        """Full names of the nodes that have sent a diagnostic."""
         self._beat: list[tuple[float, bool, str]] = []
         self._topics_heard: dict[str, int] | None = None
         """Messages by topic, if the process has just reported them."""
@@ -186,11 +188,10 @@ class HangWatch:
     def _take(self, heard: bytes) -> None:
         *lines, self._rest = (self._rest + heard).split(b"\n")
         self._heard = self._heard or bool(lines)
-        for told in map(json.loads, lines[-2:]):  # the newer of the two, if a process reports both
-            if isinstance(told, dict):
-                if self._hearing is not None:
-                    self._hearing.take(told["said"])
-                self._topics_heard = told["heard"]
-            else:
-                self._beat = [(float(age), bool(slow), str(what)) for age, slow, what in told]
-                self.started = self.started or not any(what.startswith("start:") for _, _, what in self._beat)
+        for told in map(json.loads, lines[-1:]):
+            if self._hearing is not None:
+                self._hearing.take(told["said"])
+            self._topics_heard = told["heard"]
+            self._beat = [(float(age), bool(slow), str(what)) for age, slow, what in told["activities"]]
+            self.ready = frozenset(told["ready"])
+            self.started = self.started or not any(what.startswith("start:") for _, _, what in self._beat)

@@ -13,13 +13,14 @@ from typing import Any
 
 from pydantic import Field
 
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import link_transform, mount_transform, msg_to_correction, pose_to_msg
-from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission, RepeatCheck
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
@@ -32,7 +33,9 @@ from ltm_ros.runtime.topics import (
     FINISHED,
     POSE,
     POSE_CORRECTION,
+    POSE_INFO,
     POSED_CAMERA_INFO,
+    POSED_FIX,
     POSED_IMAGE,
     POSED_POSE,
     STATED_POSE,
@@ -75,13 +78,13 @@ class CaptureHandler(Handler[CaptureConfig]):
     room for it (`Admission`).
     """
 
-    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
+    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, POSED_FIX)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._frame_id = f"{config.camera}_optical"
-        self._limits = site.limits
+        self._limits, self._frame = site.limits, site.frame
         self._refines = site.refine_poses is not None
         if self._refines:
             self.publications = (*self.publications, STATED_POSE)
@@ -90,6 +93,8 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._own_inputs = site.camera(config.camera)
         self._poses, self._mounted = CameraPoses(self._frame_id), False
         self._correction: PoseCorrection | None = None
+        self._correction_parts: dict[Topic, Any] = {}
+        """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
         self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
@@ -112,7 +117,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         topics: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
         topics[FINISHED] = self.on_finished
         if self._refines:
-            topics[POSE_CORRECTION] = self.on_correction
+            topics |= {topic: partial(self.on_correction, topic) for topic in (POSE_CORRECTION, POSE_INFO)}
         others = dict(self._join.others)
         poses = [topic for topic in others if topic.counted_name == POSE.name]
         if poses and self._own_inputs.topics.pose is not None:
@@ -165,8 +170,10 @@ class CaptureHandler(Handler[CaptureConfig]):
         if not self._too_many_pixels("camera_info", int(message.width), int(message.height)):
             self._join.on_camera_info(message)
 
-    def on_correction(self, message: Any) -> None:
-        self._correction = msg_to_correction(message)
+    def on_correction(self, topic: Topic, message: Any) -> None:
+        parts = self._correction_parts = self._correction_parts | {topic: message}
+        if len(parts) == 2 and len({stamp_of(part) for part in parts.values()}) == 1:
+            self._correction = msgs_to_correction(parts[POSE_CORRECTION], parts[POSE_INFO])
 
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))
@@ -216,7 +223,14 @@ class CaptureHandler(Handler[CaptureConfig]):
         sent = pose_to_msg(posed.pose, stamp, "map", covariance)
         self.outlet.publish(POSED_POSE, sent)
         self._publish_frames(sent)
+        self.outlet.provide(POSED_FIX, stamp, partial(self._fix, posed, covariance))
         self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+
+    def _fix(self, posed: PosedImage, covariance: Float64Array | None) -> Any:
+        """Return a frame's place for maps."""
+        lon, lat = self._frame.to_lonlat(*posed.pose.position[:2])
+        known = self._join.assumed if covariance is None else covariance
+        return place_to_fix(float(lon), float(lat), known[:2, :2], posed.stamp_ns, self._frame_id)
 
     def _too_large(self, message: Any) -> bool:
         """Return whether an image is too large to be queued; the size in its first bytes is checked later."""

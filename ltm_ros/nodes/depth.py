@@ -16,8 +16,8 @@ from ltm_core.pipeline.frame_steps import TracingConfig, TracingStep, seen
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
+from ltm_msgs_py.cells import traced_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
-from ltm_msgs_py.json_topics import traced_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import stamp_of

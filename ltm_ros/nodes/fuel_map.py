@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.base.resources import config_path
@@ -24,7 +21,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.json_topics import msg_to_model
+from ltm_msgs_py.json_topics import FuelMapAnswer, FuelMapInfo, msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.config import FuelMapConfig, compile_kernels
@@ -120,12 +117,18 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     def start(self) -> None:
         geometry = self._site.in_crs(self._geometry)
-        info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
-        info["origin"] = list(self._site.origin)
-        info["growth"] = self._site.fuel.growth.model_dump()
-        info["labels_measured"] = state = labels_state(self._site)
+        state = labels_state(self._site)
+        info = FuelMapInfo(
+            **self._classes.info(),
+            crs=geometry.crs or "",
+            x_min=geometry.x_min,
+            y_max=geometry.y_max,
+            origin=self._site.origin,
+            growth=self._site.fuel.growth.model_dump(mode="json"),
+            labels_measured=state,
+        )
         self.health.gauge("labels", state)
-        self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
+        self.outlet.publish(FUEL_MAP_INFO, info.to_msg())
         self._publisher.send_map()
         self._publisher.announce([])
         compile_kernels(self._site, self._labels)
@@ -164,7 +167,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         point = message.point
         found = answer(self.persistence.map, self.persistence.store, self._classes, float(point.x), float(point.y))
         asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
-        self.outlet.publish(FUEL_MAP_ANSWER, String(data=json.dumps(asked | found)))
+        self.outlet.publish(FUEL_MAP_ANSWER, FuelMapAnswer.model_validate(asked | found).to_msg())
 
     def on_region(self, message: Any) -> None:
         self._region = region_of(message, self._geometry)

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from pydantic import Field
@@ -17,10 +18,11 @@ from rclpy.node import Node
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
+from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.clocks import kernel_clock
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher, status_message
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
@@ -28,6 +30,7 @@ from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower import machine
 from ltm_ros.tower.alerts import AlertSender
 from ltm_ros.tower.last_pictures import LastPictures
+from ltm_ros.tower.live_stream import KINDS, LiveStream
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.patient_server import PatientServer
@@ -61,17 +64,19 @@ class HealthNode(Node):  # type: ignore[misc]
         own = {self.get_fully_qualified_name(): self._health}
         self._diagnostics = DiagnosticsPublisher(self, own, others=self._camera_states)
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
+        live = LiveStream(self._page, self._pictures, lambda error: self._health.drop(cause_of(error), str(error)))
         routes: dict[str, Route] = {
             "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
             "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
             "GET /healthz": lambda _: _verdict(self.status(), "alive"),
             "GET /readyz": lambda _: _verdict(self.status(), "ready"),
             "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
-            "GET /page.json": lambda _: self._page_json(),
+            "GET /page.json": lambda _: WebResponse.json(self._page()),
             "GET /map.png": partial(_picture, self._pictures.map_png, "image/png"),
+            "GET /live": lambda _: WebResponse(b"", "application/octet-stream", stream=live.stream()),
         }
         for camera in cameras:
-            for kind in ("photo", "labels", "depth"):
+            for kind in KINDS:
                 draw = partial(self._pictures.jpeg, camera, kind)
                 routes[f"GET /picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
         self._marks = None
@@ -96,13 +101,13 @@ class HealthNode(Node):  # type: ignore[misc]
         if self._alerts is not None:
             self._alerts.look(status.conditions, time.monotonic(), status.time_s)
 
-    def _page_json(self) -> WebResponse:
+    def _page(self) -> dict[str, Any]:
         """Return the data that an open status page requests repeatedly."""
         self._pictures.look()
         said = self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": None}
         if self._marks is not None:
             said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
-        return WebResponse.json(said)
+        return said
 
     def status(self, with_memory: bool = True) -> TowerStatus:
         """Return the current status; thread-safe. Without the memory of processes, it costs next to nothing."""

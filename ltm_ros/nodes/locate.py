@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.base.types import Float64Array
@@ -30,17 +28,26 @@ from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
-from ltm_msgs_py.pose import msg_to_correction, msg_to_covariance, msg_to_outline, msg_to_pose, place_to_msg
-from ltm_msgs_py.sensors import msg_to_camera
+from ltm_msgs_py.json_topics import LocateTracks
+from ltm_msgs_py.pose import (
+    msg_to_correction,
+    msg_to_covariance,
+    msg_to_outline,
+    msg_to_pose,
+    outline_to_msg,
+    place_to_msg,
+)
+from ltm_msgs_py.sensors import msg_to_camera, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.topics import (
+    LOCATE_AREA,
     LOCATE_ESTIMATE,
+    LOCATE_FIX,
     LOCATE_FUSED,
-    LOCATE_GEOJSON,
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
@@ -97,7 +104,7 @@ class LocateHandler(Handler[LocateConfig]):
         self._told: tuple[str | None, tuple[str, ...]] = (None, ())
         """The camera that was reported last, with the evidence."""
         self._poses = {name: KnownPoses() for name in site.cameras}
-        per_camera = (LOCATE_ESTIMATE, LOCATE_GEOJSON)
+        per_camera = (LOCATE_ESTIMATE, LOCATE_FIX, LOCATE_AREA)
         self.publications = (
             *(self._of(name, topic) for name in site.cameras for topic in per_camera),
             LOCATE_FUSED,
@@ -172,7 +179,7 @@ class LocateHandler(Handler[LocateConfig]):
             mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke, hidden)
         seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
         track, alone, wrong = self._tracks.add(seen)
-        self._publish_estimate(name, alone, track, source, stamp)
+        self._publish_estimate(name, alone, stamp)
         if wrong is not None:
             self.health.note(f"disagrees.{wrong}")
         self.health.gauge("tracks", len(self._tracks.tracks))
@@ -213,15 +220,12 @@ class LocateHandler(Handler[LocateConfig]):
         ]
         return answer(location, self._sight, self._site.frame, cameras, self._prior, self.config.smoke)
 
-    def _publish_estimate(self, name: str, alone: Location, track: Track, source: str, stamp: int) -> None:
+    def _publish_estimate(self, name: str, alone: Location, stamp: int) -> None:
         said = self._said(alone)
         self.outlet.publish(self._of(name, LOCATE_ESTIMATE), _place_msg(said, stamp))
-
-        def collection() -> String:
-            properties = {"camera": name, "source": source, "track": track.number, "stamp_ns": stamp}
-            return String(data=json.dumps(as_geojson(said, self._site.frame, properties)))
-
-        self.outlet.provide(self._of(name, LOCATE_GEOJSON), stamp, collection)  # a String has no stamp of its own
+        fix = place_to_fix(said.name.lon, said.name.lat, alone.posterior.covariance, stamp, "map")
+        self.outlet.publish(self._of(name, LOCATE_FIX), fix)
+        self.outlet.publish(self._of(name, LOCATE_AREA), outline_to_msg(said.ellipses[-1].outline(), stamp))
 
     def _publish_fused(self, track: Track, stamp: int) -> None:
         self.outlet.publish(LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
@@ -239,8 +243,8 @@ class LocateHandler(Handler[LocateConfig]):
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
         turned = turned_data(self._tracks.fires.verdict)
-        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "turned": turned, "features": features}
-        self.outlet.publish(LOCATE_TRACKS, String(data=json.dumps(collection)))
+        collection = {"stamp_ns": stamp, "turned": turned, "features": features}
+        self.outlet.publish(LOCATE_TRACKS, LocateTracks.model_validate(collection).to_msg())
 
 
 def _apart(one: Float64Array, other: Float64Array) -> float:

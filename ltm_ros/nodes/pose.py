@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.geometry.camera import Camera
@@ -22,9 +19,10 @@ from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
-from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, msg_to_pose
+from ltm_msgs_py.pose import correction_to_msg, correction_values, msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import status_to_msg
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
@@ -114,7 +112,9 @@ class PoseHandler(Handler[PoseKeepingConfig]):
         self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
 
     def _tell(self, stamp: int) -> None:
-        self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
+        watch = self._watch
+        name, wrong = f"{self.config.camera}/pose", not watch.correction.known
+        self.outlet.publish(POSE_INFO, status_to_msg(name, stamp, self._info(), watch.reason, wrong))
         self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
 
     def _recall(self, seen: Camera | None) -> None:
@@ -138,19 +138,16 @@ class PoseHandler(Handler[PoseKeepingConfig]):
         except StoreError as error:
             self.health.trouble("mount_memory", str(error))
 
-    def _info(self, stamp: int) -> dict[str, object]:
+    def _info(self) -> dict[str, object]:
         watch = self._watch
         rotation, angles = watch.correction.rotation, watch.correction.angles
         return {
-            "camera": self.config.camera,
-            "stamp_ns": stamp,
             "state": watch.state.value,
             "reason": watch.reason,
             "rotation_deg": np.degrees(rotation).round(4).tolist(),
             "sigma_deg": None if angles is None else np.degrees(np.sqrt(angles.diagonal())).round(4).tolist(),
-            "tilt_zero_deg": round(math.degrees(watch.correction.tilt_zero), 4),
             "slips": watch.slips,
-        }
+        } | correction_values(watch.correction)
 
 
 NODE = NodeType("pose", PoseKeepingConfig, PoseHandler)

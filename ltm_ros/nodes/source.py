@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
-
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site_io import load_site
@@ -14,6 +11,7 @@ from ltm_core.storage.image_io import image_format
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.status import status_to_msg
 from ltm_ros.cameras.camera_source import CameraSource, Frame
 from ltm_ros.cameras.opening import SourceThread, calibration_of, direction_of, open_reader
 from ltm_ros.runtime.clocks import SystemClock
@@ -79,13 +77,13 @@ class SourceHandler(Handler[SourceNodeConfig]):
         self.outlet.publish(CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
         if frame.pose is not None:
             self.outlet.publish(POSE, pose_to_msg(frame.pose, stamp, "map", frame.covariance))
-        said = {
-            "stamp_ns": stamp,
+        said: dict[str, object] = {
             "uncertainty_s": round(frame.uncertainty, 4),
             "told_by": frame.told_by,
             "synchronised": frame.synchronised,
         }
-        self.outlet.publish(SOURCE_INFO, String(data=json.dumps(said)))
+        name, wrong = f"{self.config.camera}/source", frame.synchronised is False
+        self.outlet.publish(SOURCE_INFO, status_to_msg(name, stamp, said, wrong=wrong))
         if self._raw and frame.rgb is not None:
             self.outlet.publish(IMAGE_RAW, image_to_msg(frame.rgb, "rgb8", stamp, self._frame_id))
             return

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
@@ -19,11 +17,12 @@ from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.vision.scene_view import SceneView
+from ltm_msgs_py.cells import msg_to_traced
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
-from ltm_msgs_py.json_topics import msg_to_traced
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import status_to_msg
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -130,8 +129,8 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
             self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
         self.health.gauge("verdict", fused.verdict.value)
         self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
-        info = {"camera": self.config.camera, "stamp_ns": stamp, **fused.info()}
-        self.outlet.publish(FUSED_INFO, String(data=json.dumps(info)))
+        wrong, name = fused.verdict is not FusionVerdict.OK, f"{self.config.camera}/fused"
+        self.outlet.publish(FUSED_INFO, status_to_msg(name, stamp, fused.info(), fused.reason, wrong))
         metres = fused.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
         if metres is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))

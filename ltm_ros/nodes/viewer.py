@@ -69,8 +69,10 @@ class ViewerConfig(NodeConfig):
     """.rrd file to write; empty: none. If it exists, `<name>_1.rrd` and so on is used."""
     serve: bool = False
     """Whether to serve a live view on loopback."""
-    web_port: int = Field(WEB_PORT, ge=0, lt=65536)
-    grpc_port: int = Field(GRPC_PORT, ge=1, lt=65536)
+    web_port: int = Field(WEB_PORT, ge=0, le=65535)
+    """Port of the page on loopback; 0: any."""
+    grpc_port: int = Field(GRPC_PORT, ge=1, le=65535)
+    """Port of the data on loopback."""
 
 
 class ViewerHandler(Handler[ViewerConfig]):

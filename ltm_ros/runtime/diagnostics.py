@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.heartbeat import TRAFFIC
+from ltm_ros.runtime.heartbeat import HEARTBEAT, TRAFFIC
 from ltm_ros.runtime.process_memory import memory_in_use
-
-
-def status_message(
-    name: str, level: bytes, message: str, values: Mapping[str, str], hardware_id: str = ""
-) -> DiagnosticStatus:
-    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return DiagnosticStatus(level=level, name=name, hardware_id=hardware_id, message=message, values=pairs)
 
 
 class DiagnosticsPublisher:
@@ -53,6 +47,7 @@ class DiagnosticsPublisher:
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
         self._said.messages += 1
+        HEARTBEAT.ready(self._healths)
 
     def _status(self, name: str, health: Health) -> DiagnosticStatus:
         level = DiagnosticStatus.WARN if health.troubled else DiagnosticStatus.OK

@@ -1,11 +1,9 @@
-"""Report once a second that this process is alive, with what it has sent and received.
+"""Report once a second to the runner's watchdog what this process does, which of its nodes are ready, and what it has
+sent and received over DDS.
 
-Report the activities of this process once a second to the runner's watchdog.
-
-A separate thread writes into a pipe, so it needs no DDS and works while a node loads and compiles. The thread itself
-shows that the process is scheduled and the interpreter's lock is free; the activities show that work progresses; the
-counts of messages sent and received over DDS, on a line before it, show that messages arrive. Uses only the standard
-library.
+A separate thread writes a line of JSON into a pipe, so it needs no DDS and works while a node loads and compiles. The
+thread itself shows that the process is scheduled and the interpreter's lock is free; the activities show that work
+progresses; the counts show that messages arrive. Uses only the standard library.
 """
 
 from __future__ import annotations
@@ -60,11 +58,10 @@ class Traffic:
             self._said[:] = [count for count in self._said if count not in gone]
             self._heard[:] = [count for count in self._heard if count not in gone]
 
-    def counts(self) -> TrafficCounts | None:
-        """Return the counts; None if the process has no counted publishers or subscriptions."""
+    def counts(self) -> TrafficCounts:
         with self._lock:
             said, heard = list(self._said), list(self._heard)
-        return {"said": _by_topic(said), "heard": _by_topic(heard)} if said or heard else None
+        return {"said": _by_topic(said), "heard": _by_topic(heard)}
 
     def _add(self, counts: list[TopicCount], topic: str) -> TopicCount:
         with self._lock:
@@ -124,6 +121,11 @@ class Heartbeat:
         self._traffic = traffic or Traffic()
         self._activities: list[Activity] = []
         self._ages: dict[Activity, tuple[int, float]] = {}
+        self._ready: dict[str, None] = {}
+
+    def ready(self, nodes: Iterable[str]) -> None:
+        """Report from now on that these nodes, by full name, have sent a diagnostic."""
+        self._ready |= dict.fromkeys(nodes)
 
     def activity(self, name: str) -> Activity:
         """Return a new activity, watched from its first turn on."""
@@ -145,19 +147,15 @@ class Heartbeat:
                 beat.append((round(age, 1), activity.slow, f"{activity.name}: {what}"))
         return beat
 
-    def start(self, descriptor: int, prepare: Callable[[], None], reader_gone: Callable[[], None]) -> None:
-        """Start writing to the pipe. The thread calls `prepare` before this returns, and at the end `reader_gone`."""
+    def start(self, descriptor: int, reader_gone: Callable[[], None]) -> None:
+        """Start a thread that writes to the pipe, and at the end calls `reader_gone`."""
         os.set_blocking(descriptor, False)
-        prepared = threading.Event()
 
         def run() -> None:
-            prepare()
-            prepared.set()
             self._tell(descriptor)
             reader_gone()
 
         threading.Thread(target=run, name="heartbeat", daemon=True).start()
-        prepared.wait()
 
     def _tell(self, descriptor: int) -> None:
         poll = select.poll()
@@ -179,9 +177,8 @@ class Heartbeat:
                 return
 
     def _lines(self, elapsed_s: float) -> bytes:
-        beat, counts = self.look(elapsed_s), self._traffic.counts()
-        told = [beat] if counts is None else [counts, beat]
-        return "".join(f"{json.dumps(one)}\n" for one in told).encode()
+        told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy()), **self._traffic.counts()}
+        return f"{json.dumps(told)}\n".encode()
 
 
 HEARTBEAT = Heartbeat(TRAFFIC)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import threading
+import sys
 from collections.abc import Callable, Mapping, Set
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-import rclpy
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.storage.config_io import checked
@@ -25,7 +21,6 @@ from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report,
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import TRAFFIC, TopicCount
-from ltm_ros.runtime.ros_environment import wait_for_quiet
 
 WIRING_S = 5.0
 """Seconds between two checks for published topics that do not reach a node."""
@@ -57,6 +52,8 @@ class OutletNode(Node):  # type: ignore[misc]
         self._publishers_by_topic: dict[Topic, Any] = {}
         self._said: dict[Topic, TopicCount] = {}
         self._heard: list[TopicCount] = []
+        self._reliable: dict[str, tuple[Any, Topic, Callable[..., None]]] = {}
+        """Subscriptions by absolute topic, with the function that takes messages."""
         self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
         self._undecided: dict[str, Callable[[type], None]] = {}
@@ -130,7 +127,10 @@ class OutletNode(Node):  # type: ignore[misc]
         if topic.any_pose:
             self._undecided[name] = lambda kind: self.create_subscription(kind, name, with_info(take), _qos(topic))
         else:
-            self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+            callback = with_info(take)
+            subscription = self.create_subscription(topic.type, name, callback, _qos(topic))
+            if not topic.latched:
+                self._reliable[subscription.topic_name] = subscription, topic, callback
 
     def _settle_types(self) -> None:
         """Subscribe to topics of several accepted types once a publisher shows which."""
@@ -164,10 +164,24 @@ class OutletNode(Node):  # type: ignore[misc]
             )
 
     def look_at_wiring(self) -> None:
-        """Report published topics that do not reach this node, if that persists."""
+        """Report published topics that do not reach this node, if that persists and is not for best effort."""
         former, self._unheard = self._unheard, unheard(self)
         for topic in former.keys() & self._unheard.keys():
-            self.health.trouble("unmatched", self._unheard[topic])
+            if not self._take_best_effort(topic):
+                self.health.trouble("unmatched", self._unheard[topic])
+
+    def _take_best_effort(self, topic: str) -> bool:
+        """Subscribe with best effort if all publishers of a topic offer only that, as many camera drivers do. Return
+        whether it was done: reliable messages lose nothing, so they are preferred."""
+        offered = [end.qos_profile.reliability for end in self.get_publishers_info_by_topic(topic)]
+        if topic not in self._reliable or set(offered) != {ReliabilityPolicy.BEST_EFFORT}:
+            return False
+        subscription, kind, callback = self._reliable.pop(topic)
+        self.destroy_subscription(subscription)
+        quality = QoSProfile(depth=kind.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(kind.type, topic, callback, quality)
+        self.health.note("best_effort")
+        return True
 
     def warn(self, text: str) -> None:
         """Log a warning, at a limited rate."""
@@ -180,8 +194,8 @@ class OutletNode(Node):  # type: ignore[misc]
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
-    """Read the node's parameters as typed configuration, fixed from then on. Raises ConfigError, e.g. for
-    unknown ones.
+    """Read the node's parameters as typed configuration, and describe them; they are read-only from then on. Raises
+    ConfigError, e.g. for unknown ones.
     """
     given = {
         name: parameter.value
@@ -190,50 +204,30 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
     }
     config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
     for name, field in model.model_fields.items():
-        if name not in given and field.default is not PydanticUndefined:
-            node.declare_parameter(name, _ros_value(getattr(config, name)))
-
-    def refuse(parameters: list[Parameter]) -> SetParametersResult:
-        changed = ", ".join(p.name for p in parameters if p.name in model.model_fields)
-        return SetParametersResult(
-            successful=not changed,
-            reason=f"{changed}: cannot be changed while the node runs; change the site file" if changed else "",
-        )
-
-    node.add_on_set_parameters_callback(refuse)
+        described = _descriptor(field)
+        if name in given:
+            described.type = node.get_parameter(name).type_.value
+            node.set_descriptor(name, described)
+        elif field.default is not PydanticUndefined:
+            node.declare_parameter(name, _ros_value(getattr(config, name)), described)
     return config
+
+
+def _descriptor(field: FieldInfo) -> ParameterDescriptor:
+    """Return description and limits of a parameter, as its configuration class states them."""
+    described = ParameterDescriptor(description=" ".join((field.description or "").split()), read_only=True)
+    low = [float(v) for one in field.metadata if (v := getattr(one, "ge", getattr(one, "gt", None))) is not None]
+    high = [float(v) for one in field.metadata if (v := getattr(one, "le", getattr(one, "lt", None))) is not None]
+    if (low or high) and field.annotation is int:
+        limits = IntegerRange(from_value=int(max(low, default=-(2.0**63))), to_value=int(min(high, default=2**63 - 1)))
+        described.integer_range = [limits]
+    elif low or high:
+        limit = sys.float_info.max
+        described.floating_point_range = [
+            FloatingPointRange(from_value=max(low, default=-limit), to_value=min(high, default=limit))
+        ]
+    return described
 
 
 def _ros_value(value: object) -> object:
     return value if isinstance(value, bool | int | float | str | list) else str(value)
-
-
-class SpinningNode:
-    """Spins `node` in a thread; callbacks come on that thread. A context manager."""
-
-    def __init__(self, name: str) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self.node = Node(name, context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._executor.shutdown()
-        wait_for_quiet(self.node)
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def _spin(self) -> None:
-        while not self._stopping.is_set():
-            self._executor.spin_once(timeout_sec=0.1)

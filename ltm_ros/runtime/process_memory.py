@@ -19,9 +19,6 @@ TIDY_EVERY_S = 600.0
 MAPPED_FROM = 128 << 10
 """Bytes from which a block is mapped separately: glibc's initial value."""
 
-STRINGS = 1 << 18
-"""Enough strings to make Python rebuild the table more than once: a process of ours has interned some 30,000."""
-
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 _PR_SET_THP_DISABLE = 41
@@ -64,17 +61,11 @@ def settle() -> None:
 
     Imports and compiled kernels leave reference cycles. Python searches old objects only after a quarter as many new
     ones, which takes a node hours. The remaining objects are permanent, so later searches skip them and are short.
-
-    The same holds for the table of interned strings: Python rebuilds it, three times as large as its content, once
-    enough strings have come and gone: 2 MB at once, half an hour later. This does it now, so that the old table's space
-    is free for the next. Not in Python 3.12, where interned strings are permanent.
     """
     gc.collect()
     gc.freeze()
     gc.collect()  # so that the quarter counts from here
     trim()
-    for number in range(0 if sys.version_info[:2] == (3, 12) else STRINGS):
-        sys.intern(f"comes and goes {number}")
 
 
 def trim() -> None:

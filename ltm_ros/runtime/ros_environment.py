@@ -14,12 +14,14 @@ import sys
 import time
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
-
-from rclpy.node import Node
+from typing import TYPE_CHECKING
 
 import ltm_ros
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 # Fast DDS 2 (Jazzy) reads the first, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -72,11 +74,6 @@ def ros_environment(
     _make_importable(environment)
     _renew_bootstrap(environment)
     return environment
-
-
-def ros_additions(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return only what `ros_environment` adds to `environ` or changes in it."""
-    return {name: value for name, value in ros_environment(environ).items() if environ.get(name) != value}
 
 
 def apply_to_process(domain_id: int | None = None, environ: MutableMapping[str, str] = os.environ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
@@ -33,29 +34,31 @@ TF = None if _TF is None else Topic("/tf", _TF, depth=100, counted=False)
 TF_STATIC = None if _TF is None else Topic("/tf_static", _TF, latched=True, depth=100, counted=False)
 """Transforms from `map` to each camera's link and optical frame (REP-105), if the package tf2_msgs is installed."""
 
-SOURCE_INFO = Topic("source/info", String, latched=True)
+SOURCE_INFO = Topic("source/info", DiagnosticArray, latched=True)
 """Uncertainty of a frame's stamp, its source, and whether this computer's clock was synchronised."""
 
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+POSED_FIX = Topic("posed/fix", NavSatFix, counted=False)
+"""Place of the camera, for maps."""
 STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
 """Pose as received, for frames whose poses are refined."""
 POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
 """Rotation about the map's axes that corrects stated poses, and the covariance of their angles after it."""
-POSE_INFO = Topic("pose/info", String, latched=True)
+POSE_INFO = Topic("pose/info", DiagnosticArray, latched=True)
 
 DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
 GROUND_DEPTH = Topic("depth/ground", Image)
 ALIGNMENT = Topic("alignment", Image)
-DEPTH_INFO = Topic("depth/info", String)
+DEPTH_INFO = Topic("depth/info", DiagnosticArray)
 """Version of the confirmed surface that a frame was traced to, if the site uses it."""
 
 FUSED_DEPTH = Topic("fused/depth", Image)
 FUSED_SIGMA = Topic("fused/sigma", Image)
 FUSED_SOURCE = Topic("fused/source", Image)
-FUSED_INFO = Topic("fused/info", String, latched=True)
+FUSED_INFO = Topic("fused/info", DiagnosticArray, latched=True)
 NETWORK_DEPTH = Topic("network/depth", Image)
 MEASURED_DEPTH = Topic("measured/depth", Image)
 MEASURED_SIGMA = Topic("measured/sigma", Image)
@@ -80,13 +83,14 @@ FUEL_MAP_CELLS = Topic("fuel_map/cells", PointCloud2, latched=True)
 TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
 TERRAIN_INFO = Topic("terrain/info", String, latched=True)
-TERRAIN_SURFACE = Topic("terrain/surface", String, latched=True, counted=False)
+TERRAIN_SURFACE = Topic("terrain/surface", DiagnosticArray, latched=True, counted=False)
 """Version of the confirmed surface to which depth is traced from then on."""
 
 LOCATE_REGION = Topic("locate/region", PolygonStamped)
 LOCATE_POINT = Topic("locate/point", PointStamped)
 LOCATE_ESTIMATE = Topic("locate/estimate", PoseWithCovarianceStamped)
-LOCATE_GEOJSON = Topic("locate/geojson", String)
+LOCATE_FIX = Topic("locate/fix", NavSatFix)
+LOCATE_AREA = Topic("locate/area", PolygonStamped)
 LOCATE_FUSED = Topic("locate/fused", PoseWithCovarianceStamped)
 LOCATE_TRACKS = Topic("locate/tracks", String, latched=True)
 """Marks in a camera's image, by a detector or a person; their places; and the site's tracks."""
@@ -109,6 +113,7 @@ RECORDED = (
             *CAMERA_TRUTH,
             SOURCE_INFO,
             POSED_POSE,
+            POSED_FIX,
             POSE_CORRECTION,
             POSE_INFO,
             DEPTH_IMAGE,
@@ -118,7 +123,7 @@ RECORDED = (
             FUSED_INFO,
         ),
         *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
-        *(LOCATE_REGION, LOCATE_POINT, LOCATE_ESTIMATE, LOCATE_GEOJSON),
+        *(LOCATE_REGION, LOCATE_POINT, LOCATE_ESTIMATE, LOCATE_FIX, LOCATE_AREA),
     ),
     (
         *(FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),

@@ -12,7 +12,7 @@ import socket
 import ssl
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -47,6 +47,8 @@ REQUEST_S = 30.0
 """Default time limit of a whole request, so that a slow client cannot hold a connection for ever."""
 CONNECTIONS = 16
 """Maximum number of open connections; further ones are closed at once."""
+STREAM_BUFFER = 64 << 10
+"""Bytes of a stream that wait in the kernel for a slow client; more would make its content old."""
 BODY_BYTES = 4096
 """Default size limit of a request's body."""
 POLICY = "default-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
@@ -55,12 +57,14 @@ POLICY = "default-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
 
 @dataclass(frozen=True)
 class WebResponse:
-    """What a handler returns: the body, its content type, the status and the page's Content-Security-Policy."""
+    """What a handler returns: the body, its content type, the status and the page's Content-Security-Policy. `stream`:
+    what to send instead of a body, until the client leaves, however long that takes."""
 
     body: bytes
     kind: str = "text/plain; charset=utf-8"
     status: HTTPStatus = HTTPStatus.OK
     policy: str = POLICY
+    stream: Iterator[bytes] | None = None
 
     @classmethod
     def json(cls, value: object) -> WebResponse:
@@ -131,6 +135,7 @@ class _BoundedServer(ThreadingHTTPServer):
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         self._room = threading.BoundedSemaphore(CONNECTIONS)
         self._tls, self._request_s = tls, request_s
+        self._ends: dict[Any, threading.Timer] = {}
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -149,7 +154,7 @@ class _BoundedServer(ThreadingHTTPServer):
         try:
             if self._tls is not None:
                 request = self._tls.wrap_socket(request, server_side=True, do_handshake_on_connect=False)
-            end = threading.Timer(self._request_s, _hang_up, (request,))
+            end = self._ends[request] = threading.Timer(self._request_s, _hang_up, (request,))
             end.start()
             if self._tls is not None:
                 # The handshake runs here and not in `accept`, so that a slow client does not block the others.
@@ -160,7 +165,13 @@ class _BoundedServer(ThreadingHTTPServer):
         finally:
             if end is not None:
                 end.cancel()
+                self._ends.pop(request, None)
             self._room.release()
+
+    def keep(self, request: Any) -> None:
+        """Let a request last, with a small buffer."""
+        self._ends[request].cancel()
+        request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, STREAM_BUFFER)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log nothing if a client disconnects or sends junk."""
@@ -178,6 +189,7 @@ def _handler(
         server_version, sys_version = "ltm", ""
         protocol_version = "HTTP/1.0"
         timeout = TIMEOUT_S
+        server: _BoundedServer
 
         def do_GET(self) -> None:
             self._respond()
@@ -191,7 +203,8 @@ def _handler(
             response = self._response()
             self.send_response(response.status)
             self.send_header("Content-Type", response.kind)
-            self.send_header("Content-Length", str(len(response.body)))
+            if response.stream is None:
+                self.send_header("Content-Length", str(len(response.body)))
             self.send_header("Cache-Control", "no-store")
             self.send_header("X-Content-Type-Options", "nosniff")
             self.send_header("Referrer-Policy", "no-referrer")
@@ -200,7 +213,11 @@ def _handler(
             if response.status is HTTPStatus.UNAUTHORIZED:
                 self.send_header("WWW-Authenticate", 'Basic realm="ltm", charset="UTF-8"')
             self.end_headers()
-            if self.command != "HEAD":
+            if response.stream is not None and self.command == "GET":
+                self.server.keep(self.request)
+                for part in _guarded(response.stream):
+                    self.wfile.write(part)
+            elif self.command != "HEAD":
                 self.wfile.write(response.body)
 
         def _response(self) -> WebResponse:
@@ -239,6 +256,14 @@ def _handled(route: Route, body: bytes) -> WebResponse:
     except Exception:
         sys.excepthook(*sys.exc_info())
         return WebResponse.error(HTTPStatus.INTERNAL_SERVER_ERROR, "internal error: see the log")
+
+
+def _guarded(stream: Iterator[bytes]) -> Iterator[bytes]:
+    """Yield a stream; it ends with a traceback in the log if it raises."""
+    try:
+        yield from stream
+    except Exception:
+        sys.excepthook(*sys.exc_info())
 
 
 def _host(header: str) -> str:

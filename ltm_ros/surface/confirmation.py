@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-
-from std_msgs.msg import String
 
 from ltm_core.base.errors import StoreError
 from ltm_core.pipeline.site_surface import surface_versions
@@ -14,8 +11,8 @@ from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface, SurfaceManifest
 from ltm_core.surface.surface_io import confirmed_surface
 from ltm_core.surface.surface_map import SurfaceMap
-from ltm_msgs_py.cells import change_to_msg, changed_to_msg
-from ltm_msgs_py.json_topics import manifest_to_msg
+from ltm_msgs_py.cells import change_to_msg, changed_to_msg, manifest_to_msg
+from ltm_msgs_py.json_topics import TerrainInfo
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import Backoff
@@ -31,19 +28,19 @@ class TerrainPublisher:
     def info(self) -> None:
         """Publish the grid's position in the site's CRS, and the meaning of its values; latched."""
         geometry = self._site.in_crs(self._map.reference.geometry)
-        info = {
-            "kinds": {kind.name.lower(): int(kind) for kind in ChangeKind},
-            "crs": geometry.crs,
-            "x_min": geometry.x_min,
-            "y_max": geometry.y_max,
-            "resolution": geometry.resolution,
-            "width": geometry.width,
-            "height": geometry.height,
-            "threshold": self._map.config.threshold,
-            "canopy_known": self._map.reference.canopy_known,
-            "cameras": list(self._map.cameras),
-        }
-        self._outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
+        info = TerrainInfo(
+            kinds={kind.name.lower(): int(kind) for kind in ChangeKind},
+            crs=geometry.crs or "",
+            x_min=geometry.x_min,
+            y_max=geometry.y_max,
+            resolution=geometry.resolution,
+            width=geometry.width,
+            height=geometry.height,
+            threshold=self._map.config.threshold,
+            canopy_known=self._map.reference.canopy_known,
+            cameras=list(self._map.cameras),
+        )
+        self._outlet.publish(TERRAIN_INFO, info.to_msg())
 
     def update(self, changed: Changed) -> None:
         """Publish cells whose change is new."""

@@ -11,7 +11,7 @@ from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
-from ltm_msgs_py.json_topics import msg_to_version
+from ltm_msgs_py.cells import msg_to_version
 from ltm_ros.runtime.health import Health, cause_of
 
 

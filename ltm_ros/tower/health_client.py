@@ -1,16 +1,17 @@
-"""Query a tower's health port from the same machine, and find which process uses it."""
+"""Query a tower's health port, and find which process uses it."""
 
 from __future__ import annotations
 
 import http.client
-import ipaddress
 import json
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.sections import HealthConfig
@@ -48,35 +49,94 @@ class DoctorFinding:
 
 
 LARGEST = 16 << 20
+TIMEOUT_S = 20.0
+"""Longest wait for the next bytes of a tower."""
+
+
+class RejectedError(ConfigError):
+    """The tower does not accept the token."""
+
+
+@dataclass(frozen=True)
+class TowerPort:
+    """A tower's health port. `tls`: None for plain HTTP, which is for loopback only."""
+
+    host: str
+    port: int
+    tls: ssl.SSLContext | None = None
+    token: str | None = None
+
+    @classmethod
+    def of_config(cls, config: HealthConfig) -> TowerPort:
+        """Return the port of a tower on this machine. Its certificate must be that of the site file. Raises
+        ConfigError."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.address, config.address)  # nosec B104
+        tls = None if config.certificate is None else _trusting(secret(config.certificate), check_name=False)
+        return cls(host, config.port, tls, None if config.token is None else read_token(config.token))
+
+    @classmethod
+    def of_url(cls, url: str, token: Path | None, certificate: Path | None) -> TowerPort:
+        """Return the port of an address such as https://192.0.2.7:9464. `certificate`: that of the tower, or of its
+        authority; None: the machine's authorities. Raises ConfigError."""
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname or "", parts.port or 9464
+        except ValueError as error:
+            raise ConfigError(f"{url}: not an address ({error}); give https://HOST[:PORT]") from error
+        if parts.scheme == "http" and host not in ("127.0.0.1", "localhost", "::1"):
+            raise ConfigError(f"{url}: would send the token unencrypted; give https://HOST[:PORT], or HOST for SSH")
+        if parts.scheme not in ("http", "https") or not host or parts.path.strip("/") or parts.username:
+            raise ConfigError(f"{url}: give https://HOST[:PORT]")
+        tls = _trusting(certificate, check_name=certificate is None) if parts.scheme == "https" else None
+        return cls(host, port, tls, None if token is None else read_token(token))
+
+    def request(self, method: str, path: str, body: bytes | None = None) -> http.client.HTTPResponse:
+        """Return the response of status 200, to be read and closed. Raises RejectedError or ConfigError."""
+        place = f"{self.host}:{self.port}"
+        headers = {"Host": f"[{self.host}]" if ":" in self.host else self.host, "Content-Type": "application/json"}
+        if self.token is not None:
+            headers["Authorization"] = f"Bearer {self.token}"
+        connection: http.client.HTTPConnection
+        if self.tls is None:
+            connection = http.client.HTTPConnection(self.host, self.port, timeout=TIMEOUT_S)
+        else:
+            connection = http.client.HTTPSConnection(self.host, self.port, timeout=TIMEOUT_S, context=self.tls)
+        try:
+            connection.request(method, path, body, headers)
+            answer = connection.getresponse()
+            if answer.status == HTTPStatus.OK:
+                return answer  # it keeps the socket
+            said = answer.read(200).decode(errors="replace").strip()
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            connection.close()
+            raise ConfigError(
+                f"{place}: no tower answers ({error}): check that `ltm run` of this site is running"
+            ) from error
+        connection.close()
+        if answer.status == HTTPStatus.UNAUTHORIZED:
+            raise RejectedError(f"{place}: the tower rejects the token (HTTP 401): give its token file")
+        raise ConfigError(f"{place}: {answer.status} {said}")
+
+
+def _trusting(certificate: Path | None, check_name: bool) -> ssl.SSLContext:
+    """Return a context that accepts this certificate only, or those of the machine's authorities."""
+    try:
+        context = ssl.create_default_context(cafile=None if certificate is None else str(certificate))
+    except OSError as error:
+        raise ConfigError(f"{certificate}: not a certificate that can be read ({error})") from error
+    context.check_hostname = check_name  # a given certificate identifies the tower under any address
+    return context
 
 
 def ask(config: HealthConfig, path: str) -> Any:
-    """Return the JSON answer of a tower. Its certificate must be that of the site file. Raises ConfigError."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.address, config.address)  # nosec B104
-    place = f"{host}:{config.port}"
-    headers = {"Host": f"[{host}]" if ipaddress.ip_address(host).version == 6 else host}
-    connection: http.client.HTTPConnection
-    if config.certificate is None:
-        connection = http.client.HTTPConnection(host, config.port, timeout=10)
-    else:
-        context = ssl.create_default_context(cafile=str(secret(config.certificate)))
-        context.check_hostname = False  # queried by its address; the certificate identifies it
-        connection = http.client.HTTPSConnection(host, config.port, timeout=10, context=context)
-    if config.token is not None:
-        headers["Authorization"] = f"Bearer {read_token(config.token)}"
-    try:
-        connection.request("GET", path, headers=headers)
-        answer = connection.getresponse()
-        body = answer.read(LARGEST)
-        if answer.status != 200:
-            raise ConfigError(f"{place}: {answer.status} {body[:200].decode(errors='replace').strip()}")
-        return json.loads(body)
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        raise ConfigError(
-            f"{place}: no tower answers ({error}): check that `ltm run` of this site is running"
-        ) from error
-    finally:
-        connection.close()
+    """Return the JSON answer of a tower on this machine. Raises ConfigError."""
+    port = TowerPort.of_config(config)
+    with port.request("GET", path) as answer:
+        try:
+            return json.loads(answer.read(LARGEST))
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            said = f"no tower answers, but another program ({error}); check the port"
+            raise ConfigError(f"{port.host}:{port.port}: {said}") from error
 
 
 def check_health_port(path: Path) -> Iterator[DoctorFinding]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -48,9 +48,12 @@ from ltm_ros.runtime.topics import (
     camera_topic,
     site_topic,
 )
+from ltm_ros.tower.live_stream import KINDS
 
 WIDTH = 800
 """Maximum width of an image in pixels."""
+SMALL_QUALITY = 60
+"""JPEG quality for slow connections."""
 REACH = 3000.0
 """Radius of a camera's sector on the map in metres."""
 
@@ -85,13 +88,23 @@ class CameraPicture:
         u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
         return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
 
-    def jpeg(self, kind: str, palette: ClassPalette) -> bytes:
+    def resized(self, width: int) -> CameraPicture:
+        """Return it at most `width` pixels wide, for slow connections."""
+        rows, columns = self.photo.shape[:2]
+        if columns <= width:
+            return self
+        size = width, max(1, round(rows * width / columns))
+        photo = np.asarray(cv2.resize(self.photo, size, interpolation=cv2.INTER_AREA), np.uint8)
+        labels, depth = (cv2.resize(one, size, interpolation=cv2.INTER_NEAREST) for one in (self.labels, self.depth))
+        return replace(self, photo=photo, labels=np.asarray(labels, np.uint8), depth=np.asarray(depth, np.float32))
+
+    def jpeg(self, kind: str, palette: ClassPalette, quality: int = 85) -> bytes:
         """Return a JPEG of `kind`: photo, labels or depth. Raises ImageError if sizes differ."""
         if kind == "labels":
-            return to_jpeg(overlay_labels(self.photo, self.labels, palette))
+            return to_jpeg(overlay_labels(self.photo, self.labels, palette), quality)
         if kind == "depth":
-            return to_jpeg(overlay_depth(self.photo, self.depth))
-        return to_jpeg(self.photo)
+            return to_jpeg(overlay_depth(self.photo, self.depth), quality)
+        return to_jpeg(self.photo, quality)
 
     @property
     def on_map(self) -> MapCamera:
@@ -99,7 +112,9 @@ class CameraPicture:
         return MapCamera(self.name, self.camera, (float(x), float(y)), self.pose.angles_deg[0], REACH)
 
 
-def map_png(classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, cameras: Sequence[MapCamera]) -> bytes:
+def map_image(
+    classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, cameras: Sequence[MapCamera]
+) -> RgbImage:
     """Return the known part of the life form map, with the cameras; `classes` (H, W), 255 unknown, north up."""
     bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, geometry)
     view = view_of(bounds, WIDTH)
@@ -109,7 +124,7 @@ def map_png(classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, 
     lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
     lines[1:] |= ids[1:] != ids[:-1]
     picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
-    return to_png(np.asarray(cv2.GaussianBlur(furnished(picture, view, cameras, None), (0, 0), 0.4), np.uint8))
+    return np.asarray(cv2.GaussianBlur(furnished(picture, view, cameras, None), (0, 0), 0.4), np.uint8)
 
 
 WATCHED_S = 60.0
@@ -157,14 +172,24 @@ class LastPictures:
         picture = self.shown(camera)
         return picture.jpeg(kind, self._labels) if picture is not None else None
 
-    def map_png(self) -> bytes | None:
-        """Return a PNG; None if no map has come. Raises MessageError."""
+    def jpegs(self, picture: CameraPicture, width: int) -> list[bytes]:
+        """Return the JPEGs of all kinds, at most `width` pixels wide. Raises ImageError."""
+        small = picture.resized(width)
+        return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
+
+    def map_image(self) -> RgbImage | None:
+        """Return the map (H, W, 3); None if none has come. Raises MessageError."""
         with self._lock:
             message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
         if message is None:
             return None
         classes, geometry = msg_to_classes(message)
-        return map_png(classes, geometry, self._map_palette, cameras)
+        return map_image(classes, geometry, self._map_palette, cameras)
+
+    def map_png(self) -> bytes | None:
+        """Return a PNG of the map. Raises as `map_image`."""
+        image = self.map_image()
+        return None if image is None else to_png(image)
 
     def _keep(self, picture: CameraPicture) -> None:
         with self._lock:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
-from typing import Any, Literal
+from typing import Any
 
 from geometry_msgs.msg import PointStamped
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rclpy.node import Node
 
 from ltm_core.base.strict_model import StrictModel
+from ltm_msgs_py.json_topics import LocateTracks, Turned
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
@@ -63,34 +64,16 @@ class _Place(_Told):
     disagrees: str | None
 
 
-class _Feature(_Told):
-    properties: dict[str, Any]
-
-
-class _Turned(_Told):
-    camera: str
-    probability: float
-    turned_deg: float | None
-    sigma_deg: float | None
-    fires: int
-    by: tuple[Literal["marks", "pictures"], ...]
-
-    def in_words(self) -> str:
-        marks = f"the marks of {self.fires} {'fire' if self.fires == 1 else 'fires'}"
-        evidence = " and ".join({"marks": marks, "pictures": "its images"}[what] for what in self.by)
-        turned = ""
-        if self.turned_deg is not None:
-            turned = f" Stated azimuths are {abs(self.turned_deg):.1f} degrees too "
-            turned += f"{'great' if self.turned_deg > 0 else 'small'} (sigma {self.sigma_deg:.1f})."
-        return (
-            f"camera {self.camera} is probably misaligned ({self.probability:.0%}), by {evidence}.{turned} Check "
-            "its mount."
-        )
-
-
-class _Tracks(_Told):
-    features: list[_Feature]
-    turned: _Turned | None = None
+def _in_words(turned: Turned) -> str:
+    marks = f"the marks of {turned.fires} {'fire' if turned.fires == 1 else 'fires'}"
+    evidence = " and ".join({"marks": marks, "pictures": "its images"}[what] for what in turned.by)
+    by = ""
+    if turned.turned_deg is not None:
+        by = f" Stated azimuths are {abs(turned.turned_deg):.1f} degrees too "
+        by += f"{'great' if turned.turned_deg > 0 else 'small'} (sigma {turned.sigma_deg:.1f})."
+    return (
+        f"camera {turned.camera} is probably misaligned ({turned.probability:.0%}), by {evidence}.{by} Check its mount."
+    )
 
 
 class Marks:
@@ -149,7 +132,7 @@ class Marks:
 
     def _hear(self, message: Any) -> None:
         try:
-            told = _Tracks.model_validate_json(message.data)
+            told = LocateTracks.model_validate_json(message.data)
             about = (one.properties for one in told.features)
             found = [_Place.model_validate(one) for one in about if one.get("role") == "place"]
         except ValidationError as error:
@@ -159,4 +142,4 @@ class Marks:
             return
         with self._lock:
             self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]
-            self._wrong = [] if told.turned is None else [told.turned.in_words()]
+            self._wrong = [] if told.turned is None else [_in_words(told.turned)]

@@ -28,7 +28,7 @@ class RunningSite:
 
     def __init__(self, site: Path, state: Path, recording: Path | None, logs: Path, domain: int) -> None:
         self._command = [sys.executable, "-m", "ltm_ros.cli.main", "run", str(site), "--domain", str(domain)]
-        self._command += ["--state", str(state), "--logs", str(logs)]
+        self._command += ["--state", str(state)]
         self._command += [] if recording is None else ["--record", str(recording)]
         self._logs = logs
         self._mark = uuid.uuid4().hex

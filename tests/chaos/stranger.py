@@ -178,7 +178,7 @@ class Stranger:
                 message.encoding = encoding
                 yield topic, message
         for text in ("{", '{"a":' * 5000, "\u0000", "[" * 100_000, '{"crs": 7}'):
-            yield topics.FUSED_INFO, topics.FUSED_INFO.type(data=text)
+            yield topics.LABELS_INFO, topics.LABELS_INFO.type(data=text)
 
     def noise(self) -> Messages:
         """Messages with bytes changed at random, cut short, or none at all, on every topic."""

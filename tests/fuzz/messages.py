@@ -34,10 +34,10 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.surface.change import Changed
 from ltm_core.surface.confirmed_surface import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.cells import changed_to_msg
+from ltm_msgs_py.cells import changed_to_msg, manifest_to_msg, traced_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
-from ltm_msgs_py.json_topics import label_set_to_msg, manifest_to_msg, traced_to_msg
+from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import correction_to_msg, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg

@@ -28,7 +28,7 @@ def stopped_while_full(disk: Path, site_path: Path) -> dict[str, Any]:
     make_disk(disk, "320m")  # with less than 200 MB free nothing is started
     site, update = SmallSite(site_path.parent), site_topic(NAME, FUEL_MAP_UPDATE)
     command = [sys.executable, "-c", LTM, "run", str(site_path), "--only", "tower", "--record", str(disk / "bag")]
-    command += ["--state", str(disk / "state"), "--logs", str(disk / "logs")]
+    command += ["--state", str(disk / "state")]
     with Bystander() as bystander:
         graph = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         assert graph.stdout is not None

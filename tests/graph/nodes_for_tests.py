@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ltm_core.base.errors import ConfigError
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node_process import run_until_stopped
 
 
@@ -52,6 +53,7 @@ class Actor(Node):
 
     def _diagnose(self) -> None:
         self._diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name=self.get_fully_qualified_name())]))
+        HEARTBEAT.ready([self.get_fully_qualified_name()])
 
 
 if __name__ == "__main__":

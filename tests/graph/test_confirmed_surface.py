@@ -10,7 +10,7 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 from scenes.waiting import wait_for
 
-from ltm_msgs_py.json_topics import msg_to_traced, msg_to_version
+from ltm_msgs_py.cells import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
@@ -42,7 +42,6 @@ def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_t
     runner = Runner(
         Graph(NAME, (whole.node("terrain"), whole.node("mast/depth"))),
         domain_id=ros_domain,
-        log_folder=tmp_path / "log",
         console=lambda line: None,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )

@@ -46,7 +46,7 @@ def test_cyclone_takes_the_depth_that_ros_sees(
     whole = describe(small_site.site, small_site.path)
     graph = Graph(NAME, (whole.node("tower/depth"),))
     monkeypatch.setenv("CYCLONEDDS_URI", CYCLONE)
-    with Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lambda line: None), Bystander() as bystander:
+    with Runner(graph, domain_id=ros_domain, console=lambda line: None), Bystander() as bystander:
         listener = subprocess.Popen(
             [sys.executable, str(LISTENER), DEPTH], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

@@ -65,7 +65,6 @@ def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
     runner = Runner(
         Graph(NAME, (whole.node("fuel_map"),)),
         domain_id=ros_domain,
-        log_folder=tmp_path / "log",
         console=lambda line: None,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )

@@ -1,4 +1,4 @@
-"""A site whose disk is full while it runs: state, recording, logs and console on one small disk, then SIGTERM."""
+"""A site whose disk is full while it runs: state and recording on one small disk, then SIGTERM."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ def test_a_site_lives_through_a_full_disk_and_ends_in_order(
     assert said["status"] == 0, said["console"]
     assert said["restarts"] == [], "no node died of it"
     assert not any("Traceback" in line or "Logging error" in line for line in said["console"])
-    of_logs = [line for line in said["console"] if ".log cannot be written" in line]
-    assert len(of_logs) == len(set(of_logs)), "each log once"
     stops = [line for line in said["console"] if "recording stopped" in line]
     assert len(stops) == 1
     assert said["dropped"] > 0

@@ -39,14 +39,13 @@ pytestmark = pytest.mark.graph
 
 
 @pytest.fixture(scope="module")
-def living(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Living]:
+def living(small_site: SmallSite, module_ros_domain: int) -> Iterator[Living]:
     # Every frame that is sent is looked for: they wait for each other, as in a replay.
     # And none is given up while the tests run, however long a busy machine makes them: it would be counted in another.
     parameters = {"capture": {"shed": False}, "fuel_votes": {"max_wait": 600.0}}
     whole = describe(apart(small_site.site), small_site.path, parameters=parameters)
     graph = Graph(NAME, tuple(whole.node(label) for label in NODES))
-    logs = tmp_path_factory.mktemp("log")
-    runner = Runner(graph, domain_id=module_ros_domain, log_folder=logs, console=lambda line: None)
+    runner = Runner(graph, domain_id=module_ros_domain, console=lambda line: None)
     with runner, Bystander() as bystander:
         runner.wait_until_ready(120.0)
         bystander.listen(MAP_UPDATE, FUEL_MAP_UPDATE.type)
@@ -216,7 +215,6 @@ def test_parameters_are_fixed_while_a_node_runs(living: Living) -> None:
     wait_for(answer.done, "an answer")
     results = answer.result().results
     assert [result.successful for result in results] == [False] * 3
-    assert [result.reason.partition(":")[0] for result in results[:2]] == ["max_wait", "pose_tolerance"]
 
 
 def test_saving_without_a_path_is_refused(living: Living, survives: Callable[..., None]) -> None:

@@ -45,7 +45,7 @@ def test_a_live_replay_gives_the_bytes_of_the_offline_one(offline: Path, ros_dom
         export=tmp_path / "map.tif", record=tmp_path / "results", state=state, rate=0.25, domain_id=ros_domain
     )
     lines: list[str] = []
-    summaries = run_live(small.bag, small.path, options, lambda done, total: None, lines.append, tmp_path / "log")
+    summaries = run_live(small.bag, small.path, options, lambda done, total: None, lines.append)
     for camera in CAMERAS:
         for node in (*CAMERA_NODES, *FUSION_NODES):
             summary = summaries[f"/{NAME}/{camera}/{node}"]

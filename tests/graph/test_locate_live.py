@@ -26,8 +26,8 @@ from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     LOCATE_ESTIMATE,
+    LOCATE_FIX,
     LOCATE_FUSED,
-    LOCATE_GEOJSON,
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
@@ -77,7 +77,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
     whole = describe(load_site(path), path)
     graph = Graph(SITE, (whole.node("locate"),))
     seen = {name: sighting(name, tower, FIRE, 0.05) for name, tower in TOWERS.items()}
-    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lambda line: None)
+    runner = Runner(graph, domain_id=ros_domain, console=lambda line: None)
     with runner, Bystander() as bystander:
         runner.wait_until_ready(300.0)
         tracks, fused = site_topic(SITE, LOCATE_TRACKS), site_topic(SITE, LOCATE_FUSED)
@@ -85,7 +85,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         bystander.listen(fused, LOCATE_FUSED.type)
         for name in TOWERS:
             bystander.listen(of(name, LOCATE_ESTIMATE), LOCATE_ESTIMATE.type)
-            bystander.listen(of(name, LOCATE_GEOJSON), LOCATE_GEOJSON.type)
+            bystander.listen(of(name, LOCATE_FIX), LOCATE_FIX.type)
             for topic in (POSED_CAMERA_INFO, POSED_POSE, POSE_CORRECTION, LOCATE_REGION, LOCATE_POINT):
                 bystander.open(of(name, topic), topic.type, latched=topic.latched)
         bystander.wait_for_wiring(1)
@@ -111,7 +111,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
             return False
 
         wait_for(lambda: located("north", begin, LOCATE_REGION, mark("north", begin)), "an estimate of north")
-        wait_for(lambda: bystander.heard[of("north", LOCATE_GEOJSON)], "its GeoJSON")
+        wait_for(lambda: bystander.heard[of("north", LOCATE_FIX)], "its fix")
         # A person's point in the other camera's picture enters the same track.
         stamp = begin + SECOND
         point = PointStamped(header=make_header(stamp, "east_optical"))

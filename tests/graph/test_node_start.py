@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from bystander import Bystander
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import qos_profile_sensor_data
 from scenes.networks import write_classifier
 from scenes.small_site import NAME, SmallSite, apart
 from scenes.waiting import wait_for
 
+from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.graph import Graph, describe, parameters_yaml
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.handler import EX_CONFIG
-from ltm_ros.runtime.topics import IMAGE_RAW, camera_topic
+from ltm_ros.runtime.topics import IMAGE_RAW, POSED_IMAGE, camera_topic
 
 pytestmark = pytest.mark.graph
 
@@ -93,17 +98,53 @@ def test_ros_reads_what_was_meant(ros_domain: int, tmp_path: Path) -> None:
 
 
 CAPTURE = f"/{NAME}/mast/capture"
-IMAGES = camera_topic(NAME, "mast", IMAGE_RAW)
+IMAGES, POSED = (camera_topic(NAME, "mast", topic) for topic in (IMAGE_RAW, POSED_IMAGE))
 
 
-def test_a_publisher_that_cannot_be_heard_is_told_of(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> None:
-    """A driver that offers best effort, where the node asks for a reliable one."""
+def test_drivers_and_displays_with_sensor_data_qos_are_served(small_site: SmallSite, ros_domain: int) -> None:
+    """A driver that offers best effort only is heard, and a display that asks for no more gets the frames."""
     node = describe(apart(small_site.site), small_site.path).node("mast/capture")
-    offered = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    with Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path), Bystander() as bystander:
-        bystander.node.create_publisher(IMAGE_RAW.type, IMAGES, offered)
+    camera = small_site.site.camera("mast").calibration
+    assert camera is not None
+    with Runner(Graph(NAME, (node,)), domain_id=ros_domain) as runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        driver = bystander.node.create_publisher(IMAGE_RAW.type, IMAGES, qos_profile_sensor_data)
+        seen: list[Any] = []
+        bystander.node.create_subscription(POSED_IMAGE.type, POSED, seen.append, qos_profile_sensor_data)
+        size = camera.camera()
+        photo = np.full((size.height, size.width, 3), 90, np.uint8)
 
-        def error() -> str:
-            return bystander.summaries.get(CAPTURE, {}).get("last_error", "")
+        def answered() -> bool:
+            photo[0, 0, 0] += 1  # the same image twice counts as repeated
+            driver.publish(image_to_msg(photo, "rgb8", time.time_ns(), "mast_optical"))
+            return bool(seen)
 
-        wait_for(lambda: f"{IMAGES}: this node is matched with 0 of 1" in error(), "word of the publisher", error)
+        wait_for(answered, "a frame of the driver", lambda: bystander.summaries)
+        assert (seen[0].width, seen[0].height) == (size.width, size.height)
+        wait_for(lambda: bystander.summaries[CAPTURE].get("noted.best_effort") == "1", "word of it")
+
+
+def test_the_parameters_of_a_running_node_are_listed_and_described(small_site: SmallSite, ros_domain: int) -> None:
+    """What `ros2 node info`, `ros2 param list` and `ros2 param describe` ask."""
+    node = describe(apart(small_site.site), small_site.path).node("mast/capture")
+    with Runner(Graph(NAME, (node,)), domain_id=ros_domain) as runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        client = AsyncParameterClient(bystander.node, CAPTURE)
+        wait_for(client.services_are_ready, "its parameter services")
+
+        def answer(future: Any) -> Any:
+            wait_for(future.done, "an answer")
+            return future.result()
+
+        listed = answer(client.list_parameters()).result.names
+        assert {"site", "camera", "in_flight", "finish_within", "use_sim_time"} <= set(listed)
+        (described,) = answer(client.describe_parameters(["in_flight"])).descriptors
+        assert described.read_only
+        assert described.description
+        assert described.integer_range[0].from_value == 1
+        (value,) = answer(client.get_parameters(["in_flight"])).values
+        assert value.integer_value == 2
+        (changed,) = answer(client.set_parameters([Parameter("in_flight", value=3)])).results
+        assert not changed.successful
+        published = dict(bystander.node.get_publisher_names_and_types_by_node("capture", f"/{NAME}/mast"))
+        assert published[POSED] == ["sensor_msgs/msg/Image"]

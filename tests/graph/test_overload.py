@@ -127,7 +127,6 @@ def cameras(module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) ->
     runner = Runner(
         Graph(NAME, tuple(map(whole.node, labels))),
         domain_id=module_ros_domain,
-        log_folder=folder / "log",
         console=lambda line: None,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )

@@ -91,7 +91,7 @@ def test_from_a_patrolling_head_to_a_fuel_map(
     site = load_site(small.path)
     lines: list[str] = []
     graph = describe(site, small.path, parameters={"fuel_map": {"export_path": str(tmp_path / "fuel_map.tif")}})
-    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lines.append)
+    runner = Runner(graph, domain_id=ros_domain, console=lines.append)
     update = site_topic(NAME, FUEL_MAP_UPDATE)
     poses, infos = camera_topic(NAME, "tower", POSED_POSE), camera_topic(NAME, "tower", POSED_CAMERA_INFO)
     with runner, Bystander() as bystander:

@@ -27,18 +27,17 @@ def manager(tmp_path: Path) -> Iterator[NotifySocket]:
         yield socket
 
 
-def process_of(log: Path) -> int:
-    """The process that last wrote into a log that it was started."""
-    *_, last = (line for line in log.read_text().splitlines() if "-- started as process" in line)
+def process_of(label: str, console: Path) -> int:
+    """The process that was started last."""
+    *_, last = (line for line in console.read_text().splitlines() if f"[{label}] -- started as process" in line)
     return int(last.rpartition(" ")[2])
 
 
 def test_the_manager_hears_all_of_a_life_and_no_camera_matters(
     small_site: SmallSite, ros_domain: int, manager: NotifySocket, tmp_path: Path
 ) -> None:
-    logs = tmp_path / "logs"
     # As systemd does it: the shell's number stays the service's.
-    command = f'WATCHDOG_PID=$$ exec {sys.executable} -c "{LTM}" run {small_site.path} --only tower --logs {logs}'
+    command = f'WATCHDOG_PID=$$ exec {sys.executable} -c "{LTM}" run {small_site.path} --only tower'
     environment = os.environ | {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": str(round(WATCHDOG_S * 1e6))}
     console = (tmp_path / "console").open("w+")
     graph = subprocess.Popen(["/bin/sh", "-c", command], env=environment, stdout=console, stderr=subprocess.STDOUT)
@@ -59,7 +58,7 @@ def test_the_manager_hears_all_of_a_life_and_no_camera_matters(
         status = Path(f"/proc/{graph.pid}/status").read_text()
         assert "THP_enabled:\t0" in status, "no huge page is made of what the site's check has left in the heap"
 
-        os.kill(process_of(logs / "fuel_map.log"), signal.SIGKILL)
+        os.kill(process_of("fuel_map", tmp_path / "console"), signal.SIGKILL)
         wait_for(lambda: any("down: fuel_map (killed by SIGKILL)" in s for s in manager.of("STATUS")), "word", told)
         seen = signs_of_life()
         wait_for(lambda: re.fullmatch(r"all \d processes run", manager.of("STATUS")[-1]), "it to be back", told)

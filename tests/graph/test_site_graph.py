@@ -78,7 +78,6 @@ def replayed(
     runner = Runner(
         graph,
         domain_id=module_ros_domain,
-        log_folder=out / "log",
         console=lines.append,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )

@@ -40,7 +40,7 @@ def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers_until_i
     graph = Graph(NAME, nodes_of(small_site, ["tower"], "later.yaml"))
     depths = camera_topic(NAME, "mast", DEPTH_IMAGE)
     images = camera_topic(NAME, "mast", IMAGE_RAW)
-    with Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lines.append) as runner, Bystander() as seen:
+    with Runner(graph, domain_id=ros_domain, console=lines.append) as runner, Bystander() as seen:
         seen.listen(depths, DEPTH_IMAGE.type)
         seen.open(images, IMAGE_RAW.type)
         photo = small_site.messages()[IMAGE_RAW]

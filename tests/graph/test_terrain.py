@@ -55,12 +55,11 @@ UPDATE, CHANGE, INFO = (site_topic(NAME, topic) for topic in (TERRAIN_UPDATE, TE
 PARTS = (LABELS_IMAGE, POSED_CAMERA_INFO, POSED_POSE, MEASURED_SIGMA, MEASURED_DEPTH)
 
 
-def running(small: SmallSite, labels: tuple[str, ...], domain: int, logs: Path, **parameters: Any) -> Runner:
+def running(small: SmallSite, labels: tuple[str, ...], domain: int, **parameters: Any) -> Runner:
     whole = describe(small.site, small.path, parameters={"terrain": parameters})
     return Runner(
         Graph(NAME, tuple(whole.node(label) for label in labels)),
         domain_id=domain,
-        log_folder=logs,
         console=lambda line: None,
         policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
     )
@@ -74,7 +73,7 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
     labels = ("terrain", *(f"mast/{kind}" for kind in ("capture", "depth", "segmentation", "topodepth")))
     photo = photo_of_depth(built_up(small), small.site.camera("mast").calibration.camera(), mast_pose(small))
     images = camera_topic(NAME, "mast", IMAGE_RAW)
-    with running(small, labels, ros_domain, tmp_path / "log", folder=str(folder)) as runner, Bystander() as bystander:
+    with running(small, labels, ros_domain, folder=str(folder)) as runner, Bystander() as bystander:
         runner.wait_until_ready(300.0)
         bystander.listen(UPDATE, TERRAIN_UPDATE.type)
         bystander.open(images, IMAGE_RAW.type)
@@ -151,7 +150,7 @@ class Living:
 @pytest.fixture
 def living(ros_domain: int, terrain_site: SmallSite, tmp_path: Path) -> Iterator[Living]:
     parameters = {"folder": str(tmp_path / "kept"), "depth_from_elsewhere": True, "commit_every": 2.0}
-    runner = running(terrain_site, ("terrain",), ros_domain, tmp_path / "log", **parameters)
+    runner = running(terrain_site, ("terrain",), ros_domain, **parameters)
     with runner, Bystander() as bystander:
         runner.wait_until_ready(300.0)
         yield Living(terrain_site, runner, bystander)

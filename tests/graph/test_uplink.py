@@ -88,7 +88,7 @@ def test_votes_of_a_running_graph_reach_the_map_of_the_region(small_site: SmallS
     port = free_port()
     tower, map_, region = write_files(small_site, tmp_path, port)
     update, store = site_topic(NAME, FUEL_MAP_UPDATE), tmp_path / "map" / STORE_FILE
-    run = ("run", str(tower), "--only", "tower", "--state", str(tmp_path / "state"), "--logs", str(tmp_path / "logs"))
+    run = ("run", str(tower), "--only", "tower", "--state", str(tmp_path / "state"))
     with running(tmp_path / "console", *run) as graph:
         with Bystander() as bystander:
             bystander.listen(update, FUEL_MAP_UPDATE.type, depth=200)

@@ -34,7 +34,6 @@ def test_a_worker_that_stands_is_noticed_though_its_node_answers(
     runner = Runner(
         Graph(NAME, tuple(nodes), IMPATIENT),
         domain_id=ros_domain,
-        log_folder=tmp_path,
         console=lines.append,
         policy=QUICK,
         environment={"PYTHONPATH": str(HERE)},
@@ -78,7 +77,6 @@ def test_a_node_that_hears_nothing_of_the_others_is_started_again_and_hears_them
     runner = Runner(
         Graph(NAME, (talker, echo), WatchdogConfig(silent=20.0, deaf=10.0)),
         domain_id=ros_domain,
-        log_folder=tmp_path,
         console=lines.append,
         policy=QUICK,
         environment={"PYTHONPATH": str(HERE), "DEAF_ONCE": str(tmp_path / "deaf")},

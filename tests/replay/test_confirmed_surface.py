@@ -12,8 +12,8 @@ from scenes.terrain_frames import HOUR, built_up, mast_pose, photo_of_depth, wri
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.cells import msg_to_traced
 from ltm_msgs_py.image import image_to_msg, msg_to_depth
-from ltm_msgs_py.json_topics import msg_to_traced
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.recordings.replay.offline import OfflineGraph

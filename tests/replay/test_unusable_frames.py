@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import msg_to_values
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.nodes.fuel_votes import FuelVotesHandler
 from ltm_ros.nodes.terrain import TerrainHandler
@@ -82,7 +82,7 @@ def test_dark_frames_change_nothing_and_are_counted(small: SmallSite, tmp_path: 
         )
         for i in range(FRAMES):
             labels = msg_to_array(found[LABELS_IMAGE][i], ("mono8",))
-            info = json.loads(found[FUSED_INFO][i].data)
+            info = msg_to_values(found[FUSED_INFO][i])
             if i not in DARK:
                 assert (labels != 255).any()
                 assert found[FUEL_VOTES][i].width > 0

@@ -306,7 +306,6 @@ def run_live(
     options: ReplayOptions,
     progress: Callable[[int, int], None],
     console: Callable[[str], None],
-    log_folder: Path,
     stopped: Callable[[], bool] = bool,
 ) -> dict[str, dict[str, str]]:
     """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
@@ -321,12 +320,14 @@ def run_live(
         options.rrd.unlink(missing_ok=True)  # else the viewer would write another beside that of the last replay
     names = [node.full_name for node in graph]
     total = selection.message_count
-    with Runner(graph, domain_id=options.domain_id, log_folder=log_folder, console=console) as runner:
+    with Runner(graph, domain_id=options.domain_id, console=console) as runner:
         runner.wait_until_ready(timeout_s=180.0)
         with LivePlayer(selection, options.rate, options.longest_pause) as player:
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
             if not player.drain(names):
-                raise LtmError("the graph is still processing two minutes after the recording's end; see its logs")
+                raise LtmError(
+                    "the graph is still processing two minutes after the recording's end; its messages are above"
+                )
             runner.stop()
             return {**player.summaries, RECORDING: selection.health.summary()}

@@ -19,9 +19,8 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
     graphs: list[Any] = []
 
     class Recorded:
-        def __init__(self, graph: Any, log_folder: Path, domain_id: int | None) -> None:
+        def __init__(self, graph: Any, domain_id: int | None) -> None:
             graphs.append(graph)
-            self.log_folder = log_folder
 
         def run(self, manager: Any) -> int:
             return 0
@@ -29,7 +28,7 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
     monkeypatch.setattr(ltm_ros.launching.runner, "Runner", Recorded)
     monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda path, wanted: [])
     site = write_small_site(tmp_path).path
-    arguments = ["run", str(site), "--logs", str(tmp_path / "logs")]
+    arguments = ["run", str(site)]
     assert CliRunner().invoke(cli, arguments).exit_code == 0
     assert CliRunner().invoke(cli, [*arguments, "--state", str(tmp_path / "deep/map")]).exit_code == 0
     without, kept = (graph.node("fuel_map").parameters for graph in graphs)
@@ -45,32 +44,28 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
         ({"web_port": 9191}, "http://127.0.0.1:9191/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"),
     ],
 )
-def test_view_prints_its_address_and_every_run_its_logs(
+def test_view_prints_its_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nodes: dict[str, int], address: str
 ) -> None:
     class Ended:
-        def __init__(self, graph: Any, log_folder: Path, domain_id: int | None) -> None:
-            self.log_folder = log_folder
+        def __init__(self, graph: Any, domain_id: int | None) -> None:
+            pass
 
         def run(self, manager: Any) -> int:
             return 1
 
-    said: list[str] = []
     monkeypatch.setattr(ltm_ros.launching.runner, "Runner", Ended)
-    monkeypatch.setattr(ltm_ros.launching.runner, "print_line", said.append)
     monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda path, wanted: [])
     site = write_small_site(tmp_path).path
     content = yaml.safe_load(site.read_text())
     content["nodes"] = content.get("nodes", {}) | {"viewer": nodes}
     site.write_text(yaml.safe_dump(content))
-    arguments = ["run", str(site), "--logs", str(tmp_path / "logs")]
+    arguments = ["run", str(site)]
     seen = CliRunner().invoke(cli, [*arguments, "--view"])
     assert seen.exit_code == 1
     assert address in seen.output
     unseen = CliRunner().invoke(cli, arguments)
     assert "http" not in unseen.output
-    assert len(said) == 2
-    assert all(line.endswith(f"its logs: {tmp_path / 'logs'}") for line in said)
 
 
 def test_a_site_that_cannot_work_ends_before_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

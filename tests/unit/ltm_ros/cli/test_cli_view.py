@@ -17,8 +17,12 @@ from ltm_ros.cli.view import view as view_command
 @pytest.mark.parametrize(
     ("given", "error", "remedy"),
     [
-        ({}, ConfigError, "either --site"),
-        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "either --site"),
+        ({}, ConfigError, "one of --site"),
+        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "one of --site"),
+        ({"rrd": Path("b.rrd"), "connect": "tower"}, ConfigError, "one of --site"),
+        ({"connect": "tower", "save": Path("b.rrd")}, ConfigError, "--save"),
+        ({"site": Path("a.yaml"), "token": Path("token")}, ConfigError, "--connect"),
+        ({"connect": "http://192.0.2.7", "web_port": 0}, ConfigError, "unencrypted"),
         ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
         ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
         ({"rrd": Path("a.rrd"), "tab": "Fuel"}, ConfigError, "--screenshot"),

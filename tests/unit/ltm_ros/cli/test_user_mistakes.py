@@ -181,7 +181,7 @@ MISTAKES = [
     Mistake(
         "another zone than the DEM's",
         site_with(crs="EPSG:26910"),
-        "run site.yaml --state map --logs logs",
+        "run site.yaml --state map",
         ("dem.tif", "EPSG:26911", "EPSG:26910", "gdalwarp"),
         78,
     ),
@@ -235,7 +235,6 @@ MISTAKES = [
             "pose points points.csv --guess pose.yaml --out file/fitted.yaml",
             "viewshed --site site.yaml --out file/coverage.tif",
             "run site.yaml --state file/map",
-            "run site.yaml --logs file/logs",
             "record --site site.yaml --out file/bag",
             "import photos --site site.yaml --out file/bag",
             "check site.yaml --out file/check.png",

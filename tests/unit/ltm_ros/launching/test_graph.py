@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import errno
-import logging
 import os
 import runpy
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any, List  # noqa: UP035
+from types import ModuleType
+from typing import Any
 
 import pytest
+import typer
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
-from ltm_core.site.site_io import load_site
+from ltm_ros.cli import main
 from ltm_ros.launching import runner as runner_module
-from ltm_ros.launching import site_check
 from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, nodes_json, nodes_of_json
 from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime import ros_environment
 from ltm_ros.runtime.process_memory import Trimming
 
 
@@ -186,34 +182,13 @@ def run_idle_graph(folder: Path, console: Callable[[str], None]) -> None:
     """Run a node that does nothing until this process is told to end, which it is after a minute at the latest."""
     (folder / "idle_node.py").write_text("import time\ntime.sleep(600)\n")
     graph = Graph("ridge", (NodeSpec("idle", "/ridge", "idle_node"),))
-    runner = Runner(graph, log_folder=folder, console=console, environment={"PYTHONPATH": str(folder)})
+    runner = Runner(graph, console=console, environment={"PYTHONPATH": str(folder)})
     patience = threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGTERM))
     patience.start()
     try:
         assert runner.run() == 0
     finally:
         patience.cancel()
-
-
-def test_a_machine_without_room_for_another_process_is_asked_again_what_is_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Else nobody would ever tell the service manager that the graph is up, nor would its watchdog begin."""
-    lines: list[str] = []
-    tries: list[object] = []
-
-    def refuse(*command: object) -> None:
-        tries.append(command)
-        if len(tries) == 3:
-            os.kill(os.getpid(), signal.SIGTERM)
-        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-
-    monkeypatch.setattr(runner_module, "start_supervised", refuse)
-    run_idle_graph(tmp_path, lines.append)
-    assert len(tries) >= 3
-    assert [line for line in lines if os.strerror(errno.EAGAIN) in line] == [
-        f"-- {OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))}"
-    ]
 
 
 def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,10 +201,6 @@ def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: 
             if len(looks) == 3:
                 os.kill(os.getpid(), signal.SIGTERM)
 
-    def refuse(*command: object) -> None:
-        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-
-    monkeypatch.setattr(runner_module, "start_supervised", refuse)
     monkeypatch.setattr(runner_module, "Trimming", Watched)
     run_idle_graph(tmp_path, lambda line: None)
     assert len(looks) >= 3
@@ -237,15 +208,6 @@ def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: 
 
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
-SITE = """
-name: ridge
-crs: EPSG:32611
-origin: [400000.0, 3800000.0]
-dem: {path: dem.tif}
-cameras: {north: {}, south: {image: raw}}
-nodes: {fuel_map: {export_path: "on"}, capture: {tolerance: 0.25, hosts: ["y", "n"]}}
-processes: node
-"""
 
 
 @dataclass
@@ -278,105 +240,51 @@ def _recorder(kind: str) -> type:
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     classes = {
         "launch": ("LaunchContext", "LaunchDescription"),
-        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable"),
+        "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction", "Shutdown"),
         "launch.launch_description_entity": ("LaunchDescriptionEntity",),
         "launch.substitutions": ("LaunchConfiguration",),
-        "launch_ros": (),
-        "launch_ros.actions": ("Node",),
-        "launch_ros.parameter_descriptions": ("ParameterValue",),
     }
     for module_name, names in classes.items():
         module = ModuleType(module_name)
         for name in names:
             setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
         monkeypatch.setitem(sys.modules, module_name, module)
-    sys.modules["launch"].logging = SimpleNamespace(get_logger=logging.getLogger)  # type: ignore[attr-defined]
-    # What it looks at is tested with the command line's; these sites have no DEM.
-    monkeypatch.setattr(site_check, "require_ready", lambda path, wanted, tell: load_site(path))
     return runpy.run_path(str(LAUNCH_FILE))
 
 
-@pytest.fixture
-def site_file(tmp_path: Path) -> Path:
-    path = tmp_path / "ridge.yaml"
-    path.write_text(SITE)
-    return path
-
-
-def rendered(launch_file: dict[str, Any], **given: str) -> list[Any]:
+def command_of(launch_file: dict[str, Any], **given: str) -> list[str]:
+    """What launch runs, which is `ltm` with these arguments."""
     *arguments, opaque = launch_file["generate_launch_description"]().args[0]
-    assert type(opaque).__name__ == "OpaqueFunction"
     defaults = {one.args[0]: one.options["default_value"] for one in arguments}
     assert [name for name, value in defaults.items() if value is None] == ["site"]
-    result: list[Any] = opaque.options["function"](Context(defaults | given))
-    return result
-
-
-def plain(parameters: dict[str, Any]) -> dict[str, Any]:
-    """Parameters as ROS gets them, once launch has applied the stated types."""
-    values = {}
-    for name, value in parameters.items():
-        if type(value).__name__ == "ParameterValue":
-            (content,) = value.args
-            assert value.options["value_type"] is (str if isinstance(content, str) else List[str])  # noqa: UP006
-            values[name] = content
-        else:
-            # launch reads bare strings as YAML.
-            assert isinstance(value, bool | int | float), f"{name}: {value!r} would change its type"
-            values[name] = value
-    return values
+    (process,) = opaque.options["function"](Context(defaults | given))
+    python, flag, module, *command = process.options["cmd"]
+    assert (python, flag, module) == (sys.executable, "-m", "ltm_ros.cli.main")
+    return list(command)
 
 
 @pytest.mark.parametrize(
     ("given", "options"),
     [
         ({}, {}),
-        ({"cameras": "south", "use_sim_time": "true"}, {"cameras": ["south"], "sim_time": True}),
-        ({"view": "True", "record": "/bags/x"}, {"view": {"serve": True}, "record": {"bag": "/bags/x"}}),
+        ({"cameras": "south,north", "use_sim_time": "true"}, {"only": ["south", "north"], "sim_time": True}),
+        ({"view": "True", "record": "/bags/x"}, {"view": True, "record": Path("/bags/x")}),
+        ({"state": "/kept"}, {"state": Path("/kept")}),
     ],
 )
-def test_renders_the_graph_that_is_described(
-    launch_file: dict[str, Any], site_file: Path, given: dict[str, str], options: dict[str, Any]
+def test_launch_runs_what_the_command_line_runs(
+    launch_file: dict[str, Any], given: dict[str, str], options: dict[str, Any]
 ) -> None:
-    graph = describe(load_site(site_file), site_file, **options)
-    actions = rendered(launch_file, site=str(site_file), **given)
-    nodes = [action.options for action in actions if type(action).__name__ == "Node"]
-    assert len(nodes) == len(graph)
-    for node, spec in zip(nodes, graph, strict=True):
-        assert (node["package"], node["executable"]) == ("ltm", spec.executable)
-        assert f"{node['namespace']}/{node['name']}" == spec.full_name
-        (parameters,) = node["parameters"]
-        assert plain(parameters) == dict(spec.parameters)
-        assert node["respawn"] is True
-        assert node["additional_env"] == ros_environment.thread_limits(spec.busy)
+    name, *arguments = command_of(launch_file, site="ridge.yaml", **given)
+    commands: Any = typer.main.get_command(main.cli)
+    read = commands.commands[name].make_context(name, arguments).params
+    usual = {"domain": None, "record": None, "view": False, "sim_time": False, "only": None, "state": None}
+    assert name == "run"
+    assert {key: value or usual.get(key) for key, value in read.items()} == {
+        "site": Path("ridge.yaml")
+    } | usual | options
 
 
-def test_renders_one_process_for_the_nodes_that_share_it(
-    launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    site_file.write_text(SITE.replace("processes: node", "processes: site"))
-    graph = describe(load_site(site_file), site_file, cameras=["south"])
-    actions = rendered(launch_file, site=str(site_file), cameras="south")
-    nodes = [action.options for action in actions if type(action).__name__ == "Node"]
-    assert [node["executable"] for node in nodes] == ["fuel_map", "cameras"]
-    (given,) = nodes[1]["arguments"]
-    assert nodes_of_json(Path(given).read_text(encoding="utf-8")) == graph.process("cameras").nodes
-    assert nodes[1]["additional_env"] == ros_environment.thread_limits(busy=False)
-    assert nodes[1]["respawn"] is True
-
-
-def test_sets_the_transport_profile(
-    launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in (*ros_environment.PROFILE_VARIABLES, "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.delenv(name, raising=False)
-    actions = rendered(launch_file, site=str(site_file))
-    variables = dict(action.args for action in actions if type(action).__name__ == "SetEnvironmentVariable")
-    assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == "fastdds.xml"
-    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-
-
-def test_refuses_a_flag_that_is_neither(launch_file: dict[str, Any], site_file: Path) -> None:
-    with pytest.raises(ConfigError, match="launch argument view:=yes: take true or false"):
-        rendered(launch_file, site=str(site_file), view="yes")
+def test_refuses_a_flag_that_is_neither(launch_file: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="view:=yes"):
+        command_of(launch_file, site="ridge.yaml", view="yes")

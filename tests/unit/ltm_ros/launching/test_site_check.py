@@ -101,7 +101,7 @@ def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch
     small = write_small_site(tmp_path)
     small.path.write_text(small.path.read_text().replace("EPSG:26911", "EPSG:26910"))
     with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
-        replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print, tmp_path)
+        replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print)
     assert told.value.status == 78
 
 

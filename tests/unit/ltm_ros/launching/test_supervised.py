@@ -113,7 +113,6 @@ class Watched:
             label="north/depth",
             command=supervised_command("actor", behaviour, str(folder / f"{behaviour}_once")),
             environment=os.environ,
-            log_file=folder / "north.depth.log",
             console=self.lines.append,
             policy=RestartPolicy(initial_s=0.01, maximum_s=0.02),
             # `stuck` also bounds how long a new one may take to its first sign of life, which a busy machine delays.
@@ -133,7 +132,6 @@ def watched(folder: Path) -> Iterator[list[Watched]]:
         one.process.request_stop()
         one.process.signal(signal.SIGKILL, whole_group=True)
         assert one.process.wait_stopped(10.0)
-        one.process.close()
 
 
 def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, watched: list[Watched]) -> None:
@@ -157,8 +155,6 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     # Where it hung is in its output.
     for one in (standing, locked):
         one.wait_for('actor.py", line')
-    log = (folder / "north.depth.log").read_text()
-    assert "hung: " in log
     assert (well.process.starts, well.process.hangs) == (1, 0)
     for one, behaviour in ((standing, "stands_still"), (locked, "holds_the_lock")):
         one.wait_for(behaviour, times=2)

@@ -16,8 +16,9 @@ WELL: list[tuple[float, bool, str]] = [(0.0, False, "executor: callback")]
 STARTING = [(1.0, True, "start: ltm_ros.nodes.depth")]
 
 
-def beat(turns: object) -> bytes:
-    return json.dumps(turns).encode() + b"\n"
+def beat(turns: object, said: dict[str, int] | None = None, heard: dict[str, int] | None = None) -> bytes:
+    told = {"activities": turns, "ready": [], "said": said or {}, "heard": heard or {}}
+    return json.dumps(told).encode() + b"\n"
 
 
 class Watched:
@@ -101,6 +102,14 @@ def test_nobody_is_judged_for_the_time_in_which_the_watch_lay_still() -> None:
     for _ in range(10):
         watch.look(1.0, blocked, IDLE)
     assert "3000 s" in watch.look(1.0, blocked, IDLE)
+
+
+def test_nodes_are_ready_once_they_say_so() -> None:
+    watch = HangWatch(LIMITS)
+    assert watch.ready == frozenset()
+    line = json.dumps({"activities": WELL, "ready": ["/ridge/north/depth"], "said": {}, "heard": {}})
+    watch.look(1.0, f"{line}\n".encode(), IDLE)
+    assert watch.ready == {"/ridge/north/depth"}
 
 
 def test_a_beat_may_come_in_pieces_and_the_newest_counts() -> None:
@@ -217,9 +226,8 @@ def test_the_watch_hears_of_it_by_heartbeats_and_judges_no_start_and_no_pause_of
         nonlocal sent
         for second in range(1, seconds + 1):
             sent += 1
-            assert speaker.look(elapsed_s, beat({"said": {VOTES: sent}, "heard": {}}) + beat(WELL), idle) == ""
-            told = beat({"said": {}, "heard": {VOTES: 0}}) + beat(turns)
-            # Its counts and its beat may come apart.
+            assert speaker.look(elapsed_s, beat(WELL, {VOTES: sent}), idle) == ""
+            told = beat(turns, heard={VOTES: 0})
             found = listener.look(elapsed_s / 2, told[:20], idle) or listener.look(elapsed_s / 2, told[20:], idle)
             if found:
                 return second, found

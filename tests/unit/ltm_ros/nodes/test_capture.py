@@ -44,6 +44,7 @@ from ltm_ros.runtime.topics import (
     IMAGE_RAW,
     POSE,
     POSED_CAMERA_INFO,
+    POSED_FIX,
     POSED_IMAGE,
     POSED_POSE,
 )
@@ -126,8 +127,8 @@ def test_leaves_when_the_last_part_comes(capture_of: CaptureOf, order: str) -> N
         feed[part]()
     assert outlet.sent == []
     feed[order[2]]()
-    assert [topic for topic, _ in outlet.sent] == [POSED_CAMERA_INFO, POSED_POSE, POSED_IMAGE]
-    assert [stamp_of(message) for _, message in outlet.sent] == [S] * 3
+    assert [topic for topic, _ in outlet.sent] == [POSED_CAMERA_INFO, POSED_POSE, POSED_FIX, POSED_IMAGE]
+    assert [stamp_of(message) for _, message in outlet.sent] == [S] * 4
     np.testing.assert_array_equal(msg_to_rgb(outlet.on(POSED_IMAGE)[0]), PHOTO)
     assert msg_to_camera(outlet.on(POSED_CAMERA_INFO)[0]) == CAMERA
     sent = outlet.on(POSED_POSE)[0]

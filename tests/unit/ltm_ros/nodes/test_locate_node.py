@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -21,6 +22,7 @@ from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionErro
 from ltm_core.locating.sighting import Sighting
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
@@ -29,9 +31,10 @@ from ltm_ros.nodes.locate import LocateConfig, LocateHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
+    LOCATE_AREA,
     LOCATE_ESTIMATE,
+    LOCATE_FIX,
     LOCATE_FUSED,
-    LOCATE_GEOJSON,
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
@@ -106,11 +109,14 @@ def test_two_cameras_make_one_track(tmp_path: Path) -> None:
     for camera in TOWERS:
         (estimate,) = running.kept.on(running.of(camera, LOCATE_ESTIMATE))
         assert estimate.header.frame_id == "map"
-        (collection,) = running.kept.on(running.of(camera, LOCATE_GEOJSON))
-        properties = json.loads(collection.data)["features"][0]["properties"]
-        assert properties["track"] == 1
-        assert properties["source"] == "detector"
-        assert properties["camera"] == camera
+        (fix,) = running.kept.on(running.of(camera, LOCATE_FIX))
+        place = estimate.pose.pose.position
+        x, y = load_site(running.node.config.site).frame.from_lonlat(fix.longitude, fix.latitude)
+        assert (x, y) == pytest.approx((place.x, place.y), abs=0.1)
+        assert fix.position_covariance[:2] == pytest.approx(estimate.pose.covariance[:2])
+        (area,) = running.kept.on(running.of(camera, LOCATE_AREA))
+        corners = np.array([(point.x, point.y) for point in area.polygon.points])
+        assert cv2.pointPolygonTest(corners.astype(np.float32)[:, None], (place.x, place.y), False) > 0
     fused = running.kept.on(LOCATE_FUSED)[-1]
     place = fused.pose.pose.position
     assert (place.x, place.y) == pytest.approx(tuple(FIRE[:2]), abs=15)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,8 @@ from ltm_core.vision.masks import write_mask
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import correction_to_msg, msg_to_correction, msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import msg_to_values
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.nodes.pose import PoseHandler, PoseKeepingConfig
@@ -92,9 +93,10 @@ def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
     assert not kept.on(POSE_CORRECTION)
     show(node, STAMP + 10 * SECOND)
     (correction,) = kept.on(POSE_CORRECTION)
-    said = json.loads(kept.on(POSE_INFO)[0].data)
-    assert (said["state"], said["camera"], said["stamp_ns"], said["slips"]) == ("held", "mast", STAMP + 10 * SECOND, 0)
-    np.testing.assert_allclose(said["rotation_deg"], [0.3, -0.25, -1.2], atol=0.12)
+    (info,) = kept.on(POSE_INFO)
+    said = msg_to_values(info)
+    assert (said["state"], stamp_of(info), said["slips"]) == ("held", STAMP + 10 * SECOND, "0")
+    np.testing.assert_allclose([float(word) for word in said["rotation_deg"].split()], [0.3, -0.25, -1.2], atol=0.12)
     assert health.summary()["noted.clear"] == "2"
     assert health.summary()["mount"].startswith("held")
 
@@ -102,6 +104,7 @@ def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
     capture = CaptureHandler(CaptureConfig(site=site, camera="mast"), sent, Health())
     for stamp in (STAMP, STAMP + SECOND):
         if stamp > STAMP:
+            capture.subscriptions[POSE_INFO](info)
             capture.subscriptions[POSE_CORRECTION](correction)
         image = image_to_msg(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), "rgb8", stamp, "mast_optical")
         capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, stamp, "mast_optical"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,8 @@ from ltm_core.raster.dem import Dem
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.status import msg_to_values
 from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
@@ -97,7 +98,7 @@ class Node:
 
     @property
     def infos(self) -> list[dict[str, Any]]:
-        return [json.loads(message.data) for message in self.kept.on(FUSED_INFO)]
+        return [{"stamp_ns": stamp_of(m), **msg_to_values(m)} for m in self.kept.on(FUSED_INFO)]
 
 
 @pytest.mark.parametrize(
@@ -121,8 +122,8 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     np.testing.assert_array_equal(np.isfinite(measured), sigma > 0)
     assert np.isfinite(measured[stand[2::4, 2::4]]).mean() > 0.5
     (info,) = node.infos
-    assert (info["verdict"], info["camera"], info["stamp_ns"]) == ("ok", "mast", STAMP)
-    assert info["inlier_ratio"] > 0.5
+    assert (info["verdict"], info["stamp_ns"]) == ("ok", STAMP)
+    assert float(info["inlier_ratio"]) > 0.5
     assert node.health.summary()["verdict"] == "ok"
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
@@ -194,7 +195,7 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
     node.feed(pitch=0.8)
     assert node.infos[0]["verdict"] == "pose_suspected"
     assert node.health.summary()["noted.verdict.pose_suspected"] == "1"
-    assert node.infos[0]["pose"]["pitch_deg"] == pytest.approx(-0.8, abs=0.15)
+    assert float(node.infos[0]["pose.pitch_deg"]) == pytest.approx(-0.8, abs=0.15)
     np.testing.assert_array_equal(msg_to_depth(node.kept.on(FUSED_DEPTH)[0]), depth_scene().turned(0.8).depth())
 
 

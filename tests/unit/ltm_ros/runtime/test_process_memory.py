@@ -48,20 +48,6 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """Starts Python with the arguments. A test of `ltm run` may have been in this process before, which then has given up
 huge pages for itself and all that it starts."""
 
-_STRINGS = """
-import re, sys
-from ltm_ros.runtime.process_memory import settle
-def anonymous_kb():
-    return int(re.search(r"^RssAnon:\\s+(\\d+)", open("/proc/self/status").read(), re.MULTILINE)[1])
-names = [sys.intern(f"stays {number}") for number in range(25_000)]  # with those of Python, as many as the runner has
-if sys.argv[1:] == ["settle"]:
-    settle()
-before = anonymous_kb()
-for number in range(400_000):
-    sys.intern(f"file {number}")
-print(anonymous_kb() - before)
-"""
-
 _CYCLES = """
 import gc
 gc.disable()
@@ -207,13 +193,6 @@ def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() 
     before, after, looks = _run(_CYCLES).splitlines()
     assert (before, after) == ("1000 True", "0 False")
     assert looks == "True"
-
-
-@pytest.mark.skipif(sys.version_info[:2] == (3, 12), reason="Python 3.12 lets go of no interned string")
-def test_strings_that_come_and_go_take_no_more_memory_later() -> None:
-    """The table of interned strings is made anew at the start, not half an hour later: some 2 MB."""
-    assert int(_run(_STRINGS)) > 1500
-    assert int(_run(_STRINGS, None, "settle")) < 300
 
 
 def test_heaps_are_trimmed_now_and_then_and_tidied_more_seldom() -> None:

@@ -11,7 +11,7 @@ import pytest
 import ltm_ros
 from ltm_core.base.errors import ConfigError
 from ltm_ros.runtime import ros_environment as module
-from ltm_ros.runtime.ros_environment import apply_to_process, ros_additions, ros_environment, thread_limits
+from ltm_ros.runtime.ros_environment import apply_to_process, ros_environment, thread_limits
 
 
 def test_completes_an_empty_environment() -> None:
@@ -63,13 +63,6 @@ def test_bootstrap_of_another_venv_is_done_again() -> None:
     ours = {mark: "1", "LD_LIBRARY_PATH": f"/x:{sys.prefix}/lib"}
     assert ros_environment(ours)[mark] == "1"
     assert mark not in ros_environment({mark: "1", "LD_LIBRARY_PATH": "/other/venv/lib"})
-
-
-def test_additions_are_what_is_missing() -> None:
-    complete = ros_environment({"ROS_DOMAIN_ID": "4"})
-    assert ros_additions(complete) == {}
-    del complete["RMW_IMPLEMENTATION"]
-    assert ros_additions(complete) == {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
 def test_applies_to_this_process() -> None:

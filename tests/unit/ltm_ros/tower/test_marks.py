@@ -127,8 +127,10 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
         ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
         about |= {"seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
-        features += [{"properties": about}, {"properties": {"role": "ellipse", "share": 0.95}}]
-    return String(data=json.dumps({"type": "FeatureCollection", "turned": turned, "features": features}))
+        point = {"type": "Point", "coordinates": [lon, 37.5]}
+        for properties in (about, {"role": "ellipse", "share": 0.95}):
+            features.append({"type": "Feature", "geometry": point, "properties": properties})
+    return String(data=json.dumps({"version": 1, "stamp_ns": 5, "turned": turned, "features": features}))
 
 
 def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:

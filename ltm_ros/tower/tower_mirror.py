@@ -1,0 +1,293 @@
+"""Show a tower's live view on this machine: receive its stream, and serve the status page on loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import re
+import socket
+import subprocess  # nosec B404 # argument lists, no shell
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from importlib.resources import files
+from pathlib import Path
+from typing import IO, Any, Final, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.types import RgbImage
+from ltm_core.pictures.legend import to_png
+from ltm_ros.runtime.retry import Backoff
+from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
+from ltm_ros.tower.health_client import TowerPort
+from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE
+
+LONGEST_LINE: Final = 1024
+MOST_BYTES: Final = 2 << 20
+"""Maximum bytes of a record, before and after decompression."""
+MOST_CAMERAS: Final = 100
+EVERY_MS: Final = 1000
+"""Milliseconds between two requests of the page, which are local."""
+HEALTH_PORT: Final = 9464
+TUNNEL_S: Final = 60.0
+"""Seconds for SSH to connect, with the time to enter a password."""
+
+
+class StreamError(LtmError):
+    """The tower sends what is not a stream of this version."""
+
+
+class _Record(BaseModel):
+    kind: Literal["page", "frame", "tile"]
+    bytes: int = Field(ge=0, le=MOST_BYTES)
+    camera: str = Field("", pattern="^[a-z][a-z0-9_]{0,63}$|^$")
+    stamp_s: float = Field(0.0, allow_inf_nan=False)
+    sizes: list[int] = Field(default_factory=list, max_length=len(KINDS))
+    x: int = Field(0, ge=0, le=4096, multiple_of=TILE)
+    y: int = Field(0, ge=0, le=4096, multiple_of=TILE)
+    width: int = Field(0, ge=0, le=4096)
+    height: int = Field(0, ge=0, le=4096)
+
+
+class TowerMirror:
+    """Receives from a tower from construction until `close`, and connects again if the connection breaks.
+
+    `reach`: returns the tower's port (`reached`). `url`: address of the page. Raises RejectedError if the tower rejects
+    the token.
+    """
+
+    def __init__(self, reach: Callable[[], TowerPort], web_port: int = 0) -> None:
+        self._reach = reach
+        self._lock = threading.Lock()
+        self._page: dict[str, Any] | None = None
+        self._trouble = "connecting"
+        self._images: dict[str, tuple[float, list[bytes]]] = {}
+        self._map: RgbImage | None = None
+        self._response: http.client.HTTPResponse | None = None
+        self._closing = threading.Event()
+        page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
+        self._routes: dict[str, Route] = {
+            "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
+            "GET /page.json": lambda _: self._page_json(),
+            "GET /map.png": lambda _: self._map_png(),
+            "POST /mark": self._mark,
+        }
+        self._begun = self._connect()
+        self._server = WebServer(self._routes, port=web_port)
+        self.url = self._server.url
+        self._thread = threading.Thread(target=self._receive, name="tower", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._closing.set()
+        with self._lock, contextlib.suppress(OSError):
+            if self._response is not None and self._response.fp is not None:
+                _socket_of(self._response).shutdown(socket.SHUT_RDWR)
+        self._thread.join(5.0)
+        self._server.close()
+
+    def stamps_s(self) -> dict[str, float]:
+        """Return the stamps of the received frames in seconds, by camera."""
+        with self._lock:
+            return {camera: stamp for camera, (stamp, _) in self._images.items()}
+
+    def _connect(self) -> http.client.HTTPResponse:
+        response = self._reach().request("GET", "/live")
+        with self._lock:
+            self._response = response
+        return response
+
+    def _receive(self) -> None:
+        pace = Backoff(1.0)
+        response: http.client.HTTPResponse | None = self._begun
+        while not self._closing.is_set():
+            try:
+                with response or self._connect() as stream:
+                    response = None
+                    for record, content in _records(stream):
+                        self._take(record, content)
+                        pace.succeeded()
+                why = "the tower closed the connection"
+            except (LtmError, OSError, http.client.HTTPException) as error:
+                why = str(error) or type(error).__name__
+            with self._lock:
+                self._trouble, self._page = f"{why}; connecting again", None
+            self._closing.wait(pace.failed())
+
+    def _take(self, record: _Record, content: bytes) -> None:
+        if record.kind == "page":
+            page = _json(content)
+            with self._lock:
+                self._page = page
+        elif record.kind == "tile":
+            self._paint(record, content)
+        else:
+            ends = np.cumsum(record.sizes)
+            if len(ends) != len(KINDS) or ends[-1] != len(content) or min(record.sizes) < 0 or not record.camera:
+                raise StreamError(f"a frame has images of {record.sizes} bytes, and {len(content)} in all")
+            images = [content[end - size : end] for size, end in zip(record.sizes, ends, strict=True)]
+            with self._lock:
+                if len(self._images) >= MOST_CAMERAS and record.camera not in self._images:
+                    raise StreamError(f"the tower sends images of more than {MOST_CAMERAS} cameras")
+                self._images[record.camera] = record.stamp_s, images
+            for number, kind in enumerate(KINDS):
+                self._routes[f"GET /picture/{record.camera}/{kind}.jpg"] = self._picture(record.camera, number)
+
+    def _paint(self, record: _Record, content: bytes) -> None:
+        with self._lock:
+            size = (record.height, record.width, 3)
+            if self._map is None or self._map.shape != size:
+                self._map = np.full(size, 205, np.uint8)
+            tile = self._map[record.y : record.y + TILE, record.x : record.x + TILE]
+            pixels = _inflated(content, tile.size)
+            if len(pixels) != tile.size:
+                raise StreamError(f"a tile has {len(pixels)} bytes; expected {tile.size}")
+            tile[:] = np.frombuffer(pixels, np.uint8).reshape(tile.shape)
+
+    def _picture(self, camera: str, number: int) -> Route:
+        return lambda _: WebResponse(self._images[camera][1][number], "image/jpeg")
+
+    def _page_json(self) -> WebResponse:
+        stamps = self.stamps_s()
+        with self._lock:
+            if self._page is None:
+                return WebResponse.error(HTTPStatus.SERVICE_UNAVAILABLE, self._trouble)
+            return WebResponse.json(self._page | {"pictures": stamps, "every_ms": EVERY_MS})
+
+    def _map_png(self) -> WebResponse:
+        with self._lock:
+            if self._map is None:
+                return WebResponse.error(HTTPStatus.NOT_FOUND, "not available yet")
+            return WebResponse(to_png(self._map), "image/png")
+
+    def _mark(self, body: bytes) -> WebResponse:
+        try:
+            with self._reach().request("POST", "/mark", body) as response:
+                return WebResponse(response.read(MOST_BYTES), "application/json")
+        except LtmError as error:
+            return WebResponse.error(HTTPStatus.BAD_GATEWAY, str(error))
+
+
+def _socket_of(response: http.client.HTTPResponse) -> socket.socket:
+    """Return the socket that a response is read from; a read that waits ends if it is shut down."""
+    raw: Any = response.fp.raw
+    found: socket.socket = raw._sock
+    return found
+
+
+def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Record, bytes]]:
+    """Yield the records of a stream. Raises StreamError."""
+    if stream.readline(LONGEST_LINE) != FIRST_LINE:
+        raise StreamError("the tower's release sends another kind of stream: use the same release on both sides")
+    while line := stream.readline(LONGEST_LINE):
+        try:
+            record = _Record.model_validate_json(line)
+        except ValidationError as error:
+            raise StreamError(f"the stream has an invalid record ({error.errors()[0]['msg']})") from error
+        content = stream.read(record.bytes)
+        if len(content) < record.bytes:
+            return
+        yield record, content
+
+
+def _inflated(content: bytes, most: int) -> bytes:
+    try:
+        return zlib.decompressobj().decompress(content, most + 1)[: most + 1]
+    except zlib.error as error:
+        raise StreamError(f"the stream has an invalid record ({error})") from error
+
+
+def _json(content: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(_inflated(content, MOST_BYTES), parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise StreamError("the stream has a page that is not JSON") from error
+    if not isinstance(found, dict):
+        raise StreamError("the stream has a page that is not a JSON mapping")
+    return found
+
+
+def _no_number(word: str) -> None:
+    raise ValueError(word)
+
+
+_DESTINATION = re.compile(r"(?P<host>[A-Za-z0-9_][A-Za-z0-9_.@-]*)(?::(?P<port>\d{1,5}))?")
+
+
+@contextlib.contextmanager
+def reached(tower: str, token: Path | None, certificate: Path | None) -> Iterator[Callable[[], TowerPort]]:
+    """Yield a function that returns the tower's health port: of `https://HOST[:PORT]`, or by an SSH tunnel to
+    `[USER@]HOST[:PORT]` that is opened again if it has ended, and closed afterwards. Raises ConfigError."""
+    if "://" in tower:
+        port = TowerPort.of_url(tower, token, certificate)
+        yield lambda: port
+        return
+    match = _DESTINATION.fullmatch(tower)
+    if match is None:
+        raise ConfigError(f"--connect {tower}: give [USER@]HOST[:PORT] for SSH, or https://HOST[:PORT]")
+    tunnel = _Tunnel(match["host"], int(match["port"] or HEALTH_PORT))
+    here = TowerPort.of_url(f"{'http' if certificate is None else 'https'}://{tunnel.place}", token, certificate)
+
+    def reach() -> TowerPort:
+        tunnel.open()
+        return here
+
+    try:
+        tunnel.open()
+        yield reach
+    finally:
+        tunnel.close()
+
+
+class _Tunnel:
+    """A process of SSH that forwards `place`, on loopback, to a port on the loopback of a host."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._here = host, _free_port()
+        self.place = f"127.0.0.1:{self._here}"
+        options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
+        self._command = ["ssh", "-N", "-T", *options, "-L", f"{self.place}:127.0.0.1:{port}", "--", host]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def open(self) -> None:
+        """Start the process unless it runs, and wait until it forwards. Raises ConfigError."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        try:
+            self._process = subprocess.Popen(self._command)  # nosec B603
+        except FileNotFoundError as error:
+            raise ConfigError(
+                "--connect needs the program ssh: install openssh-client, or give https://HOST"
+            ) from error
+        deadline = time.monotonic() + TUNNEL_S
+        while not _listens(self._here):
+            if self._process.poll() is not None:
+                said = f"ended with exit code {self._process.returncode}"
+                raise ConfigError(f"ssh {self._host}: {said}; its message is above")
+            if time.monotonic() > deadline:
+                self.close()
+                raise ConfigError(f"ssh {self._host}: no connection within {TUNNEL_S:.0f} s")
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -1,0 +1,262 @@
+"""A tower's live view on another machine: what is streamed, at which rate, and what is accepted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import cv2
+import numpy as np
+import pytest
+from scenes.waiting import wait_for
+
+from ltm_core.base.errors import ConfigError, ImageError, LtmError
+from ltm_core.base.types import RgbImage
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.runtime.web_server import WebResponse, WebServer
+from ltm_ros.tower.health_client import RejectedError, TowerPort
+from ltm_ros.tower.last_pictures import CameraPicture
+from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE, LiveStream
+from ltm_ros.tower.tower_mirror import StreamError, TowerMirror, _records, reached
+
+LABELS = LabelSet.load()
+TOKEN = "0123456789abcdef-token"
+
+
+def picture(camera: str, second: int, seed: int = 0) -> CameraPicture:
+    """A frame with detail, as a forest has it."""
+    rng = np.random.default_rng(seed + second)
+    photo = cv2.resize(rng.integers(0, 255, (90, 160, 3), np.uint8), (800, 450))
+    labels = cv2.resize(rng.integers(0, 3, (9, 16), np.uint8), (800, 450), interpolation=cv2.INTER_NEAREST)
+    depth = np.linspace(50, 5000, 800 * 450, dtype=np.float32).reshape(450, 800)
+    optics, pose = Camera.from_fov(800, 450, 50.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0)
+    return CameraPicture(camera, second * 1_000_000_000, np.asarray(photo), np.asarray(labels), depth, optics, pose)
+
+
+class Scene:
+    """What a status page shows, set by the test."""
+
+    def __init__(self, *cameras: str) -> None:
+        self.frames = {camera: picture(camera, 1) for camera in cameras}
+        self.map: RgbImage | None = None
+
+    def shown(self, camera: str) -> CameraPicture | None:
+        return self.frames.get(camera)
+
+    def stamps_s(self) -> dict[str, float]:
+        return {name: frame.stamp_ns / 1e9 for name, frame in self.frames.items()}
+
+    def map_image(self) -> RgbImage | None:
+        return self.map
+
+    def jpegs(self, picture: CameraPicture, width: int) -> list[bytes]:
+        return [picture.resized(width).jpeg(kind, LABELS, 60) for kind in KINDS]
+
+    def page(self) -> dict[str, Any]:
+        return {"site": "ridge", "pictures": self.stamps_s()}
+
+
+def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
+    scene = Scene("north", "east")
+    scene.map = np.zeros((TILE + 10, 2 * TILE, 3), np.uint8)
+    records = LiveStream(scene.page, scene, pytest.fail, rate=1e9)._records()
+    assert next(records) == FIRST_LINE
+
+    def take(count: int) -> list[tuple[Any, bytes]]:
+        return list(_records(BytesIO(FIRST_LINE + b"".join(next(records) for _ in range(count)))))
+
+    first = take(7)
+    assert [record.kind for record, _ in first] == ["page", "frame", "frame", "tile", "tile", "tile", "tile"]
+    assert {record.camera for record, _ in first if record.kind == "frame"} == {"north", "east"}
+    assert json.loads(zlib.decompress(first[0][1]))["site"] == "ridge"
+    scene.frames["east"] = picture("east", 2)
+    ((record, content),) = take(1)
+    assert (record.camera, record.stamp_s) == ("east", 2.0)
+    assert content[: record.sizes[0]].startswith(b"\xff\xd8"), "the photo is first"
+
+
+def test_more_cameras_get_smaller_images() -> None:
+    def size(cameras: int) -> int:
+        scene = Scene(*(f"c{number}" for number in range(cameras)))
+        records = LiveStream(scene.page, scene, pytest.fail, rate=50_000.0)._records()
+        *_, (record, content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
+        photo = cv2.imdecode(np.frombuffer(content[: record.sizes[0]], np.uint8), cv2.IMREAD_COLOR)
+        return int(photo.shape[1])
+
+    one, many = size(1), size(12)
+    assert 160 <= many < one == 480
+
+
+def test_all_streams_together_keep_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock of the test's own."""
+    now = 0.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    monkeypatch.setattr(time, "sleep", sleep)
+    scene = Scene("north")
+    live = LiveStream(scene.page, scene, pytest.fail, rate=10_000.0)
+    streams, sent = [live.stream(), live.stream()], 0
+    for _ in range(60):
+        for stream in streams:
+            sent += len(next(stream))
+    assert sent <= 10_000.0 * now + 4096
+
+
+def test_a_frame_without_an_image_is_told_of_and_the_next_is_sent() -> None:
+    scene, told = Scene("north", "east"), list[LtmError]()
+    scene.frames["north"] = replace(scene.frames["north"], photo=np.zeros((7, 9), np.uint8))
+    records = LiveStream(scene.page, scene, told.append, rate=1e9)._records()
+    *_, (record, _content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
+    assert record.camera == "east"
+    assert [type(error) for error in told] == [ImageError]
+
+
+@pytest.fixture
+def tower() -> Iterator[tuple[Scene, WebServer]]:
+    scene = Scene("north")
+    scene.map = np.random.default_rng(3).integers(0, 255, (200, 300, 3), np.uint8)
+    live = LiveStream(scene.page, scene, pytest.fail, rate=1e6)
+    routes = {
+        "GET /live": lambda _: WebResponse(b"", "application/octet-stream", stream=live.stream()),
+        "POST /mark": lambda body: WebResponse.json({"u": 1.0, "v": 2.0, "got": json.loads(body)}),
+    }
+    server = WebServer(routes, token=TOKEN)  # type: ignore[arg-type]
+    yield scene, server
+    server.close()
+
+
+def port_of(server: WebServer, token: str = TOKEN) -> Callable[[], TowerPort]:
+    return lambda: TowerPort("127.0.0.1", server.port, token=token)
+
+
+def test_the_page_of_a_tower_is_served_here_and_follows_it(tower: tuple[Scene, WebServer]) -> None:
+    scene, server = tower
+    with closing(TowerMirror(port_of(server))) as mirror:
+
+        def get(path: str) -> bytes:
+            with urlopen(mirror.url + path, timeout=20) as answer:
+                return bytes(answer.read())
+
+        assert mirror.url.startswith("http://127.0.0.1:")
+        wait_for(lambda: mirror.stamps_s() == {"north": 1.0}, "the first frame")
+        assert b"<title>LTM tower</title>" in get("/")
+        wait_for(lambda: mirror._page is not None, "the page")
+        said = json.loads(get("/page.json"))
+        assert (said["site"], said["pictures"]) == ("ridge", {"north": 1.0})
+        for kind in KINDS:
+            assert get(f"/picture/north/{kind}.jpg").startswith(b"\xff\xd8")
+
+        def drawn() -> bool:
+            found = cv2.imdecode(np.frombuffer(get("/map.png"), np.uint8), cv2.IMREAD_COLOR)
+            return scene.map is not None and np.array_equal(found[..., ::-1], scene.map)
+
+        wait_for(lambda: mirror._map is not None, "a tile")
+        wait_for(drawn, "the whole map, as it is")
+        scene.frames["north"] = picture("north", 7)
+        wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "the next frame")
+
+
+def test_a_wrong_token_is_rejected_at_once(tower: tuple[Scene, WebServer]) -> None:
+    with pytest.raises(RejectedError, match="401"):
+        TowerMirror(port_of(tower[1], "another token of sixteen"))
+
+
+def test_a_tower_that_is_lost_is_stated_and_found_again(tower: tuple[Scene, WebServer]) -> None:
+    scene, server = tower
+    with closing(TowerMirror(port_of(server))) as mirror:
+        wait_for(lambda: mirror._page is not None, "the page")
+        server.close()
+        for thread_socket in list(server._server._ends):
+            thread_socket.shutdown(2)
+        wait_for(lambda: mirror._page is None, "the loss to be noticed")
+        assert mirror._page_json().status == 503
+        live = LiveStream(scene.page, scene, pytest.fail, rate=1e6)
+        routes = {"GET /live": lambda _: WebResponse(b"", stream=live.stream())}
+        again = WebServer(routes, port=server.port, token=TOKEN)
+        wait_for(lambda: mirror._page is not None, "the tower again")
+        again.close()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"ltm live 2\n",
+        FIRST_LINE + b"no JSON\n",
+        FIRST_LINE + b'{"kind": "page", "bytes": 99999999999}\n',
+        FIRST_LINE + b'{"kind": "frame", "bytes": 0, "camera": "../../etc"}\n',
+        FIRST_LINE + b'{"kind": "tile", "bytes": 0, "x": 1}\n',
+        FIRST_LINE + b'{"kind": "tile", "bytes": 0, "x": 0, "y": 0, "width": 1000000, "height": 1}\n',
+        FIRST_LINE + b"{" * 5000,
+    ],
+)
+def test_what_is_no_stream_is_an_error(content: bytes) -> None:
+    with pytest.raises(StreamError):
+        list(_records(BytesIO(content)))
+
+
+@pytest.mark.parametrize("tower", ["-oProxyCommand=x", "a b", "host:ssh", "host;ls", "ftp://host", "http://192.0.2.7"])
+def test_an_address_that_is_none_is_an_error(tower: str) -> None:
+    with pytest.raises(ConfigError), reached(tower, None, None):
+        pass
+
+
+SSH = """#!{python}
+import os, pathlib, socket, sys, threading
+pathlib.Path(__file__).with_name("pid").write_text(str(os.getpid()))
+here, there = (int(port) for port in sys.argv[sys.argv.index("-L") + 1].split(":")[1::2])
+assert sys.argv[-2:] == ["--", "me@tower"]
+listener = socket.create_server(("127.0.0.1", here), reuse_port=False)
+def copy(one, other):
+    while data := one.recv(4096):
+        other.sendall(data)
+    other.shutdown(1)
+while True:
+    mine, theirs = listener.accept()[0], socket.create_connection(("127.0.0.1", there))
+    for pair in ((mine, theirs), (theirs, mine)):
+        threading.Thread(target=copy, args=pair, daemon=True).start()
+"""
+
+
+def test_an_ssh_tunnel_lasts_as_long_as_the_view(
+    tower: tuple[Scene, WebServer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a program `ssh` that forwards as the real one does."""
+    program, token = tmp_path / "ssh", tmp_path / "token"
+    program.write_text(SSH.format(python=sys.executable))
+    program.chmod(0o755)
+    token.write_text(TOKEN)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    with reached(f"me@tower:{tower[1].port}", token, None) as reach, closing(TowerMirror(reach)) as mirror:
+        wait_for(lambda: mirror.stamps_s() == {"north": 1.0}, "a frame through the tunnel")
+        os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
+        tower[0].frames["north"] = picture("north", 7)
+        wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "a frame through the next tunnel")
+        port = reach()
+    with pytest.raises(ConfigError):
+        port.request("GET", "/live")
+
+
+def test_an_ssh_that_fails_is_reported_with_its_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "ssh"
+    program.write_text("#!/bin/sh\nexit 255\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    with pytest.raises(ConfigError, match="255"), reached("tower", None, None):
+        pass
