@@ -204,7 +204,7 @@ def test_cell_size_grows_with_the_site(tmp_path: Path) -> None:
 def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     grid = grid_of(DEGREES)
     elsewhere = write(tmp_path / "far.tif", SOURCES["Hawaii"], 50)
-    with pytest.raises(RasterError, match="far.tif"):
+    with pytest.raises(RasterError, match="far"):
         overlapping(tiles_of([elsewhere]), grid.bounds, grid.crs or "")
     (tmp_path / "empty").mkdir()
     with pytest.raises(RasterError, match="empty"):
@@ -212,5 +212,5 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     bare = tmp_path / "bare.tif"
     with rasterio.open(bare, "w", driver="GTiff", width=9, height=8, count=1, dtype="float32") as sink:
         sink.write(np.ones((8, 9), np.float32), 1)
-    with pytest.raises(RasterError, match="bare.tif"):
+    with pytest.raises(RasterError, match="bare"):
         tiles_of([bare])
