@@ -111,7 +111,7 @@ def write_camera_section(path: Path | str, camera: str, key: str | None, section
     """
     path = Path(path)
     text = read_text(path, LARGEST_FILE, ConfigError)
-    _replace(path, edited(text, camera, key, section, str(path)))
+    replace_site(path, edited(text, camera, key, section, str(path)))
 
 
 def edited(text: str, camera: str, key: str | None, section: dict[str, Any], place: str) -> str:
@@ -185,9 +185,10 @@ def dumped(content: dict[str, Any]) -> str:
     return "".join(_block(content, 0))
 
 
-def _replace(path: Path, text: str) -> None:
-    """Return the new file stands beside the old one, so that its relative paths hold, and takes its place when it is
-    whole."""
+def replace_site(path: Path, text: str) -> None:
+    """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if it is not a
+    valid site."""
+    # Beside the old file, so that relative paths hold.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)
     try:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import Transformer
 
 from ltm_core.base.errors import RasterError
 from ltm_core.fuel.fuel_bands_io import quantity_of
@@ -72,17 +74,29 @@ def write_dem(
     Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written.
     """
     there = overlapping(tiles, bounds, crs)
+    wanted, bounds = bounds, _within(bounds, there, crs)
     size = max(least, site_resolution(there, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE))
     grid = grid_over(bounds, size, there, crs)
     made = resample(there, grid, datum)
     remarks = list(made.remarks)
-    if made.known < 0.995:
-        remarks.append(f"{path.name}: {data.source} covers {made.known:.0%} of the area; the rest is unknown")
+    share = made.known * math.prod(bounds[k + 2] - bounds[k] for k in (0, 1))
+    share /= math.prod(wanted[k + 2] - wanted[k] for k in (0, 1))
+    if share < 0.99:
+        remarks.append(f"{path.name}: {data.source} covers {share:.1%} of the area; terrain beyond is unknown")
     if datum is not None and any(tile.datum is None for tile in there):
         remarks.append(f"{path.name}: {data.source} states no vertical datum; its heights are taken as {datum.name}")
     about = {"RESAMPLING": f"bilinear, standard error {made.error:.2f} m", "VERTICAL_DATUM": _named(datum)}
     _write(path, made.heights, grid, float("nan"), data, about, datum, "metre")
     return Layer(path, f"{_described(data, size)}, resampling error {made.error:.2f} m", grid, tuple(remarks))
+
+
+def _within(bounds: Bounds, tiles: Sequence[Tile], crs: str) -> Bounds:
+    """Return the part of bounds in `crs` that the box around all tiles covers."""
+    boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in tiles]
+    west, south, east, north = zip(*boxes, strict=True)
+    return (
+        max(bounds[0], min(west)), max(bounds[1], min(south)), min(bounds[2], max(east)), min(bounds[3], max(north))
+    )  # fmt: skip
 
 
 def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Datum | None, ground: Dem) -> Layer:
@@ -97,7 +111,7 @@ def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Da
     cols = np.arange(grid.width)
     for row in range(grid.height):
         under[row] = ground.elevation_at(*grid.to_map(row, cols))
-    above = all(tile.datum is None for tile in tiles) and _above_ground(heights, under, path)
+    above = data.above_ground or (all(tile.datum is None for tile in tiles) and _above_ground(heights, under, path))
     if above:
         heights = under + np.maximum(heights, 0)
     _write(path, heights, grid, float("nan"), data, {"VERTICAL_DATUM": _named(datum)}, datum, "metre")
