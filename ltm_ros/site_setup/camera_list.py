@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg
+from ltm_core.site.sections import CameraConfig
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import is_folder
 from ltm_core.storage.text_io import read_text
@@ -181,10 +182,23 @@ def _with_size(camera: CameraValues) -> CameraValues:
     return camera.model_copy(update={"photos": folder / pattern, "size": f"{width}x{height}"})
 
 
+def check_cameras(cameras: Iterable[CameraValues], there: Mapping[str, CameraConfig]) -> None:
+    """Check cameras before anything is fetched. `there`: those of the site. Raises ConfigError for a camera whose name
+    is taken, or whose viewing direction or field of view is missing."""
+    taken = {name for name, config in there.items() if config != CameraConfig()}
+    for camera in cameras:
+        if camera.ros_name in taken:
+            raise ConfigError(f"camera {camera.ros_name} exists already; give each camera its own name")
+        taken.add(camera.ros_name)
+        for key, value, example in (("azimuth", camera.azimuth, 214), ("hfov", camera.hfov, 54)):
+            if value is None and not camera.listed:
+                raise ConfigError(f"camera {camera.name}: {key} is missing; give {key}={example} (degrees)")
+
+
 def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], list[str]]:
     """Return a camera's section of the site file, and remarks. `datum`: of the site.
 
-    Raises ConfigError if its viewing direction or field of view is missing, MissingGridError for heights that cannot be
+    Raises ConfigError if the datum of its height cannot be compared with the site's, MissingGridError if it cannot be
     converted.
     """
     width, height = (int(part) for part in camera.size.split("x"))
@@ -200,9 +214,6 @@ def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], 
         if round(camera.lon, 2) == camera.lon and round(camera.lat, 2) == camera.lat:
             remarks.append(f"{camera.ros_name}: its position is rounded to 0.01 degrees (1 km); correct lon and lat")
         return {"source": source, "mount": {**place, "lens": {"width": width, "height": height}}}, remarks
-    for key, value, example in (("azimuth", camera.azimuth, 214), ("hfov", camera.hfov, 54)):
-        if value is None:
-            raise ConfigError(f"camera {camera.name}: {key} is missing; give {key}={example} (degrees)")
     place |= {"azimuth_deg": camera.azimuth, "azimuth_ref": "true", "pitch_deg": camera.pitch}
     if camera.roll:
         place["roll_deg"] = camera.roll

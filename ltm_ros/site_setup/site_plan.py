@@ -23,7 +23,7 @@ from ltm_core.raster.dem_stack import REACH, open_terrain
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import free_bytes, is_folder, is_there, require_folder
-from ltm_ros.site_setup.camera_list import CameraValues, section
+from ltm_ros.site_setup.camera_list import CameraValues, check_cameras, section
 from ltm_ros.site_setup.layers import (
     Layer,
     elevation_tiles,
@@ -115,6 +115,7 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     if is_there(wish.out) and not (is_folder(wish.out) and not any(wish.out.iterdir())):
         raise ConfigError(f"{wish.out}: exists and is not an empty folder; name a new one")
     require_folder(wish.out, "the site")
+    check_cameras(wish.cameras, {})
     lon, lat = wish.lonlat
     own = elevation_tiles(local(wish.files["dem"])) if wish.files.get("dem") else []
     crs = _site_crs(lon, lat, wish.crs, own)
@@ -146,6 +147,7 @@ def _plan_change(wish: Wish, sources: Sequence[Source]) -> SitePlan:
             "folder"
         )
     site = load_site(wish.site_file)
+    check_cameras(wish.cameras, site.cameras)
     plan = SitePlan(wish, site.crs, site.origin, [], [], site)
     if wish.update is not None:
         stored = tiles_of([site.dem.path])[0]
@@ -247,8 +249,6 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
         cameras: dict[str, dict[str, Any]] = {}
         remarks = [remark for layer in layers.values() for remark in layer.remarks]
         for camera in wish.cameras:
-            if camera.ros_name in cameras:
-                raise ConfigError(f"two cameras are named {camera.ros_name}; give each its own name")
             cameras[camera.ros_name], said = section(camera, datum)
             remarks += said
         if plan.site is not None:

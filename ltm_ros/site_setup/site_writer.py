@@ -56,7 +56,7 @@ def site_text(
 def changed(text: str, layers: Mapping[str, Layer], cameras: Mapping[str, Mapping[str, Any]], place: str) -> str:
     """Return the text of a site file with other rasters and more cameras; the rest stays as the user wrote it.
 
-    Raises ConfigError: not YAML, or a camera that has other settings already.
+    Raises ConfigError for a text that is not YAML.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
@@ -89,8 +89,6 @@ def changed(text: str, layers: Mapping[str, Layer], cameras: Mapping[str, Mappin
     if cameras and not isinstance(there, dict):
         there = site["cameras"] = CommentedMap()
     for name, camera in cameras.items():
-        if there.get(name):
-            raise ConfigError(f"{place}: camera {name} exists already; edit or remove it, or choose another name")
         there[name] = _mapping(camera)
         there.fa.set_block_style()
     out = StringIO()
