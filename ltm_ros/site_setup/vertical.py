@@ -89,7 +89,9 @@ def named_datum(text: str) -> Datum:
     if text.lower() in _BY_NAME:
         return _BY_NAME[text.lower()]
     crs = read_crs(text)
-    found = _BY_DATUM.get(crs.datum.name if crs.datum else "") if crs.is_vertical else datum_of(crs)
+    found = (
+        _BY_DATUM.get(crs.datum.name if crs.datum else "") if crs.is_vertical and not crs.is_compound else datum_of(crs)
+    )
     if found is None:
         raise ConfigError(f"vertical datum {text}: give {', '.join(_BY_NAME)} or a CRS with heights")
     return found

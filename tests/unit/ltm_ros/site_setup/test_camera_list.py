@@ -10,7 +10,7 @@ from PIL import Image
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import CameraConfig
-from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras, section
+from ltm_ros.site_setup.camera_list import parse_camera, read_cameras, section
 from ltm_ros.site_setup.vertical import EGM2008, ELLIPSOIDAL, NAVD88, MissingGridError
 
 
