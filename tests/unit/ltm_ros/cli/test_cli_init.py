@@ -27,6 +27,7 @@ def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SiteSe
     """Elevation in NAD83 degrees and, coarser, in WGS 84 degrees; LANDFIRE's codes."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("LANDFIRE_EMAIL", "a@b.c")
+    monkeypatch.setattr("ltm_ros.site_setup.services.LandfireSource.poll_s", 0.01)
     with SiteServices() as running:
         fine = height(*grid(-118.53, 34.15, 1 / 10800, 1300, 1300)).astype(np.float32)
         running.files["/cog/USGS_13_n35w119.tif"] = geotiff(fine, "EPSG:4269", -118.53, 34.15, 1 / 10800)
@@ -134,12 +135,22 @@ def test_wrong_options_are_errors(
     assert not (tmp_path / "getty").exists()
 
 
-@pytest.mark.parametrize("where", ["GLO30", "lfps/job/submit"])
-def test_a_service_that_is_down_leaves_nothing(
-    where: str, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_service_that_fails_while_fetching_leaves_nothing(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
-    services.statuses[where] = [503] * 1000
+    services.statuses["lfps/job/submit"] = [503] * 1000
     with pytest.raises(LtmError, match="503"):
         init(services, tmp_path, *NEW)
     assert not (tmp_path / "getty").exists()
+
+
+def test_a_site_without_a_horizon_says_which_service_failed(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
+    services.statuses["GLO30"] = [503] * 1000
+    result = init(services, tmp_path, *NEW)
+    assert result.exit_code == 0
+    assert "503" in result.output
+    assert load_site(tmp_path / "getty/site.yaml").coarser == ()

@@ -1,4 +1,4 @@
-"""The README's lines for an IP camera, as they stand there: from a camera's bare address to a fuel map."""
+"""The lines of the page on sites for an IP camera, as they stand there: from a camera's bare address to a fuel map."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "docs/site.md"
 LTM = [sys.executable, "-c", "from ltm_ros.cli.main import app; app()"]
 PASSWORD = "tower-%7 secret"
 PLACE = (900.0, 700.0)
 """Map frame; from here the ground falls away to the south-west, whither the README's camera looks."""
 
 
-def readme_lines() -> list[list[str]]:
+def page_lines() -> list[list[str]]:
     """The words of each line of the block that begins with a camera's password, without its comment."""
-    (block,) = [b for b in README.read_text(encoding="utf-8").split("```") if "ltm cameras probe" in b]
+    (block,) = [b for b in PAGE.read_text(encoding="utf-8").split("```") if "ltm cameras probe" in b]
     return [shlex.split(line, comments=True) for line in block.splitlines()[1:] if line.strip()]
 
 
@@ -57,7 +57,7 @@ def small(tmp_path: Path) -> SmallSite:
 
 
 def view(small: SmallSite, probe: list[str]) -> UInt8Array:
-    """What a camera sees that stands as the README's line says, but for its place."""
+    """What a camera sees that stands as the page's line says, but for its place."""
     x, y = PLACE
     z = float(small.dem.elevation_at(x, y)) + float(option(probe, "--height"))
     pose = Pose.from_angles((x, y, z), float(option(probe, "--azimuth")), 0.0, 0.0)
@@ -70,17 +70,17 @@ def camera() -> Iterator[HttpCamera]:
         yield camera
 
 
-def test_the_readmes_lines_lead_to_a_fuel_map(
+def test_the_lines_lead_to_a_fuel_map(
     small: SmallSite, camera: HttpCamera, ros_domain: int, tmp_path: Path
 ) -> None:
-    (_, password), probe, check, run, *_ = readme_lines()
+    (_, password), probe, check, run, *_ = page_lines()
     photo = view(small, probe).astype(np.int16)
     camera.behaviour.user = option(probe, "--user")
     camera.behaviour.render = lambda moment: jpeg(
         np.clip(photo + np.random.default_rng().integers(-5, 6, photo.shape), 0, 255).astype(np.uint8)
     )
     environment = os.environ | {password.partition("=")[0]: PASSWORD, "COLUMNS": "200"}
-    # The address of the camera and its place are ours, all else is the README's.
+    # The address of the camera and its place are ours, all else is the page's.
     x0, y0 = small.site.origin
     to_degrees = Transformer.from_crs(small.site.crs, "EPSG:4326", always_xy=True)
     lon, lat = to_degrees.transform(PLACE[0] + x0, PLACE[1] + y0)
