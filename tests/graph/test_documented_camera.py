@@ -70,9 +70,7 @@ def camera() -> Iterator[HttpCamera]:
         yield camera
 
 
-def test_the_lines_lead_to_a_fuel_map(
-    small: SmallSite, camera: HttpCamera, ros_domain: int, tmp_path: Path
-) -> None:
+def test_the_lines_lead_to_a_fuel_map(small: SmallSite, camera: HttpCamera, ros_domain: int, tmp_path: Path) -> None:
     (_, password), probe, check, run, *_ = page_lines()
     photo = view(small, probe).astype(np.int16)
     camera.behaviour.user = option(probe, "--user")
