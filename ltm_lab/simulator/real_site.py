@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Float64Array
 from ltm_core.fuel.life_form import NODATA, forms_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.grid import GridGeometry
@@ -55,7 +56,7 @@ def views_of(site: Site, dem: Dem) -> list[PosedCamera]:
     return views
 
 
-def simulated_site(site: Site, dem: Dem, eye: Sequence[float]) -> SimulatedSite:
+def simulated_site(site: Site, dem: Dem, eye: Float64Array) -> SimulatedSite:
     """Return the ground and the vegetation round a camera at `eye` (map frame). Raises RasterError as the prior does,
     ConfigError for a camera without terrain."""
     near, around, far = (_field(dem, eye, side, least) for side, least in _SIDES)
@@ -63,7 +64,7 @@ def simulated_site(site: Site, dem: Dem, eye: Sequence[float]) -> SimulatedSite:
     return SimulatedSite(SyntheticTerrain(near, around, wetness, far), _cover(site, around))
 
 
-def _field(dem: Dem, eye: Sequence[float], side: float, least: float) -> HeightField:
+def _field(dem: Dem, eye: Float64Array, side: float, least: float) -> HeightField:
     size = max(least, dem.geometry.resolution)
     cells = round(side / size)
     x, y = (math.floor(v / size) * size for v in eye[:2])

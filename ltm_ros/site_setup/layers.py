@@ -83,8 +83,12 @@ def write_dem(
     share /= math.prod(wanted[k + 2] - wanted[k] for k in (0, 1))
     if share < 0.99:
         remarks.append(f"{path.name}: {data.source} covers {share:.1%} of the area; terrain beyond is unknown")
-    if datum is not None and any(tile.datum is None for tile in there):
-        remarks.append(f"{path.name}: {data.source} states no vertical datum; its heights are taken as {datum.name}")
+    if any(tile.datum is None for tile in there):
+        taken = "those of the other rasters" if datum is None else datum.name
+        remarks.append(
+            f"{path.name}: {data.source} states no vertical datum; its heights are taken as {taken}, which may be wrong "
+            "by 1 m, or by 20 to 50 m if they are ellipsoidal"
+        )
     about = {"RESAMPLING": f"bilinear, standard error {made.error:.2f} m", "VERTICAL_DATUM": _named(datum)}
     _write(path, made.heights, grid, float("nan"), data, about, datum, "metre")
     return Layer(path, f"{_described(data, size)}, resampling error {made.error:.2f} m", grid, tuple(remarks))

@@ -71,7 +71,7 @@ def datum_of(crs: CRS) -> Datum | None:
     """Return the vertical datum that a file's CRS states; None if it states none."""
     if crs.is_compound:
         vertical = crs.sub_crs_list[1]
-        base = crs.geodetic_crs
+        base = crs.geodetic_crs or read_crs(ELLIPSOIDAL.code)
         name = vertical.datum.name if vertical.datum else vertical.name
         if "ellipsoid" in f"{vertical.name} {name}".lower():
             return _ellipsoidal(base)
@@ -140,7 +140,7 @@ def _route(datum: Datum, area: AreaOfInterest) -> tuple[Transformer | None, list
     given = base if datum.ellipsoidal else CompoundCRS("heights", [base.to_2d(), datum.code])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a better grid is missing: another one is used, or it is reported
-        group = TransformerGroup(given, base, always_xy=True, area_of_interest=area, allow_ballpark=False)
+        group = TransformerGroup(given, base, always_xy=True, area_of_interest=area, allow_ballpark=False)  # type: ignore[arg-type]
     if group.transformers:
         return group.transformers[0], []
     best = group.unavailable_operations[:1]

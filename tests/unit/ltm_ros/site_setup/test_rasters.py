@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def test_a_plane_stays_exact_in_any_crs(name: str, tmp_path: Path) -> None:
         (1.0, {"south_up": True}),
     ],
 )
-def test_registration_and_unit_of_the_file_are_kept(scale: float, tags: dict, tmp_path: Path) -> None:
+def test_registration_and_unit_of_the_file_are_kept(scale: float, tags: dict[str, Any], tmp_path: Path) -> None:
     grid = grid_of(DEGREES)
     found = heights([write(tmp_path / "a.tif", DEGREES, 200, scale=scale, **tags)], grid)
     np.testing.assert_allclose(found, expected(DEGREES, grid), atol=2e-3)

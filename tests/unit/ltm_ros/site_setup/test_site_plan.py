@@ -15,7 +15,6 @@ from rasterio.transform import from_origin
 from ltm_core.base.errors import ConfigError, LtmError, RasterError
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_ros.site_setup import layers as layers_module
 from ltm_ros.site_setup.camera_list import parse_camera
 from ltm_ros.site_setup.rasters import tiles_of
 from ltm_ros.site_setup.request import Area, Fetched, FetchError, Kind, NoCoverageError, Part, Plan
@@ -316,7 +315,7 @@ def test_a_file_that_cannot_be_written_is_an_error(
     def full(path: Path, content: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(layers_module.Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(ConfigError, match="No space left"):
         made(wish(tmp_path / "site"), makers)
     assert list(tmp_path.iterdir()) == []

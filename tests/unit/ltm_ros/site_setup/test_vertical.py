@@ -16,6 +16,7 @@ import pyproj
 import pytest
 import rasterio
 from pyproj import CRS, Transformer
+from pyproj.datadir import get_user_data_dir
 from rasterio.transform import from_origin
 
 from ltm_core.base.errors import ConfigError
@@ -46,7 +47,7 @@ REAL = Path("/usr/share/proj/egm96_15.gtx")
 
 def undulation(name: str, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
     base = {"NAVD88": -32.0, "EGM2008": -33.0, "EGM96": -33.4}[name]
-    return base + 2.0 * np.sin(lon / 1.7 + len(name)) + 1.5 * np.cos(lat / 1.3) * np.sin(lon * lat / 900)
+    return np.asarray(base + 2.0 * np.sin(lon / 1.7 + len(name)) + 1.5 * np.cos(lat / 1.3) * np.sin(lon * lat / 900))
 
 
 def write_grid(path: Path, name: str) -> None:
@@ -155,7 +156,7 @@ def test_a_raster_comes_into_the_datum_of_the_site(crs: str, wanted: Datum, grid
 
 
 @pytest.mark.skipif(
-    any((Path(pyproj.datadir.get_user_data_dir()) / grid).exists() for grid in GRIDS.values()),
+    any((Path(get_user_data_dir()) / grid).exists() for grid in GRIDS.values()),
     reason="this machine has grids",
 )
 def test_a_missing_grid_states_its_name_and_the_size_of_the_error(without_grids: None) -> None:
