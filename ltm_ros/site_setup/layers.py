@@ -86,8 +86,8 @@ def write_dem(
     if any(tile.datum is None for tile in there):
         taken = "those of the other rasters" if datum is None else datum.name
         remarks.append(
-            f"{path.name}: {data.source} states no vertical datum; its heights are taken as {taken}, which may be wrong "
-            "by 1 m, or by 20 to 50 m if they are ellipsoidal"
+            f"{path.name}: {data.source} states no vertical datum; its heights are taken as {taken}, which may be "
+            "1 m off, or 20 to 50 m if they are ellipsoidal"
         )
     about = {"RESAMPLING": f"bilinear, standard error {made.error:.2f} m", "VERTICAL_DATUM": _named(datum)}
     _write(path, made.heights, grid, float("nan"), data, about, datum, "metre")
