@@ -30,11 +30,12 @@ cell. A file may state any size without containing its tiles."""
 
 
 @contextmanager
-def open_raster(path: Path | str) -> Iterator[Any]:
+def open_raster(path: Path | str, driver: str | None = None) -> Iterator[Any]:
     """Open a raster of any kind for reading: the only function that does so. Read its bands with `read_band`.
 
-    Any GDAL error in the block becomes a RasterError that names the file; so does a file without a band (netCDF and HDF
-    hold several rasters), and a mosaic of which a file is missing.
+    `driver`: the only format that is accepted, for files of unknown origin. Any GDAL error in the block becomes a
+    RasterError that names the file; so does a file without a band (netCDF and HDF hold several rasters), and a mosaic
+    of which a file is missing.
     """
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
@@ -42,7 +43,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
     _check_is_data(Path(path))
     try:
-        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+        with rasterio.Env(**_GDAL), rasterio.open(path, driver=driver) as source:
             _check_bands(source, path)
             if source.driver in _GRIDS_OF_TEXT:
                 _check_rows(source, path)

@@ -28,6 +28,7 @@ from ltm_lab.cli.main import cli as lab_cli
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
 from ltm_ros.cli.main import cli
+from ltm_ros.site_setup.sources import load_sources
 
 REPOSITORY = Path(__file__).parents[2]
 PAGES = sorted(
@@ -283,8 +284,8 @@ SITE_KEYS = set(Site.model_fields)
 
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
-def test_yaml_keys_exist(page: Path) -> None:
-    """YAML that is a pose file, a region, a site or a part of one: it has no key that the system does not know."""
+def test_yaml_keys_exist(page: Path, tmp_path: Path) -> None:
+    """YAML that is a pose file, a region, data sources, a site or a part of one has no unknown key."""
     for block in blocks(page, "yaml"):
         given = yaml.safe_load(block.text)
         if not isinstance(given, dict):
@@ -293,6 +294,9 @@ def test_yaml_keys_exist(page: Path) -> None:
             PictureConfig.model_validate(given)
         elif "towers" in given:
             RegionConfig.model_validate(given)
+        elif "sources" in given:
+            (tmp_path / "own.yaml").write_text(block.text, encoding="utf-8")
+            load_sources(tmp_path / "own.yaml")
         elif given.keys() <= SITE_KEYS:
             whole = {"name": "a", "crs": "EPSG:32611", "origin": [0, 0], "dem": {"path": "d.tif"}, "cameras": {"a": {}}}
             site = Site.model_validate(whole | given)

@@ -1,0 +1,200 @@
+"""What a site needs from a data source, and what the source delivered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.strict_model import StrictModel
+
+METRES_PER_DEGREE = 111_320.0
+"""Length of a degree of latitude (and of longitude at the equator)."""
+
+
+class Kind(StrEnum):
+    """The rasters of a site."""
+
+    ELEVATION = "elevation"
+    COARSE_ELEVATION = "coarse_elevation"
+    SURFACE = "surface"
+    FUEL = "fuel"
+
+
+@dataclass(frozen=True)
+class Area:
+    """A rectangle on the Earth.
+
+    Args:
+        bounds_lonlat: west, south, east and north, degrees.
+    """
+
+    bounds_lonlat: tuple[float, float, float, float]
+
+    def __post_init__(self) -> None:
+        west, south, east, north = self.bounds_lonlat
+        if not (-180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0):
+            raise ConfigError(
+                f"the area {self.bounds_lonlat} is not (west, south, east, north) in degrees; give longitudes in "
+                "[-180, 180] and latitudes in [-90, 90], and no area across the 180th meridian"
+            )
+
+    @classmethod
+    def around(cls, lon: float, lat: float, radius_m: float) -> Area:
+        """Return the rectangle that contains a circle."""
+        if not (math.isfinite(radius_m) and radius_m > 0.0):
+            raise ConfigError(f"the radius is {radius_m:g} m; give a length above 0")
+        up = radius_m / METRES_PER_DEGREE
+        side = up / max(math.cos(math.radians(min(abs(lat) + up, 89.0))), 1e-3)
+        return cls((lon - side, lat - up, lon + side, lat + up))
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Return the width and height, metres."""
+        west, south, east, north = self.bounds_lonlat
+        at_latitude = math.cos(math.radians((south + north) / 2))
+        return (east - west) * METRES_PER_DEGREE * at_latitude, (north - south) * METRES_PER_DEGREE
+
+    def padded(self, margin_m: float) -> Area:
+        """Return the area with a margin, cut at the poles and at the 180th meridian."""
+        west, south, east, north = self.bounds_lonlat
+        up = margin_m / METRES_PER_DEGREE
+        side = up / max(math.cos(math.radians((south + north) / 2)), 0.01)
+        return Area((max(west - side, -180.0), max(south - up, -90.0), min(east + side, 180.0), min(north + up, 90.0)))
+
+    def __str__(self) -> str:
+        west, south, east, north = self.bounds_lonlat
+        return f"{west:.3f} to {east:.3f} longitude, {south:.3f} to {north:.3f} latitude"
+
+
+class FetchError(LtmError):
+    """Data of a service cannot be had."""
+
+
+class NoCoverageError(FetchError):
+    """A source has no data in an area."""
+
+
+Bounds = tuple[float, float, float, float]
+Progress = Callable[[int, int], None]
+"""Receives the bytes fetched so far and the bytes expected."""
+
+
+def no_progress(done: int, total: int) -> None:
+    """Ignore the progress."""
+
+
+def shifted(progress: Progress, done: int, total: int) -> Progress:
+    """Return the progress of one part, as that of a plan of `total` bytes of which `done` are fetched already."""
+    return lambda read, _: progress(done + read, total)
+
+
+class SourceConfig(StrictModel):
+    """An entry of `config/sources.yaml`."""
+
+    kinds: tuple[Kind, ...] = Field(min_length=1)
+    """The source can deliver these rasters."""
+    protocol: Literal["tiles", "tnm", "stac", "url", "opentopography", "landfire", "wcs"]
+    """The service answers requests of this form."""
+    address: str = Field(pattern=r"^https?://")
+    """The URL of the service, or the template of its tiles: {north}, {south}, {west} (n35, w119; {NORTH}: N35) and
+    {quadkey} are filled in for tiles, {layer} and {year} for coverages."""
+    licence: str
+    """The licence is named in the provenance of each raster."""
+    resolution_m: float = Field(gt=0)
+    """The cell size is given in metres."""
+    vertical_crs: str | None = None
+    """The heights refer to this CRS, such as EPSG:5703 (NAVD88); none: unknown, or not heights."""
+    year: int | None = None
+    """The data show the land of this year."""
+    coverage: tuple[Bounds, ...] = ((-180.0, -90.0, 180.0, 90.0),)
+    """The data lie within these boxes of west, south, east and north, degrees."""
+    above_ground: bool = False
+    """The values are heights of the canopy above the ground, metres."""
+    nodata: float | None = None
+    """This value marks unknown cells if the files do not declare one."""
+    tile_degrees: float = 1.0
+    """The tiles of a template have this side, degrees."""
+    quadkey_zoom: int = 0
+    """The tiles of a template are those of web maps at this zoom; 0: tiles of degrees."""
+    collection: str = ""
+    """The data set is named so at the service (tnm, stac)."""
+    asset: str = "data"
+    """The asset of a STAC item is read."""
+    layers: tuple[str, ...] = ()
+    """These layers are fetched (landfire, wcs)."""
+    key: str = ""
+    """This environment variable holds the key, or the e-mail address, that the service requires."""
+    key_from: str = ""
+    """The key is issued here."""
+    most_km2: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
+    """The service delivers at most this area, square kilometres."""
+    sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
+    """The file has this checksum (url); it is then downloaded whole."""
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A file on a server."""
+
+    url: str
+    size: int
+    version: str
+    """ETag or modification time; empty if the server states neither."""
+    ranges: bool
+    """Whether the server delivers parts of the file."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file, or one window of a file, that a plan reads."""
+
+    url: str
+    name: str
+    """File name of the result, without a folder."""
+    expected_bytes: int
+    remote: Remote | None = None
+    """The file on the server, if it exists before the request."""
+    window: tuple[int, int, int, int] | None = None
+    """First column, first row, columns and rows; none: the whole file."""
+    tile: str = ""
+    """Parts of one tile show the same ground; a later one is fetched only where the former ones have holes."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a source will fetch for an area."""
+
+    area: Area
+    parts: tuple[Part, ...]
+    notes: tuple[str, ...] = ()
+    """What the user should know before, such as other sources that were passed over."""
+    year: int | None = None
+
+    @property
+    def expected_bytes(self) -> int:
+        """Return the bytes that are fetched at most."""
+        return sum(part.expected_bytes for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """Rasters as a source delivered them: several files are tiles that join or overlap, in any CRS."""
+
+    files: tuple[Path, ...]
+    source: str
+    licence: str
+    vertical_crs: str | None
+    """CRS of the heights, such as EPSG:5703 (NAVD88), EPSG:3855 (EGM2008) or EPSG:4979 (ellipsoidal)."""
+    resolution_m: float
+    year: int | None
+    urls: tuple[str, ...]
+    bytes_read: int
+    above_ground: bool = False
+    """Whether the values are canopy heights above the ground and not elevations."""

@@ -1,0 +1,410 @@
+"""Services that prepare files on request, and the situations in which they cannot, against services on loopback."""
+
+from __future__ import annotations
+
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.resources import project_path
+from ltm_core.fuel.fuel_bands_io import open_bands
+from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError
+from ltm_ros.site_setup.services import CoverageGrid, LandfireSource
+from ltm_ros.site_setup.source import Source
+from ltm_ros.site_setup.sources import choose, load_sources
+from ltm_ros.site_setup.web import Web
+
+HERE = Area.around(-118.47, 34.09, 3000.0)
+PLAIN_FILE = b"A file of no service. " * 40_000
+
+
+@pytest.fixture(autouse=True)
+def _no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LandfireSource, "poll_s", 0.01)
+    for name in ("OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def services() -> Iterator[SiteServices]:
+    with SiteServices() as services:
+        yield services
+
+
+def sources(services: SiteServices, folder: Path, timeout_s: float = 5.0, **further: dict[str, object]) -> list[Source]:
+    return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
+
+
+def fetched_codes(paths: tuple[Path, ...]) -> None:
+    """Check that the codes lie where the service has them."""
+    values, about = opened(next(path for path in paths if "FBFM40" in path.name))
+    west, south, east, north = about.bounds
+    assert [bound % 30 for bound in (west, south, east, north)] == [15.0] * 4
+    x, y = grid(west, north, 30.0, about.width, about.height)
+    np.testing.assert_array_equal(values, 101 + (np.round(x / 30.0) + np.round(y / 30.0)) % 9)
+
+
+def test_open_topography_delivers_heights_with_the_datum_of_the_record(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", KEY)
+    source = choose(Kind.COARSE_ELEVATION, HERE, "opentopography_cop30", sources(services, tmp_path))
+    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    values, about = opened(fetched.files[0])
+    np.testing.assert_allclose(values, services.heights(*grid(*about.transform @ (0, 0), 1 / 3600, *about.shape[::-1])))
+    west, south, east, north = HERE.bounds_lonlat
+    assert about.bounds.left < west < east < about.bounds.right
+    assert about.bounds.bottom < south < north < about.bounds.top
+    assert (fetched.vertical_crs, fetched.year) == ("EPSG:3855", 2015)
+    assert KEY not in str(fetched)
+    assert KEY not in str(source.plan(HERE))
+
+
+def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
+    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    assert (source.name, fetched.year) == ("landfire", 2024)
+    fetched_codes(fetched.files)
+    quantities = [open_bands(path)[0].quantity for path in fetched.files]
+    assert quantities == ["fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density"]
+    outside = [path for path in tmp_path.rglob("j*.tif") if path.parent != tmp_path / "out"]
+    assert not outside
+
+
+@pytest.mark.parametrize(
+    ("known", "year"),
+    [({2022: 1.0, 2024: 0.0, 2023: 1.0}, 2023), ({2023: 1.0, 2024: 0.5}, 2023), ({2023: 0.4, 2024: 0.5}, 2024)],
+)
+def test_the_newest_edition_that_is_complete_for_the_area_is_used(
+    known: dict[int, float], year: int, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
+    services.fuel_years = known
+    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
+
+
+def test_an_interrupted_job_is_continued_and_not_submitted_again(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
+    services.job_states = ["Pending"]
+    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    with monkeypatch.context() as soon:
+        soon.setattr("ltm_ros.site_setup.services._JOB_S", 0.1)
+        with pytest.raises(FetchError, match="not finished"):
+            source.fetch(source.plan(HERE), tmp_path / "out")
+    services.job_states = ["Succeeded"]
+    fetched_codes(source.fetch(source.plan(HERE), tmp_path / "out").files)
+    assert services.count("/job/submit") == 1
+
+
+def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteServices, tmp_path: Path) -> None:
+    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    plan = source.plan(HERE)
+    fetched = source.fetch(plan, tmp_path / "out")
+    assert source.name == "landfire_wcs"
+    assert "LANDFIRE_EMAIL" in plan.notes[0]
+    assert [path.name for path in fetched.files] == [f"LF2024_{layer}_CONUS.tif" for layer in LAYERS]
+    fetched_codes(fetched.files)
+
+
+def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, tmp_path: Path) -> None:
+    heights = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
+    services.files["/cog/mine.tif"] = heights
+    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
+            "resolution_m": 400}  # fmt: skip
+    listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
+    assert listed[0].name == "mine"
+    assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
+    source = choose(Kind.ELEVATION, HERE, sources=listed)
+    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
+    with rasterio.open(fetched.files[0]) as raster:
+        assert raster.tags()["SOURCE"] == "mine"
+
+
+Situation = Callable[[SiteServices, pytest.MonkeyPatch], dict[str, object]]
+
+
+def keyed(monkeypatch: pytest.MonkeyPatch, key: str = KEY) -> None:
+    monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", key)
+    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
+
+
+def wrong_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch, "wrong")
+    return {}
+
+
+def missing_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    return {}
+
+
+def quota(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.statuses["/ot/"], services.retry_after = [429] * 99, "0"
+    return {}
+
+
+def down(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.statuses["/"] = [503] * 99
+    return {}
+
+
+def unreachable(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    return {name: {"address": "http://127.0.0.1:9/x"} for name in ("opentopography_cop30", "landfire")}
+
+
+def truncated(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.cut["/ot/"] = services.cut["/lfps/result"] = 99
+    return {}
+
+
+def silent(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.stall_s = 1.0
+    return {}
+
+
+def full_disk(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    monkeypatch.setattr("ltm_ros.site_setup.web.free_bytes", lambda path: 1000)
+    return {}
+
+
+def failed_job(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.job_states = ["Executing", "Failed"]
+    return {}
+
+
+def no_region(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    keyed(monkeypatch)
+    services.fuel_years = {}
+    services.statuses["/ot/"] = [204] * 9
+    return {}
+
+
+@pytest.mark.parametrize(
+    ("situation", "topography", "fuel"),
+    [
+        (wrong_key, "key", ""),
+        (missing_key, "OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"),
+        (quota, "429", ""),
+        (down, "503", "503"),
+        (unreachable, "127.0.0.1", "127.0.0.1"),
+        (truncated, "127.0.0.1", "127.0.0.1"),
+        (silent, "127.0.0.1", "127.0.0.1"),
+        (full_disk, "MB", "MB"),
+        (failed_job, "", "ERROR 001"),
+        (no_region, "204", "FBFM40"),
+    ],
+)
+def test_a_situation_is_a_clear_error_and_leaves_no_file(
+    situation: Situation, topography: str, fuel: str, services: SiteServices, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    further = situation(services, monkeypatch)
+    listed = sources(services, tmp_path, 0.2 if situation is silent else 5.0, **further)
+    cases = [(Kind.ELEVATION, "opentopography_cop30", topography), (Kind.FUEL, "landfire", fuel)]
+    for kind, name, said in cases:
+        if said:
+            with pytest.raises(LtmError, match=said) as error:
+                fetch_from(kind, name, listed, tmp_path / "out")
+            assert KEY not in str(error.value)
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".zip") or path.parent.name == "out"]
+
+
+def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> None:
+    source = choose(kind, HERE, name, listed)
+    source.fetch(source.plan(HERE), folder)
+
+
+@pytest.mark.parametrize(
+    ("area", "names"),
+    [
+        (Area.around(-30.0, 20.0, 8000.0), "copernicus_glo30"),  # ocean
+        (Area.around(-118.47, 34.09, 1_000_000.0), "million|km2"),  # huge
+        (Area.around(-118.47, 34.09, 8000.0), "copernicus_glo30"),  # no tile on the server
+    ],
+)
+def test_an_area_without_a_source_names_the_reason_of_each(
+    area: Area, names: str, services: SiteServices, tmp_path: Path
+) -> None:
+    with pytest.raises(NoCoverageError, match=names) as error:
+        choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    elevation = [source for source in load_sources() if Kind.ELEVATION in source.kinds]
+    assert all(source.name in str(error.value) for source in elevation)
+
+
+def test_too_large_an_area_gives_the_message_of_the_service(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keyed(monkeypatch)
+    area = Area((-119.0, 30.0, -114.0, 35.0))
+    listed = sources(services, tmp_path, opentopography_cop30={"resolution_m": 90.0})
+    source = choose(Kind.COARSE_ELEVATION, area, "opentopography_cop30", listed)
+    with pytest.raises(FetchError, match="450,000 km2"):
+        source.fetch(source.plan(area), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("place", "elevation", "fuel"),
+    [
+        ((-118.47, 34.09), "usgs_3dep_10m", {"landfire": 2024}),
+        ((-147.7, 64.8), "usgs_3dep_10m", {"landfire": 2022}),  # Alaska: not in the newest edition
+        ((-155.6, 19.6), "usgs_3dep_10m_hawaii", {}),
+        ((7.0, 44.0), "copernicus_glo30", {}),
+        ((148.3, -36.5), "copernicus_glo30", {}),
+    ],
+)
+def test_place_decides_the_source(
+    place: tuple[float, float], elevation: str, fuel: dict[str, int], services: SiteServices, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    keyed(monkeypatch)
+    services.fuel_years = {2022: 1.0, 2024: 1.0}
+    area, (lon, lat) = Area.around(*place, 3000.0), place
+    west, south = int(np.floor(lon)), int(np.floor(lat))
+    tile = geotiff(np.ones((360, 360), np.float32), "EPSG:4326", west, south + 1, 1 / 360)
+    east_west, north_south = "we"[west >= 0], "sn"[south >= 0]
+    if lon < -100:
+        services.files[f"/cog/USGS_13_n{south + 1:02d}w{-west:03d}.tif"] = tile
+    else:
+        corner = f"{north_south}{abs(south):02d}_00_{east_west}{abs(west):03d}".upper()
+        services.files[f"/cog/GLO30_{corner}.tif"] = tile
+    listed = sources(services, tmp_path)
+    assert choose(Kind.ELEVATION, area, sources=listed).name == elevation
+    if fuel:
+        source = choose(Kind.FUEL, area, sources=listed)
+        assert {source.name: source.plan(area).year} == fuel
+    else:
+        with pytest.raises(NoCoverageError):
+            choose(Kind.FUEL, area, sources=listed)
+
+
+def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(
+        np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
+    )
+    services.statuses["/tnm/"] = [502] * 99
+    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path))
+    assert source.name == "usgs_3dep_10m"
+    assert "502" in source.plan(HERE).notes[0]
+
+
+def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
+    services.fuel_years = {2016: 1.0}
+    source = choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
+    assert "2016" in source.plan(HERE).notes[0]
+
+
+def test_requests_go_through_the_proxy_of_the_environment(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HTTP_PROXY", services.url)
+    services.files["/f"] = PLAIN_FILE
+    assert Web(tmp_path / "cache").get("http://elevation.invalid/f") == PLAIN_FILE
+
+
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:1080", "nonsense://127.0.0.1:1"])
+def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ALL_PROXY", proxy)
+    with pytest.raises(FetchError, match="PROXY"):
+        Web()
+
+
+@pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
+def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
+    with pytest.raises(LtmError):
+        choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address}))
+
+
+@pytest.mark.parametrize(
+    ("labels", "low", "high", "first", "steps"),
+    [
+        ("Long Lat", "-10 40", "0 50", "-9.9 49.9", ("0.2 0", "0 -0.2")),
+        ("Lat Long", "40 -10", "50 0", "49.9 -9.9", ("0 0.2", "-0.2 0")),
+    ],
+)
+def test_a_coverage_is_cut_at_the_edges_of_its_cells(
+    labels: str, low: str, high: str, first: str, steps: tuple[str, str]
+) -> None:
+    xml = f"""<c:d xmlns:g="gml"><g:Envelope axisLabels="{labels}" srsName="urn:ogc:def:crs:EPSG::4326">
+      <g:lowerCorner>{low}</g:lowerCorner><g:upperCorner>{high}</g:upperCorner></g:Envelope><g:pos>{first}</g:pos>
+      <g:offsetVector>{steps[0]}</g:offsetVector><g:offsetVector>{steps[1]}</g:offsetVector></c:d>"""
+    grid = CoverageGrid(xml, "here")
+    assert grid.labels == ("Long", "Lat")
+    bounds, cells = grid.cut(Area((-5.05, 44.95, -4.35, 45.25)), "here")
+    assert bounds == pytest.approx((-5.6, 44.4, -3.8, 45.8))
+    assert cells == 9 * 7
+
+
+def test_the_page_lists_the_sources() -> None:
+    page = project_path("docs/site.md").read_text(encoding="utf-8")
+    listed = load_sources()
+    assert {kind for source in listed for kind in source.kinds} == set(Kind)
+    assert not [source.name for source in listed if f"`{source.name}`" not in page]
+
+
+def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
+    listed = sources(services, tmp_path)
+    with pytest.raises(ConfigError, match="usgs_3dep_1m"):
+        choose(Kind.ELEVATION, HERE, "usgs", listed)
+    with pytest.raises(ConfigError, match="adress"):
+        sources(services, tmp_path, copernicus_glo30={"adress": "x"})
+    (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
+    with pytest.raises(ConfigError):
+        load_sources(tmp_path / "bad.yaml")
+
+
+def test_a_download_continues_where_it_broke_off(services: SiteServices, tmp_path: Path) -> None:
+    services.files["/f"] = PLAIN_FILE
+    web = Web(tmp_path / "cache", 0.01, 3.0)
+    remote = web.remote(f"{services.url}/f")
+    services.cut["/f"] = 2
+    services.bytes_sent = 0
+    path = web.download(f"{services.url}/f", remote=remote)
+    assert path.read_bytes() == PLAIN_FILE
+    assert services.bytes_sent == len(PLAIN_FILE)
+    assert web.download(f"{services.url}/f", remote=remote) == path
+    assert services.bytes_sent == len(PLAIN_FILE)
+
+
+def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_path: Path) -> None:
+    services.files["/cog/mine.tif"] = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
+    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
+            "resolution_m": 400, "sha256": "0" * 64}  # fmt: skip
+    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path, mine=mine))
+    with pytest.raises(FetchError, match="0000"):
+        source.fetch(source.plan(HERE), tmp_path / "out")
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]
+
+
+def test_a_disk_that_fills_up_while_it_is_written_is_a_clear_error(services: SiteServices, tmp_path: Path) -> None:
+    services.files["/f"] = PLAIN_FILE
+    web = Web(tmp_path / "cache", 0.01, 3.0)
+    limits, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(FetchError, match="cache"):
+            web.download(f"{services.url}/f")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
