@@ -214,9 +214,7 @@ def _turn(elevation: Float32Array) -> None:
         elevation[row], elevation[-1 - row] = elevation[-1 - row], north
 
 
-def _crs_of(
-    stated: object, given: str | None, path: Path | str, ellipsoidal: bool = False
-) -> tuple[CRS, float | None]:
+def _crs_of(stated: object, given: str | None, path: Path | str, ellipsoidal: bool = False) -> tuple[CRS, float | None]:
     """Return the horizontal CRS, which is compared with a site's, and the unit of stated heights in metres."""
     try:
         named = None if given is None else read_crs(given)

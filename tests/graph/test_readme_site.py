@@ -37,7 +37,7 @@ WEST, NORTH = -118.70, 34.24
 
 def readme_lines() -> list[list[str]]:
     """The words of each line of the block with `ltm init`."""
-    (block,) = [b for b in README.read_text(encoding="utf-8").split("```") if "ltm init" in b]
+    (block,) = [b for b in README.read_text(encoding="utf-8").replace("\\\n", " ").split("```") if "ltm init" in b]
     return [shlex.split(line, comments=True) for line in block.splitlines()[1:] if line.strip()]
 
 
