@@ -19,7 +19,7 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_ros.cli import main
 
 COMMANDS = (
-    "demo", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
+    "demo", "init", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
     "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed",
     "fire", "mask", "label", "cameras", "region", "certs", "reprocess",
 )  # fmt: skip
