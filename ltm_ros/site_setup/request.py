@@ -15,7 +15,9 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import StrictModel
 
 METRES_PER_DEGREE = 111_320.0
-"""Length of a degree of latitude (and of longitude at the equator)."""
+"""Length of a degree of longitude at the equator, and of latitude within 0.7 %."""
+_SHORTEST_DEGREE_M = 110_574.0
+"""Length of a degree of latitude at the equator, where it is shortest."""
 
 
 class Kind(StrEnum):
@@ -50,8 +52,8 @@ class Area:
         """Return the rectangle that contains a circle."""
         if not (math.isfinite(radius_m) and radius_m > 0.0):
             raise ConfigError(f"the radius is {radius_m:g} m; give a length above 0")
-        up = radius_m / METRES_PER_DEGREE
-        side = up / max(math.cos(math.radians(min(abs(lat) + up, 89.0))), 1e-3)
+        up = radius_m / _SHORTEST_DEGREE_M
+        side = up / math.cos(math.radians(min(abs(lat) + up, 89.0)))
         return cls((lon - side, lat - up, lon + side, lat + up))
 
     @property

@@ -27,7 +27,6 @@ from ltm_ros.site_setup.request import (
     Part,
     Plan,
     Progress,
-    no_progress,
     shifted,
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
@@ -51,13 +50,12 @@ _LATITUDE_OF_ALASKA, _LONGITUDE_OF_HAWAII = 51.0, -150.0
 class WholeFileSource(Source):
     """A source whose parts are whole files that the service makes for the area."""
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch the files of a plan into `folder`. Raises NoCoverageError, FetchError."""
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         before, files, used, done = self.web.bytes_read, [], [], 0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
             within = shifted(progress, done, plan.expected_bytes)
-            path = self.web.download(part.url, self._secret(part), most=2 * part.expected_bytes, progress=within)
+            path = self.web.download(part.url, self._secret(part), most=4 * part.expected_bytes, progress=within)
             if self._known_cells(path, part):
                 files.append(put_into(folder, path, part.name))
                 used.append(part)
@@ -119,7 +117,7 @@ class CoverageSource(WholeFileSource):
         subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
         query = "&".join(f"{key}={value}" for key, value in _wcs("GetCoverage", coverageId=coverage).items())
         url = f"{base}{'&' if '?' in base else '?'}{query}{subsets}&format=image/tiff"
-        return Part(url, f"{coverage.rpartition('__')[2]}.tif", 4 * cells + 4096)
+        return Part(url, f"{coverage.rpartition('__')[2]}.tif", 2 * cells + 4096)
 
 
 def _wcs(request: str, **parameters: str) -> dict[str, str]:
@@ -203,7 +201,7 @@ class LandfireSource(WholeFileSource):
         order = self.config.layers
         return {y: [ls[a] for a in order if a in ls] for y, ls in found.items() if len(ls) == most}
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
         An edition is published region by region. Raises NoCoverageError, FetchError.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -57,6 +57,8 @@ class Source:
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
         self.passed_over: tuple[str, ...] = ()
         """Preferred sources that were not used, each with its reason."""
+        self.next_source: Callable[[], Source] | None = None
+        """Chooses the next source, if this one was not asked for by its name."""
         self._plans: dict[Area, Plan] = {}
 
     def covers(self, area: Area) -> str:
@@ -65,12 +67,14 @@ class Source:
         Raises FetchError if the service fails.
         """
         width, height = area.size_m
-        cells, km2 = width * height / self.resolution_m**2, width * height / 1e6
         west, south, east, north = area.bounds_lonlat
+        # The cells of web maps shrink towards the poles.
+        cell = self.resolution_m * (math.cos(math.radians((south + north) / 2)) if self.config.quadkey_zoom else 1.0)
+        cells, km2 = width * height / cell**2, width * height / 1e6
         if not any(w <= west and s <= south and east <= e and north <= n for w, s, e, n in self.config.coverage):
             return "the area is not within its coverage"
         if cells > MOST_CELLS:
-            return f"{cells / 1e6:.0f} million cells of {self.resolution_m:g} m, at most {MOST_CELLS / 1e6:.0f} million"
+            return f"{cells / 1e6:.0f} million cells of {cell:.3g} m, at most {MOST_CELLS / 1e6:.0f} million"
         if km2 > self.config.most_km2:
             return f"the area has {km2:.0f} km2, at most {self.config.most_km2:.0f} are delivered"
         if self.config.key and not self.key:
@@ -98,7 +102,20 @@ class Source:
         return replace(plan, notes=tuple(notes))
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch a plan into `folder`; files appear there whole or not at all. Raises NoCoverageError, FetchError."""
+        """Fetch a plan into `folder`; files appear there whole or not at all.
+
+        If every cell turns out to be unknown, as beyond a border, the data come from the next source (`Fetched` names
+        it). Raises NoCoverageError, FetchError.
+        """
+        try:
+            return self._fetch(plan, folder, progress)
+        except NoCoverageError:
+            if self.next_source is None:
+                raise
+            other = self.next_source()
+            return other.fetch(other.plan(plan.area), folder, progress)
+
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         before = self.web.bytes_read
         self.web.make_cache()
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
@@ -234,10 +251,9 @@ class UrlSource(Source):
         part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch the window, or the whole file if it has a checksum."""
+    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         if not self.config.sha256:
-            return super().fetch(plan, folder, progress)
+            return super()._fetch(plan, folder, progress)
         (part,), before = plan.parts, self.web.bytes_read
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part], before)

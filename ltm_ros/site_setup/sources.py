@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 from pathlib import Path
 
 from pydantic import Field
@@ -72,8 +73,12 @@ def choose(kind: Kind, area: Area, wanted: str | None = None, sources: Sequence[
         if reason:
             raise NoCoverageError(f"{wanted} cannot be used: {reason}")
         return named[0]
-    reasons: list[str] = []
-    for source in candidates:
+    return _first(kind, area, candidates, [])
+
+
+def _first(kind: Kind, area: Area, candidates: Sequence[Source], reasons: list[str]) -> Source:
+    """Return the first source that covers an area; `reasons` why others were passed over before."""
+    for number, source in enumerate(candidates, start=1):
         try:
             reason = source.covers(area)
         except FetchError as error:
@@ -81,7 +86,9 @@ def choose(kind: Kind, area: Area, wanted: str | None = None, sources: Sequence[
         if not reason:
             chosen = copy(source)  # the same source may serve another kind, with other reasons
             chosen.passed_over = tuple(reasons)
+            empty = [*reasons, f"{source.name} is not used: every cell of the area is unknown"]
+            chosen.next_source = partial(_first, kind, area, candidates[number:], empty)
             return chosen
-        reasons.append(f"{source.name} is not used: {reason}")
+        reasons = [*reasons, f"{source.name} is not used: {reason}"]
     listed = "".join(f"\n  {reason}" for reason in reasons)
     raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")

@@ -85,21 +85,24 @@ def test_windows_of_neighbouring_tiles_join_without_seam_and_shift(
 
 
 def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServices, tmp_path: Path) -> None:
-    """Elevation of 1 m, coarse elevation and fuels of a site, at a tenth of the cells and with blocks in proportion."""
+    """Elevation, coarse elevation to 40 km and fuels of Getty, 8 km; tiles and blocks (512 and 1024 cells) as those of
+    the real files, with a quarter of the cells per side."""
     rng = np.random.default_rng(3)
-    fine = rng.integers(0, 1 << 20, (2400, 2200)).astype(np.float32)
-    services.add_product("x34y384.tif", geotiff(fine, "EPSG:26911", 398_000.0, 3_845_000.0, 10.0, block=64), "2021")
-    for file in TILES["copernicus_glo30"][0]:
-        noise = rng.integers(0, 1 << 20, (1200, 1200)).astype(np.float32)
-        west = -int(file[-3:])
-        services.files[f"/cog/{file}.tif"] = geotiff(noise, "EPSG:4326", west, 35.0, 1 / 1200, block=336)
-    listed = sources(services, tmp_path, usgs_3dep_1m={"resolution_m": 10.0}, copernicus_glo30={"resolution_m": 92.0})
+    step = 4 / 10_800
+    fine = rng.integers(0, 1 << 20, (2704, 2704)).astype(np.float32)
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(
+        fine, "EPSG:4269", -119 - 2 * step, 35 + 2 * step, step, block=128
+    )
+    for south in (33, 34):
+        noise = rng.integers(0, 1 << 20, (900, 900)).astype(np.float32)
+        services.files[f"/cog/GLO30_N{south}_00_W119.tif"] = geotiff(
+            noise, "EPSG:4326", -119 - 0.5 / 900, south + 1 + 0.5 / 900, 1 / 900, block=256
+        )
+    near, wide = (Area.around(-118.47, 34.09, radius) for radius in (8000.0, 40_000.0))
+    quarter = {"usgs_3dep_10m": {"resolution_m": 41.2}, "copernicus_glo30": {"resolution_m": 123.6}}
+    listed = sources(services, tmp_path, **quarter)
     used = expected = 0.0
-    for kind, area in (
-        (Kind.ELEVATION, AREA),
-        (Kind.COARSE_ELEVATION, Area.around(-118.0, 34.5, 30_000.0)),
-        (Kind.FUEL, AREA),
-    ):
+    for kind, area in ((Kind.ELEVATION, near), (Kind.COARSE_ELEVATION, wide), (Kind.FUEL, near)):
         source = choose(kind, area, sources=listed)
         plan = source.plan(area)
         expected += plan.expected_bytes
@@ -255,6 +258,23 @@ def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteService
     with pytest.raises(NoCoverageError):
         source.fetch(source.plan(AREA), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    unknown = np.full((360, 360), -9999.0, np.float32)
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
+    area = Area.around(-118.5, 34.5, 8000.0)
+    listed = sources(services, tmp_path)
+    source = choose(Kind.ELEVATION, area, sources=listed)
+    with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
+        source.fetch(source.plan(area), tmp_path / "out")
+    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
+    source = choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    fetched = source.fetch(source.plan(area), tmp_path / "out")
+    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
+    assert fetched.vertical_crs == "EPSG:3855"
 
 
 @pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
