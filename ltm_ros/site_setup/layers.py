@@ -16,7 +16,7 @@ from ltm_core.fuel.fuel_bands_io import quantity_of
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.geometry.geodesy import name_of, read_crs
+from ltm_core.geometry.geodesy import name_of, read_crs, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Bounds, Dem
 from ltm_core.raster.heights_check import doubt_of_surface
@@ -89,9 +89,11 @@ def write_dem(
             f"{path.name}: {data.source} states no vertical datum; its heights are taken as {taken}, which may be "
             "1 m off, or 20 to 50 m if they are ellipsoidal"
         )
-    about = {"RESAMPLING": f"bilinear, standard error {made.error:.2f} m", "VERTICAL_DATUM": _named(datum)}
+    kept = len(there) == 1 and same_crs(there[0].crs, crs) and math.isclose(there[0].dx, size)
+    how = "cells of the source" if kept else f"bilinear, standard error {made.error:.2f} m"
+    about = {"RESAMPLING": how, "VERTICAL_DATUM": _named(datum)}
     _write(path, made.heights, grid, float("nan"), data, about, datum, "metre")
-    return Layer(path, f"{_described(data, size)}, resampling error {made.error:.2f} m", grid, tuple(remarks))
+    return Layer(path, f"{_described(data, size)}, {how}", grid, tuple(remarks))
 
 
 def _within(bounds: Bounds, tiles: Sequence[Tile], crs: str) -> Bounds:
