@@ -37,7 +37,7 @@ _ROWS = 256
 
 
 @dataclass(frozen=True)
-class _Heights:
+class StoredHeights:
     """The band of an open raster that has its elevations."""
 
     source: Any
@@ -49,9 +49,10 @@ class _Heights:
     doubts: list[HeightsDoubt]
 
     @classmethod
-    def of(cls, source: Any, path: Path | str, given: str | None) -> _Heights:
-        """Raises RasterError if the file has no heights in a known unit above sea level, or no CRS."""
-        crs, vertical = _crs_of(source.crs, given, path)
+    def of(cls, source: Any, path: Path | str, given: str | None, ellipsoidal: bool = False) -> StoredHeights:
+        """`ellipsoidal`: whether heights above the ellipsoid are allowed. Raises RasterError if the file has no heights
+        in a known unit above sea level, or no CRS."""
+        crs, vertical = _crs_of(source.crs, given, path, ellipsoidal)
         band, doubts = elevation_band(source, path)
         return cls(source, path, band, unit_of(source, band, vertical, path), crs, doubts)
 
@@ -100,7 +101,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
     """Read the elevations of a raster, (H, W) float32 metres, north up, NaN where unknown, their geometry, and what may
     be wrong; see `Dem.open`. The prepared heights of a large raster are mapped (see `prepared_heights_io`)."""
     with open_raster(path) as source:
-        heights = _Heights.of(source, path, crs)
+        heights = StoredHeights.of(source, path, crs)
         problem = map_problem(heights.crs)
         if problem is not None:
             raise RasterError(f"{path}: {problem}")
@@ -126,7 +127,7 @@ def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
     """
     with open_raster(path) as source:
         check_size(source, path, source.height, source.width)
-        return write_heights(path, source, _Heights.of(source, path, crs).fill)
+        return write_heights(path, source, StoredHeights.of(source, path, crs).fill)
 
 
 def read_around(
@@ -143,7 +144,7 @@ def read_around(
     from rasterio.windows import Window
 
     with open_raster(path) as source:
-        heights = _Heights.of(source, path, crs)
+        heights = StoredHeights.of(source, path, crs)
         t, there = source.transform, read_crs(target)
         upright = not (t.b or t.d) and t.a > 0 and t.e < 0
         if same_crs(heights.crs, there) and upright and np.isclose(t.a, -t.e, rtol=1e-6):
@@ -213,7 +214,7 @@ def _turn(elevation: Float32Array) -> None:
         elevation[row], elevation[-1 - row] = elevation[-1 - row], north
 
 
-def _crs_of(stated: object, given: str | None, path: Path | str) -> tuple[CRS, float | None]:
+def _crs_of(stated: object, given: str | None, path: Path | str, ellipsoidal: bool = False) -> tuple[CRS, float | None]:
     """Return the horizontal CRS, which is compared with a site's, and the unit of stated heights in metres."""
     try:
         named = None if given is None else read_crs(given)
@@ -225,7 +226,7 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> tuple[CRS, f
     if named is not None and not same_crs(named, crs):
         raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
     problem = ellipsoidal_problem(crs) or (named is not None and ellipsoidal_problem(named))
-    if problem:
+    if problem and not ellipsoidal:
         raise RasterError(f"{path}: {problem}")
     vertical = crs.axis_info[2:]
     if vertical and vertical[0].direction == "down":

@@ -14,7 +14,8 @@ from ltm_ros.cli.output import writable_folder
 def simulate(
     scenario: Annotated[
         str, typer.Argument(help="Scenario YAML, or a kind: tower, pose, training, felled, conversion, change.")
-    ],
+    ] = "",
+    *,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the frames; created if missing.", callback=writable_folder)
     ],
@@ -28,9 +29,17 @@ def simulate(
         Path | None, typer.Option(help="Also write the walk as a phone stores it: photos, sensors, true poses.")
     ] = None,
     site_only: Annotated[bool, typer.Option("--site-only", help="Write only the rasters.")] = False,
+    site_file: Annotated[
+        Path | None, typer.Option("--site", help="Site file: render the views of its cameras instead of a scenario.")
+    ] = None,
+    photos: Annotated[
+        Path | None, typer.Option(help="With --site: photos to pair with renderings, by names of cameras.")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, help="With --site: light paths a pixel.")] = 24,
 ) -> None:
     """Render a scenario: images with truth (ranges, labels), frames.json, the DEM that the system is given, and the
-    true rasters of each date with the changes between dates."""
+    true rasters of each date with the changes between dates. Or what the cameras of a real site see over its own DEM
+    and fuel map, for `ltm-lab eval sim2real OUT/real OUT/simulated`."""
     from rich.progress import MofNCompleteColumn, Progress, TaskID
 
     from ltm_core.base.errors import ConfigError
@@ -50,6 +59,11 @@ def simulate(
     from ltm_lab.simulator.scenario_draw import KINDS, draw_scenario
     from ltm_msgs_py.bag.writer import BagWriter
 
+    if site_file is not None:
+        _render_site(site_file, out, photos, samples)
+        return
+    if not scenario:
+        raise ConfigError("give a scenario, or a site with --site")
     if seed is not None:
         config = draw_scenario(scenario, seed)
         write_scenario(out, config)
@@ -104,3 +118,32 @@ def simulate(
         for name, place in bags.items():
             task = progress.add_task(f"{config.name}: recording {place}", total=None)
             write_simulated_bag(out, place, config.name, progress=partial(show, task), date=name)
+
+
+def _render_site(site_file: Path, out: Path, photos: Path | None, samples: int) -> None:
+    """Write OUT/simulated/NAME.png for each camera, or for each photo beside a copy in OUT/real."""
+    import shutil
+
+    from PIL import Image
+    from rich.progress import track
+
+    from ltm_core.site.site_io import load_site
+    from ltm_lab.simulator.real_site import photos_of, scenario_of, shot_of, simulated_site, views_of
+    from ltm_lab.simulator.run import render_shots
+
+    site = load_site(site_file)
+    dem = site.open_dem()
+    views = views_of(site, dem)
+    paired = None if photos is None else photos_of(photos, [view.name for view in views])
+    scenario = scenario_of(site, samples)
+    (out / "simulated").mkdir(parents=True, exist_ok=True)
+    for view in track([v for v in views if paired is None or paired[v.name]], "rendering"):
+        ground = simulated_site(site, dem, view.pose.position)
+        (frame,) = render_shots(scenario, ground, [shot_of(view, dem)])
+        image = Image.fromarray(frame.image)
+        for number, photo in enumerate([None] if paired is None else paired[view.name]):
+            name = view.name if photo is None else f"{view.name}_{number:04d}"
+            image.save(out / "simulated" / f"{name}.png")
+            if photo is not None:
+                (out / "real").mkdir(exist_ok=True)
+                shutil.copyfile(photo, out / "real" / f"{name}{photo.suffix.lower()}")

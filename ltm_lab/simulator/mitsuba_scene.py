@@ -161,8 +161,13 @@ class SceneBuilder:
         pieces: list[tuple[Triangles, Any]] = [
             (field_triangles(site, whole, center, bend, parts=twist_parts(site.elevation)), self._site_ground),
             (field_triangles(wide, ~under(wide, site), center, bend, sink=SURROUNDINGS_SINK), self._wide_ground),
-            (far_ranges(wide, self.colors, self.scenario.seed, center, bend), self._leaf),
         ]
+        far = self.terrain.far
+        if far is None:
+            pieces.append((far_ranges(wide, self.colors, self.scenario.seed, center, bend), self._leaf))
+        else:
+            beyond = field_triangles(far, ~under(far, wide), center, bend, sink=2 * SURROUNDINGS_SINK)
+            pieces.append((beyond, self._ground_bsdf(far.geometry, far.geometry.resolution)))
         groups = []
         for triangles, bsdf in pieces:
             mesh = _mesh("ground", triangles.vertices, triangles.faces, bsdf, triangles.colors, triangles.uv)

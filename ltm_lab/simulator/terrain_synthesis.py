@@ -49,12 +49,14 @@ class SyntheticTerrain:
     """The ground of a scene.
 
     `site`: what the DEM covers, in full detail. `surroundings`: the wider range at a coarser cell, same ground
-    inside the site. `wetness`: log10 of upstream area (m^2) on the surroundings' grid.
+    inside the site. `wetness`: log10 of upstream area (m^2) on the surroundings' grid. `far`: what lies beyond them;
+    None: mountain ranges that are made up.
     """
 
     site: HeightField
     surroundings: HeightField
     wetness: Float32Array
+    far: HeightField | None = None
 
 
 def _grid(extent: tuple[float, float, float, float], cell: float) -> GridGeometry:

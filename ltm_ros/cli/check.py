@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,15 +35,22 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, folders. Exit code 1 if it has errors."""
     from rich.console import Console
 
-    from ltm_core.base.errors import SiteVerdict
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.launching.site_check import Wanted, examine
 
     if out is not None:
         require_files([out], overwrite)
-    console = Console()
+    raise typer.Exit(1 if report(Console(), site, out, bag, only or ()) else 0)
+
+
+def report(
+    console: Console, site: Path, out: Path | None = None, bag: Path | None = None, only: Sequence[str] = ()
+) -> int:
+    """Print the findings about a site, draw it to `out`, and return the number of errors."""
+    from ltm_core.base.errors import SiteVerdict
+    from ltm_ros.launching.site_check import Wanted, examine
+
     with console.status("looking"):
-        found = examine(site, Wanted(only or ()))
+        found = examine(site, Wanted(only))
         if bag is not None and found.site is not None and found.dem is not None:
             _add_recorded(found, bag)
     _print(console, found.findings)
@@ -56,7 +64,7 @@ def check(
     wrong = len(found.wrong)
     doubtful = sum(finding.verdict is SiteVerdict.DOUBTFUL for finding in found.findings)
     typer.echo(f"{wrong} errors, {doubtful} warnings" if wrong or doubtful else "no errors")
-    raise typer.Exit(1 if wrong else 0)
+    return wrong
 
 
 def _print(console: Console, findings: list[SiteFinding]) -> None:

@@ -18,6 +18,7 @@ from ltm_ros.cli.demo import demo
 from ltm_ros.cli.export import export
 from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.init import init
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import label, mask
 from ltm_ros.cli.models import models
@@ -223,6 +224,7 @@ START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
 """Headings under which `ltm --help` lists the commands."""
 
 cli.command(rich_help_panel=START)(demo)
+cli.command(rich_help_panel=START)(init)
 cli.command(rich_help_panel=START)(check)
 cli.command(rich_help_panel=START)(run)
 cli.command(rich_help_panel=START)(view)
@@ -253,6 +255,7 @@ EXTRAS = {
     "rerun": "ltm[view]",
     "matplotlib": "ltm[report]",
     "jinja2": "ltm[report]",
+    "ruamel": "ltm[init]",
     "laspy": "ltm[export]",
     "pyarrow": "ltm[archive]",
     "fsspec": "ltm[archive]",

@@ -42,9 +42,10 @@ ON_DEMAND = {
     "dask": "the same, on many workers",
     "distributed": "the same, on many workers",
     "jinja2": "reports of the demo and of fires",
+    "ruamel": "site files that keep their comments",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "jinja2", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
+NOT_ON_A_TOWER = {"rerun", "jinja2", "ruamel", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 

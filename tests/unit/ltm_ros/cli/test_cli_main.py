@@ -22,7 +22,7 @@ from ltm_ros.cli import main
 from ltm_ros.cli.demo import to_type
 
 COMMANDS = (
-    "demo", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
+    "demo", "init", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
     "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed",
     "fire", "mask", "label", "cameras", "region", "certs", "reprocess",
 )  # fmt: skip

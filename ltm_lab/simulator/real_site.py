@@ -1,0 +1,124 @@
+"""The ground and the vegetation of a real site, from its own DEM and fuel map, for rendering what its cameras see.
+
+Round a camera the ground is that of the finest raster, farther out a coarser one, and beyond that the horizon. The fuel
+map says which vegetation stands where, not how single plants do: their places are drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Float64Array
+from ltm_core.fuel.life_form import NODATA, forms_of
+from ltm_core.fuel.prior_io import load_prior
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.site.camera_check import check_camera
+from ltm_core.site.site import Site
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_lab.simulator.camera_setup import ImagingConfig, ViewsConfig
+from ltm_lab.simulator.landcover import SHRUB, LandCover, Stand
+from ltm_lab.simulator.run import Shot, SimulatedSite
+from ltm_lab.simulator.scenario import Scenario
+from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain
+from ltm_lab.simulator.viewpoints import Report
+from ltm_lab.simulator.works import Houses
+
+_SIDES = ((4_000.0, 4.0), (12_000.0, 16.0), (80_000.0, 90.0))
+"""Side and least cell size in metres of the ground near a camera, around it, and out to the horizon."""
+_WIDEST = 960
+"""Maximum width of a rendered image in pixels; metrics compare squares of 256 and 299 pixels."""
+_PHOTOS = (".jpg", ".jpeg", ".png")
+
+
+def scenario_of(site: Site, samples: int) -> Scenario:
+    """Return the scenario with which a site is rendered: its frame, and the simulator's usual light and air."""
+    return Scenario(
+        name=site.name, seed=0, crs=site.crs, origin=site.origin, curvature=site.curvature,
+        imaging=ImagingConfig(samples=samples), views=ViewsConfig(),
+    )  # fmt: skip
+
+
+def views_of(site: Site, dem: Dem) -> list[PosedCamera]:
+    """Return the views of the cameras whose pose and calibration are in the site file. Raises ConfigError if there are
+    none."""
+    views: list[PosedCamera] = []
+    for name in site.cameras:
+        list(check_camera(name, site, dem, views))
+    if not views:
+        raise ConfigError(f"site {site.name}: no camera has a pose and a calibration in the site file; give them")
+    return views
+
+
+def simulated_site(site: Site, dem: Dem, eye: Float64Array) -> SimulatedSite:
+    """Return the ground and the vegetation round a camera at `eye` (map frame). Raises RasterError as the prior does,
+    ConfigError for a camera without terrain."""
+    near, around, far = (_field(dem, eye, side, least) for side, least in _SIDES)
+    wetness = np.zeros(around.geometry.shape, np.float32)
+    return SimulatedSite(SyntheticTerrain(near, around, wetness, far), _cover(site, around))
+
+
+def _field(dem: Dem, eye: Float64Array, side: float, least: float) -> HeightField:
+    size = max(least, dem.geometry.resolution)
+    cells = round(side / size)
+    x, y = (math.floor(v / size) * size for v in eye[:2])
+    geometry = GridGeometry(x - cells // 2 * size, y + cells // 2 * size, size, cells, cells)
+    rows, cols = np.mgrid[:cells, :cells]
+    heights = np.asarray(dem.elevation_at(*geometry.to_map(rows, cols)), np.float32)
+    unknown = ~np.isfinite(heights)
+    if unknown.all():
+        raise ConfigError(f"no terrain around the camera at ({eye[0]:.0f}, {eye[1]:.0f}) in the map frame")
+    heights[unknown] = np.nanmin(heights)  # a plain that hides nothing
+    return HeightField(heights, geometry)
+
+
+def _cover(site: Site, ground: HeightField) -> LandCover:
+    """Return the land cover over a field, by the site's fuel map; shrubs where it has none."""
+    over = ground.geometry
+    fine = GridGeometry(over.x_min, over.y_max, over.resolution / 2, 2 * over.width, 2 * over.height)
+    classes = np.full(fine.shape, SHRUB, np.uint8)
+    if site.fuel.prior is not None:
+        x, y = site.origin
+        bounds = over.translated(x, y).bounds
+        cells = GridGeometry.snapped(bounds, site.fuel.resolution, site.fuel.phase, site.crs)
+        prior = load_prior(site.fuel.prior, cells)
+        first = forms_of(prior.codes).argmax(axis=-1) + 1
+        form = np.where(prior.codes == NODATA, SHRUB, first).astype(np.uint8)
+        rows, cols = site.in_map(cells).cell_of(*fine.to_map(*np.mgrid[: fine.height, : fine.width]))
+        classes = form[np.clip(rows, 0, cells.height - 1), np.clip(cols, 0, cells.width - 1)]
+    smooth = HeightField(ndimage.gaussian_filter(ground.elevation, 2.0), over)
+    east, north = (ndimage.zoom(slope, 2, order=1, mode="nearest", grid_mode=True) for slope in smooth.gradient())
+    exposure = np.clip(2 * north, -1, 1).astype(np.float32)  # ground that rises to the north faces south
+    moisture = np.clip(-exposure - 0.2 * np.abs(east), -1, 1).astype(np.float32)
+    return LandCover(
+        classes, np.zeros(fine.shape, bool), moisture, exposure, fine, Stand.undisturbed(fine.shape), Houses.none()
+    )
+
+
+def shot_of(view: PosedCamera, dem: Dem) -> Shot:
+    """Return the frame that a view gives, at most `_WIDEST` pixels wide."""
+    camera = view.camera.scaled(max(1, math.ceil(view.camera.width / _WIDEST)))
+    mast = float(view.pose.position[2] - dem.elevation_at(*view.pose.position[:2]))
+    return Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0))
+
+
+def photos_of(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
+    """Return the photos below a folder by camera: the one whose name a subfolder or the file's name begins with, or the
+    only one. Raises ConfigError if there are none."""
+    found: dict[str, list[Path]] = {name: [] for name in cameras}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() in _PHOTOS:
+            parts = (*path.relative_to(folder).parts[:-1], path.stem)
+            names = [name for name in cameras if any(part.startswith(name) for part in parts)]
+            chosen = max(names, key=len, default=cameras[0] if len(cameras) == 1 else None)
+            if chosen is not None:
+                found[chosen].append(path)
+    if not any(found.values()):
+        raise ConfigError(f"{folder}: has no photo of {', '.join(cameras)}; name files or subfolders by camera")
+    return found

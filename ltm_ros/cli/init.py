@@ -1,0 +1,189 @@
+"""`ltm init`: make a site from a point on the map, or add to one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ltm_ros.cli.output import print_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ltm_ros.site_setup.camera_list import CameraValues
+    from ltm_ros.site_setup.site_plan import SitePlan
+    from ltm_ros.site_setup.source import Source
+
+_ASK_FROM = 500_000_000
+"""Number of bytes to fetch from which the command waits for a confirmation."""
+
+
+def init(
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder of the site.")] = None,
+    lonlat: Annotated[str | None, typer.Option(help="Middle of the site as LON,LAT (WGS 84 degrees).")] = None,
+    name: Annotated[str, typer.Option(help="Name of the site: a-z, 0-9 and _.")] = "",
+    radius: Annotated[str, typer.Option(help="Half width of the fine DEM, such as 8km or 500m.")] = "8km",
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54,photos=FOLDER. Azimuth: true north. Repeatable."),
+    ] = None,
+    cameras: Annotated[
+        Path | None, typer.Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
+    dem: Annotated[
+        list[Path] | None, typer.Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")
+    ] = None,
+    fuel: Annotated[Path | None, typer.Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
+    surface: Annotated[
+        Path | None, typer.Option(help="Own raster of tree tops and roofs, or of canopy height.")
+    ] = None,
+    sources: Annotated[
+        str | None, typer.Option(help="File with other data sources (YAML), or `list` to print all sources.")
+    ] = None,
+    update: Annotated[
+        Literal["dem", "coarser", "surface", "fuel"] | None, typer.Option(help="Raster of an existing site to replace.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,
+) -> None:
+    """Make a site: fetch terrain and fuel, write rasters, site.yaml and a check picture. Or add to an existing one."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.cli.check import report
+    from ltm_ros.site_setup.site_plan import Wish, carry_out, plan_site
+    from ltm_ros.site_setup.sources import load_sources
+
+    console = Console()
+    known = load_sources(Path(sources) if sources not in (None, "list") else None)
+    if sources == "list":
+        _print_sources(console, known)
+        return
+    if out is None:
+        raise ConfigError("give the folder of the site with --out")
+    place = None if lonlat is None else _lonlat(lonlat)
+    metres = _metres(radius)
+    wanted, remarks = _cameras(camera or [], cameras, place, metres)
+    files = {"dem": dem or [], "fuel": [fuel] if fuel else [], "surface": [surface] if surface else []}
+    wish = Wish(out.expanduser(), name, place, metres, crs, wanted, files, update)
+    with console.status("looking for data"):
+        plan = plan_site(wish, known)
+    _print_plan(console, plan)
+    if dry_run:
+        return
+    if plan.expected_bytes > _ASK_FROM and not yes:
+        typer.confirm(f"Fetch {plan.expected_bytes / 1e6:.0f} MB?", abort=True)
+    with _bars(console) as progress:
+        layers, said = carry_out(plan, progress)
+    for key, layer in layers.items():
+        console.print(escape(f"{key}: {layer.path} ({layer.described})"), highlight=False)
+    for remark in dict.fromkeys([*plan.remarks, *remarks, *said]):
+        console.print(f"[yellow]{escape(remark)}", highlight=False)
+    wrong = report(console, wish.site_file, wish.out / "check.png")
+    command = f"ltm run {wish.site_file} --state {wish.out / 'map'} --view"
+    typer.echo(f"Next: {command}" if not wrong else f"Correct {wish.site_file}, then: ltm check {wish.site_file}")
+    raise typer.Exit(1 if wrong else 0)
+
+
+def _lonlat(text: str) -> tuple[float, float]:
+    from ltm_core.base.errors import ConfigError
+
+    try:
+        lon, lat = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--lonlat {text}: give two numbers separated by a comma, LON,LAT") from None
+    if not (-180 <= lon <= 180 and -84 <= lat <= 84):
+        raise ConfigError(f"--lonlat {text}: give longitude in [-180, 180], then latitude in [-84, 84]")
+    return lon, lat
+
+
+def _metres(text: str) -> float:
+    import re
+
+    from ltm_core.base.errors import ConfigError
+
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(km|m)", text.strip())
+    metres = float(found[1]) * (1000 if found[2] == "km" else 1) if found else 0.0
+    if not 200 <= metres <= 30_000:
+        raise ConfigError(f"--radius {text}: give a length from 200m to 30km, with its unit")
+    return metres
+
+
+def _cameras(
+    stated: list[str], listed: Path | None, place: tuple[float, float] | None, radius: float
+) -> tuple[list[CameraValues], list[str]]:
+    """Return the cameras of the options; of a list, those within the radius."""
+    from pyproj import Geod
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.site_setup.camera_list import parse_camera, read_cameras
+
+    cameras = [parse_camera(text) for text in stated]
+    if listed is None:
+        return cameras, []
+    found, remarks = read_cameras(listed)
+    near = found
+    if place is not None:
+        near = [c for c in found if Geod(ellps="WGS84").inv(*place, c.lon, c.lat)[2] <= radius]
+        if not near:
+            raise ConfigError(f"{listed}: none of its {len(found)} cameras is within {radius:g} m of the site")
+        if len(near) < len(found):
+            remarks.append(f"{listed.name}: {len(near)} of {len(found)} cameras are within the radius")
+    return cameras + near, remarks
+
+
+def _print_sources(console: Console, sources: list[Source]) -> None:
+    from rich.markup import escape
+
+    rows = [
+        (
+            s.name,
+            ", ".join(s.kinds),
+            f"{s.resolution_m:g} m",
+            s.vertical_crs or "",
+            escape(s.licence),
+            escape(s.address),
+        )
+        for s in sources
+    ]
+    print_table(
+        console, "sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows
+    )
+
+
+def _print_plan(console: Console, plan: SitePlan) -> None:
+    from rich.markup import escape
+
+    rows = []
+    for step in plan.steps:
+        source = step.source
+        size = "" if source is None else f"{step.expected_bytes / 1e6:.1f} MB"
+        what = ", ".join(str(path) for path in step.own) if source is None else source.name
+        year = "" if step.plan is None or step.plan.year is None else str(step.plan.year)
+        cells = "" if source is None else f"{source.resolution_m:g} m"
+        rows.append((step.key, escape(what), cells, year, size, "" if source is None else escape(source.licence)))
+    total = f"{plan.crs}; {plan.expected_bytes / 1e6:.1f} MB to fetch"
+    print_table(console, total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)
+
+
+@contextmanager
+def _bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a progress bar for each raster; yields `update(key, done, total)` in bytes."""
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        tasks: dict[str, int] = {}
+
+        def update(key: str, done: int, total: int) -> None:
+            if key not in tasks:
+                tasks[key] = bar.add_task(key)
+            bar.update(tasks[key], completed=done, total=total)  # type: ignore[arg-type]
+
+        yield update

@@ -1,0 +1,74 @@
+"""The simulator's ground and vegetation of a real site: its own heights, and the life forms of its fuel map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_lab.simulator.landcover import GRASS, TREE
+from ltm_lab.simulator.real_site import photos_of, scenario_of, shot_of, simulated_site, views_of
+
+CRS = "EPSG:32611"
+X, Y = 346_000.0, 3_783_000.0
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    """A plane that rises to the east, grass in the west and conifers in the east; the fuel map is 3 km wide."""
+    grid = GridGeometry(X - 2500, Y + 2000, 10, 500, 400, CRS)
+    row, col = np.mgrid[:400, :500]
+    x, _ = grid.to_map(row, col)
+    write_geotiff(tmp_path / "dem.tif", (600 + 0.1 * (x - X)).astype(np.float32), grid)
+    fuel = GridGeometry.snapped((X - 1500, Y - 1500, X + 1500, Y + 1500), 30.0, 15.0, CRS)
+    cells, _ = fuel.to_map(*np.mgrid[: fuel.height, : fuel.width])
+    write_geotiff(tmp_path / "fuel.tif", np.where(cells < X, 102, 185).astype(np.int16), fuel, nodata=-9999)
+    (tmp_path / "site.yaml").write_text(
+        f"name: hill\ncrs: {CRS}\norigin: [{X}, {Y}]\ndem: {{path: dem.tif}}\nfuel: {{prior: fuel.tif}}\n"
+        "cameras:\n  north:\n    calibration: {width: 1920, height: 1080, hfov_deg: 56}\n"
+        f"    pose: {{x: {X + 100}, y: {Y - 50}, height_above_ground: 20, azimuth_deg: 165}}\n"
+        "  north_east: {}\n"
+    )
+    return load_site(tmp_path / "site.yaml")
+
+
+def test_ground_and_vegetation_are_the_sites(site: Site) -> None:
+    dem = site.open_dem()
+    (view,) = views_of(site, dem)
+    made = simulated_site(site, dem, view.pose.position)
+    x, y = np.array([-900.0, 150.0, 1200.0]), np.array([-300.0, 20.0, 700.0])
+    np.testing.assert_allclose(made.terrain.site.at(x, y), 600 + 0.1 * x, atol=0.01)
+    np.testing.assert_allclose(made.terrain.surroundings.at(x, y), 600 + 0.1 * x, atol=0.01)
+    np.testing.assert_array_equal(made.cover.at(x, y), [GRASS, TREE, TREE])
+    assert made.terrain.far is not None
+    assert made.terrain.far.geometry.width * made.terrain.far.geometry.resolution >= 79_000
+    assert made.terrain.far.at(30_000.0, 0.0) == pytest.approx(350.5, abs=10)  # beyond the DEM: its lowest height
+
+
+def test_a_frame_has_the_pose_of_its_camera(site: Site) -> None:
+    dem = site.open_dem()
+    (view,) = views_of(site, dem)
+    shot = shot_of(view, dem)
+    assert shot.mast == pytest.approx(20, abs=1e-3)
+    assert shot.camera.width == 960
+    assert shot.camera.width / shot.camera.fx == pytest.approx(view.camera.width / view.camera.fx, rel=1e-6)
+    scenario = scenario_of(site, 4)
+    assert (scenario.crs, scenario.origin, scenario.imaging.samples) == (CRS, (X, Y), 4)
+
+
+def test_photos_belong_to_the_camera_that_they_name(tmp_path: Path) -> None:
+    for name in ("north/a.jpg", "north_east/b.png", "north_1.jpg", "notes.txt", "other.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = photos_of(tmp_path, ["north", "north_east"])
+    assert [path.name for path in found["north"]] == ["a.jpg", "north_1.jpg"]
+    assert [path.name for path in found["north_east"]] == ["b.png"]
+    assert len(photos_of(tmp_path, ["west"])["west"]) == 4  # of a site with one camera
+    with pytest.raises(ConfigError, match="no photo"):
+        photos_of(tmp_path, ["west", "east"])
