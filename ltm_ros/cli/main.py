@@ -62,6 +62,10 @@ def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> 
 EXAMPLES = {
     "": ("ltm demo", "ltm run site.yaml --state map --view"),
     "demo": ("ltm demo", "ltm demo --out /tmp/demo"),
+    "init": (
+        "ltm init --lonlat -118.06,34.22 --name ridge --radius 8km --out ridge",
+        "ltm init --out ridge --camera east=-118.05,34.21,height=12,azimuth=180,hfov=60",
+    ),
     "check": ("ltm check site.yaml", "ltm check site.yaml --out check.png"),
     "run": ("ltm run site.yaml --state map", "ltm run site.yaml --state map --view --record today"),
     "view": ("ltm view --site site.yaml", "ltm view --rrd out/demo/demo.rrd --screenshot depth.png --tab Depth"),
