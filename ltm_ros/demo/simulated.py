@@ -24,6 +24,7 @@ from ltm_ros.demo.outcome import (
     headings,
     map_picture,
     range_scale,
+    recording_facts,
     run_walk,
     walk_sheet,
     write_pictures,
@@ -110,6 +111,7 @@ def run_demo(
             "vegetation). Labels come from the default network. The fuel map combines the evidence of all frames "
             "and cameras."
         ),
+        facts=recording_facts(site, recorded),
         conditions=conditions(site, seconds, score.frames),
         nodes=result.nodes,
         cameras=camera_pictures(shown, labels, scale),

@@ -17,8 +17,9 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, CameraMark, FuelCanvas
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FuelCanvas
 from ltm_core.pictures.legend import PAPER, UNLABELLED, ClassPalette, error_colors, error_legend
+from ltm_core.pictures.maps import MapCamera
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
@@ -135,7 +136,7 @@ class FuelMaps:
     window, with the cameras' first positions.
     """
 
-    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[CameraMark]) -> None:
+    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[MapCamera]) -> None:
         self.geometry = geometry
         self._dem, self._palette, self._places = dem, palette, places
         self._canvas = FuelCanvas(geometry, dem, places)

@@ -18,9 +18,9 @@ from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
-from ltm_core.pictures.fuel_maps import CameraMark
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.pictures import MapCamera, RangeScale, to_jpeg
+from ltm_core.pictures.legend import ClassPalette
+from ltm_core.pictures.maps import relief
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_ros.viewer import fuel_maps as archetypes
@@ -183,7 +183,7 @@ class RerunView:
         """Log the fuel map's layers besides the life form, as in `FuelMaps.draw`."""
         with self._at(stamp_ns):
             if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
-                places = [CameraMark(name, *camera.position) for name, camera in self._cameras.items()]
+                places = [MapCamera(name, None, camera.position) for name, camera in self._cameras.items()]
                 self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
             for name, picture in self._fuel_maps.draw(rasters).items():
                 self._recording.log(f"fuel_layers/{name}", picture)
@@ -275,8 +275,7 @@ class RerunView:
         g = self._fuel_geometry
         finer = max(1, RELIEF_PIXELS // max(g.shape))
         view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
-        none = np.full(g.shape, UNLABELLED, np.uint8)
-        picture = labelled_shade(none, g, self._palette, self._dem, view)
+        picture = relief(self._dem, view)
         longest = max(picture.shape[:2])
         if longest > RELIEF_PIXELS:
             shrink = RELIEF_PIXELS / longest
