@@ -25,7 +25,7 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, depth_colors, metres, to_jpeg, to_png
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, depth_colors, label_legend, metres, to_jpeg, to_png
 from ltm_core.pictures.maps import MapCamera, finished, furnished, interesting_bounds, nearest, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site
@@ -122,7 +122,7 @@ def map_png(
     note: str = "",
 ) -> bytes:
     """Return the part of the life form map that the cameras see, or all that is known without cameras, with the places
-    and a scale bar with a note; `classes` (H, W), 255 unknown, north up."""
+    a scale bar with a note, and a legend; `classes` (H, W), 255 unknown, north up."""
     if cameras:
         bounds = around(geometry, [camera.sector() for camera in cameras])
     else:
@@ -134,7 +134,10 @@ def map_png(
     lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
     lines[1:] |= ids[1:] != ids[:-1]
     picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
-    return to_png(finished(furnished(picture, view, [*cameras, *places]), view, note=note))
+    shown = Palette((*palette.names, "not known"), (*palette.colors, _GREY))
+    found = [len(shown.names) - 1 if label == UNLABELLED else label for label in np.unique(ids).tolist()]
+    legend = label_legend(WIDTH, shown, found)
+    return to_png(finished(furnished(picture, view, [*cameras, *places]), view, legend, note=note))
 
 
 def around(geometry: GridGeometry, outlines: Sequence[Float64Array]) -> tuple[float, float, float, float]:
@@ -150,17 +153,14 @@ def around(geometry: GridGeometry, outlines: Sequence[Float64Array]) -> tuple[fl
     return float(west), float(south), float(east), float(north)
 
 
-def legends(labels: ClassPalette, life_forms: ClassPalette) -> dict[str, list[tuple[str, tuple[int, int, int]]]]:
-    """Return names and colours of what the page's images show."""
-    kinds = {"labels": labels, "map": life_forms}
-    found = {
-        kind: [(str(name), tuple(int(c) for c in color)) for name, color in zip(one.names, one.colors, strict=True)]
-        for kind, one in kinds.items()
-    }
-    found["map"] = [*found["map"][1:], ("not known", _GREY)]  # the sky covers no ground
+def legends(labels: ClassPalette) -> dict[str, list[tuple[str, list[int]]]]:
+    """Return names and colours of what the page lays over photos."""
     ranges = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
     shades = depth_colors(np.array(ranges)).tolist()
-    return found | {"depth": [(metres(value), tuple(color)) for value, color in zip(ranges, shades, strict=True)]}
+    return {
+        "labels": [(str(name), [int(c) for c in color]) for name, color in zip(labels.names, labels.colors, strict=True)],
+        "depth": [(metres(value), color) for value, color in zip(ranges, shades, strict=True)],
+    }
 
 
 WATCHED_S = 60.0
@@ -178,7 +178,7 @@ class LastPictures:
         self._cameras = {name: _CameraFrames(node, site, name, health, self._keep) for name in cameras}
         self._kept: dict[str, CameraPicture] = {}
         self._recent: dict[str, deque[CameraPicture]] = {name: deque(maxlen=RECENT) for name in cameras}
-        self.legends = legends(self._labels, self._map_palette)
+        self.legends = legends(self._labels)
         self._map: Any = None
         self._looked_s = -float("inf")
         self._lock = threading.Lock()
