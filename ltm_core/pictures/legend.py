@@ -71,7 +71,7 @@ def draw_texts(
             stroke_width=max(1, round(size / 8)) if halo else 0,
             stroke_fill=halo,
         )
-    return np.asarray(canvas, np.uint8)
+    return np.array(canvas, np.uint8)
 
 
 Text = tuple[str, float, float, Anchor]

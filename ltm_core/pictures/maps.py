@@ -114,7 +114,8 @@ def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
     for part in range(4):
         cv2.rectangle(strip, (edges[part], top), (edges[part + 1], bottom), INK, -1 if part % 2 == 0 else 1)
     texts: list[Text] = [("0", edges[0], bottom + size * 0.4, "mt"), (note, view.width - size * 0.5, size, "rm")]
-    texts += [(metres(length * part / 4), edges[part], bottom + size * 0.4, "mt") for part in (2, 4)]
+    named = (2, 4) if edges[2] - edges[0] > text_width(metres(length), size) + size else (4,)
+    texts += [(metres(length * part / 4), edges[part], bottom + size * 0.4, "mt") for part in named]
     return draw_texts(strip, texts, size, INK)
 
 
