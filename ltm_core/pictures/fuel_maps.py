@@ -114,8 +114,8 @@ class FuelCanvas:
     def map(
         self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None, names: Sequence[Text] = ()
     ) -> RgbImage:
-        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, names, cameras, north
-        and axes. Raises RasterError for another shape."""
+        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, names, cameras,
+        north and axes. Raises RasterError for another shape."""
         if known.shape != self._shape:
             raise RasterError(f"cells of shape {known.shape} do not fit a raster of {self._shape}")
         shown = self._inside & known[self._row, self._col]
@@ -175,7 +175,7 @@ class FuelCanvas:
             room = np.ones((_NAME_SIZE + 4, text_width(name, _NAME_SIZE) + 2), np.uint8)
             free = cv2.erode(mask, room, borderType=cv2.BORDER_CONSTANT, borderValue=0)
             depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3) * free
-            count, areas, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+            _, areas, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
             largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:_NAMES]
             for area in largest.tolist():
                 left, top, width, height = stats[area, :4].tolist()

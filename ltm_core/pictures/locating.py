@@ -77,7 +77,9 @@ def _heat_legend() -> RgbImage:
     places = (0.01, 0.1, 0.25, 0.5, 0.75)
     text = "Probability that the place is in a cell of this or a darker colour"
     title = draw_texts(np.full((22, _WIDTH, 3), PAPER, np.uint8), [(text, 14, 14, "lm")], 14, INK)
-    return with_legend(title, ramp_legend(_WIDTH, _heat_colors(np.linspace(0, 1, 256)), list(zip(names, places, strict=True))))
+    return with_legend(
+        title, ramp_legend(_WIDTH, _heat_colors(np.linspace(0, 1, 256)), list(zip(names, places, strict=True)))
+    )
 
 
 def _heat_colors(heat: Float64Array) -> RgbImage:

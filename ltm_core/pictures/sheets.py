@@ -67,9 +67,7 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 
 
-def panel(
-    pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, heading: str = ""
-) -> RgbImage:
+def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, heading: str = "") -> RgbImage:
     """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading. Raises ImageError
     when there is none."""
     if not pictures or columns < 1:

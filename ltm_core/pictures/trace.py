@@ -177,7 +177,9 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
         sink.descriptions = BANDS
 
 
-def coverage_picture(coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame) -> RgbImage:
+def coverage_picture(
+    coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame
+) -> RgbImage:
     """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with cameras and legend.
     `dem`: in the frame of the coverage."""
     classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)

@@ -211,7 +211,8 @@ def recording_facts(site: Site, recorded: Recorded) -> str:
     lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))
     stamps = [stamp_ns for _, stamp_ns in poses]
     first, last = (f"{moment_of_stamp(edge(stamps)):%Y-%m-%d %H:%M:%S}" for edge in (min, max))
-    return f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude). Frames of {first} to {last} UTC."
+    place = f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude)"
+    return f"{place}. Frames of {first} to {last} UTC."
 
 
 LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ltm_core.base.number_text import percent
 from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
@@ -75,8 +73,9 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as `DepthTally.scores` returns it. `label_set`, `scale`: for
-    the legends of the images. `recording`: the .rrd file's name. `files`: (name, description).
+    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as
+    `DepthTally.scores` returns it. `label_set`, `scale`: for the legends of the images. `recording`: the .rrd file's
+    name. `files`: (name, description).
     """
 
     title: str
@@ -208,7 +207,10 @@ def depth_table(score: RunScore) -> Table | None:
     if "network" in sources:
         note += " Network: its own depth, scaled by the terrain; published where the fit was sound."
     return Table(
-        "Depth errors by source", ("source, against", "true depth", "pixels", "RMSE, m", "mean, m", "median, m", "bias, m"), rows, note
+        "Depth errors by source",
+        ("source, against", "true depth", "pixels", "RMSE, m", "mean, m", "median, m", "bias, m"),
+        rows,
+        note,
     )
 
 

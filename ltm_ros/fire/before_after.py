@@ -245,7 +245,7 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
     if last.ensemble is not None:
         low, middle, high = last.ensemble
         said.append(
-            f"{counted(len(effect.members), 'landscape')} drawn from the fuel probabilities: 80 % burn {number(low)} to "
-            f"{number(high)} ha (median {number(middle)}). This is the effect of the uncertain fuel on this fire."
+            f"{counted(len(effect.members), 'landscape')} drawn from the fuel probabilities: 80 % burn {number(low)} "
+            f"to {number(high)} ha (median {number(middle)}). This is the effect of the uncertain fuel on this fire."
         )
     return said

@@ -41,7 +41,7 @@ def shown(value: object, digits: int = 2) -> str:
 def render_page(
     template: str, filters: Mapping[str, Callable[..., Any]], package: str = "ltm_ros.pages", **values: Any
 ) -> str:
-    """Return the HTML of `templates/<template>` of a package, with `filters` added to Jinja's own and to those of numbers.
+    """Return the HTML of `templates/<template>` of a package, with `filters` and those of numbers added to Jinja's own.
 
     The templates of this package can be included. A value that is missing is an error.
     """

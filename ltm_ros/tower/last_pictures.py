@@ -25,7 +25,16 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, depth_colors, label_legend, metres, to_jpeg, to_png
+from ltm_core.pictures.legend import (
+    UNLABELLED,
+    ClassPalette,
+    Palette,
+    depth_colors,
+    label_legend,
+    metres,
+    to_jpeg,
+    to_png,
+)
 from ltm_core.pictures.maps import MapCamera, finished, furnished, interesting_bounds, nearest, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site
@@ -59,8 +68,8 @@ _GREY = (205, 208, 212)
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """One frame with its results: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres; `full`: JPEG of the photo in
-    full size."""
+    """One frame with its results: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres; `full`: JPEG of the photo
+    in full size."""
 
     name: str
     stamp_ns: int
@@ -158,7 +167,9 @@ def legends(labels: ClassPalette) -> dict[str, list[tuple[str, list[int]]]]:
     ranges = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
     shades = depth_colors(np.array(ranges)).tolist()
     return {
-        "labels": [(str(name), [int(c) for c in color]) for name, color in zip(labels.names, labels.colors, strict=True)],
+        "labels": [
+            (str(name), [int(c) for c in color]) for name, color in zip(labels.names, labels.colors, strict=True)
+        ],
         "depth": [(metres(value), color) for value, color in zip(ranges, shades, strict=True)],
     }
 

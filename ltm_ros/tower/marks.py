@@ -146,8 +146,8 @@ class Marks:
         return WebResponse.json({"u": round(u, 1), "v": round(v, 1)})
 
     def places(self) -> list[dict[str, Any]]:
-        """Return the site's tracks, newest first, as `locate` published them; `marks` are those that lie on the images of
-        the page, as shares of their width and height.
+        """Return the site's tracks, newest first, as `locate` published them; `marks` are those that lie on the images
+        of the page, as shares of their width and height.
         """
         with self._lock:
             places = list(self._places)

@@ -134,7 +134,13 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
         place = {"mgrs": "11S MB 80574 50576", "lon": lon, "lat": 37.5, "elevation": None, "crs": "EPSG:32611"}
         ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
-        about |= {"marks": [MARK, MARK | {"azimuth_deg": 7.0}, MARK | {"camera": "east"}], "seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
+        about |= {
+            "marks": [MARK, MARK | {"azimuth_deg": 7.0}, MARK | {"camera": "east"}],
+            "seen_by": ["north"],
+            "sources": ["person"],
+            "disagrees": None,
+            "smoke": True,
+        }
         features += [{"properties": about}, {"properties": {"role": "ellipse", "share": 0.95}}]
     return String(data=json.dumps({"type": "FeatureCollection", "turned": turned, "features": features}))
 
