@@ -17,7 +17,7 @@ from ltm_core.fire.scenario import FireScenario, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
-from ltm_core.pictures.legend import INK, PAPER, Text, label_legend
+from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, label_legend
 from ltm_core.pictures.maps import MapCamera, interesting_bounds
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel
@@ -146,7 +146,7 @@ class _FireCanvas(FuelCanvas):
         for color, width in ((PAPER, 6), (INK, 3)):
             cv2.arrowedLine(picture, ends[0], ends[1], color, width, cv2.LINE_AA, tipLength=0.35)
         label: Text = (f"wind {self.wind.speed:g} m/s", x, y + 1.3 * reach, "mt")
-        return super()._framed(picture, [*names, label])
+        return super()._framed(draw_texts(picture, [label], 14, INK, PAPER), names)
 
 
 def _drawn(

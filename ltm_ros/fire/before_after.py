@@ -192,12 +192,13 @@ _FIRST = ("ignition", "wind", "fuel moisture", "duration", "map as of")
 
 def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str, str]:
     x, y = (float(v) for v in pair.after.geometry.to_map(scenario.row, scenario.col))
+    made = pair.made and pair.made.moment()
     told = {
         "ignition": f"{x:.0f} m E, {y:.0f} m N in {pair.after.geometry.crs}",
         "wind": scenario.wind.described(),
         "fuel moisture": scenario.moisture.described(),
         "duration": f"{scenario.hours:g} h",
-        "map as of": "date not known" if pair.made is None else pair.made.as_of,
+        "map as of": f"{made:%Y-%m-%d %H:%M} UTC" if made else pair.made.as_of if pair.made else "date not known",
         "fire model": f"{result.model}, surface and crown fire (Rothermel; Cruz, Alexander and Wakimoto), no spotting",
         "fuel models": pair.after.system.value.upper(),
         "cells with changed fuel or canopy": number(int(result.effect.changed.sum())),

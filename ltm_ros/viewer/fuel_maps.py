@@ -16,9 +16,9 @@ from ltm_core.base.types import BoolArray, Float32Array, Int32Array, RgbImage, U
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
+from ltm_core.pictures import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FuelCanvas
-from ltm_core.pictures.legend import PAPER, UNLABELLED, ClassPalette, error_colors, error_legend
+from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, draw_texts, error_colors, error_legend
 from ltm_core.pictures.maps import MapCamera
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
@@ -99,6 +99,13 @@ def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
         for label, name in enumerate(palette.names)
     ]
     return rr.AnnotationContext([*classes, (UNLABELLED, "unlabelled", (0, 0, 0, 0))])
+
+
+def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
+    """Return the names and colours of the fuel map's classes, and the size of its cells in metres."""
+    names = label_legend(560, palette, range(1, len(palette.names)))
+    text = draw_texts(np.full((24, 560, 3), PAPER, np.uint8), [(f"Fuel cells of {cell:g} m", 11, 14, "lm")], 13, INK)
+    return rr.EncodedImage(contents=to_png(with_legend(names, text)), media_type="image/png")
 
 
 def distinct_color(index: int) -> tuple[int, int, int]:

@@ -122,9 +122,13 @@ class FuelLayer:
         window = self._geometry.window(row, col, rows, cols)
         x = window.x_min + np.arange(cols + 1) * window.resolution
         y = window.y_max - np.arange(rows + 1) * window.resolution
-        z = self._surface.elevation_at(*np.meshgrid(x, y)) + self._lift
-        corners = np.stack([*np.meshgrid(x, y), z], axis=-1).astype(np.float32)
+        corners = np.stack([*np.meshgrid(x, y), self._surface.elevation_at(*np.meshgrid(x, y))], axis=-1)
         quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=2)
+        # A flat quad lies below curved ground: raise it by as much as its edges' middles or its own lie under.
+        middles = np.stack([quads[:, :, pair].mean(axis=2) for pair in ([0, 1], [0, 2], [1, 3], [2, 3], [0, 3])])
+        under = self._surface.elevation_at(middles[..., 0], middles[..., 1]) - middles[..., 2]
+        quads[..., 2] += self._lift + np.maximum(under.max(axis=0), 0)[..., None]
+        quads = quads.astype(np.float32)
         seen = (part != UNLABELLED) & np.isfinite(quads[..., 2]).all(axis=2)
         first = 4 * np.arange(np.count_nonzero(seen), dtype=np.uint32)
         triangles = first[:, None, None] + np.array([[0, 1, 2], [2, 1, 3]], np.uint32)

@@ -284,6 +284,7 @@ class RerunView:
             log.log("/", archetypes.annotation_context(self._palette), static=True)
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             log.log("map/terrain", archetypes.mesh(scene_geometry.terrain_mesh(self._dem)), static=True)
+            log.log("legend", archetypes.legend(self._palette, self._fuel_geometry.resolution), static=True)
             self._log_relief()
             if self._site.terrain is not None:
                 log.log("terrain", change_classes(), static=True)
