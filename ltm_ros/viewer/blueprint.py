@@ -44,9 +44,7 @@ def site_blueprint(
     overview = rrb.Vertical(
         rrb.Horizontal(
             _terrain(cameras, eye),
-            rrb.Vertical(
-                _fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]
-            ),
+            rrb.Vertical(_fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]),
             column_shares=[5, 3],
         ),
         rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),

@@ -235,6 +235,9 @@ class RerunView:
 
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
+        if self._undated:  # no frame has come, but the map is known
+            with self._at(1):
+                pass
         with self._lock:
             self._recording.flush()
             self._recording.disconnect()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +38,8 @@ WAITING = 5
 """Frames of a camera that wait for admission, above which the recording's time is paused."""
 SILENT = 5.0
 """Seconds without diagnostics after which a node is no longer waited for."""
+WARM_UP = 60.0
+"""Maximum number of seconds to wait for the first frames."""
 QUIET = 2.5
 """Seconds without any change in the graph's diagnostics after which it is idle."""
 
@@ -126,14 +128,19 @@ class LivePlayer:
     ) -> int:
         """Publish every message at its time; return the number published. `stopped` ends it early.
 
-        The recording's time is paused while the graph is behind. With `loop`, stamps of later rounds are moved on with
-        the clock, so that each stays unique.
+        The recording's time is paused while the graph is behind, and before the second frame of a camera until the
+        first ones are finished, because those wait for networks and code that are used for the first time. With `loop`,
+        stamps of later rounds are moved on with the clock, so that each stays unique.
         """
         round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
-        published, shift = 0, 0
+        published, shift, begun, warm = 0, 0, set[str](), False
         while True:
             for message, content in self._selection.decoded(shift):
+                if not warm and is_image(self._selection.topics[message.topic]):
+                    if warm := message.topic in begun:
+                        self._pause_until(self._first_frames_done(), stopped)
+                    begun.add(message.topic)
                 self._sleep_until(message.log_time_ns + shift, stopped)
                 self._wait_for_room(stopped)
                 if stopped():
@@ -166,11 +173,22 @@ class LivePlayer:
         """Wait for the graph: a live camera's frames are shed if it is behind, but all recorded frames are
         processed.
         """
+        self._pause_until(lambda: not self._behind(), stopped)
+
+    def _pause_until(self, done: Callable[[], bool], stopped: Callable[[], bool]) -> None:
         at = self.now_ns()
-        while self._behind() and not stopped():
+        while not done() and not stopped():
             self._epoch = (time.monotonic() + 1.0, at)  # time is paused until it continues in a second
             time.sleep(0.05)
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
+
+    def _first_frames_done(self) -> Callable[[], bool]:
+        """Return a check whether the graph has finished what it can: a frame may wait for a later message. It ends after
+        `WARM_UP` seconds.
+        """
+        self._changed = time.monotonic()
+        deadline = self._changed + WARM_UP
+        return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue", "in_flight"))
 
     def _behind(self) -> bool:
         recent = time.monotonic() - SILENT
@@ -188,11 +206,12 @@ class LivePlayer:
                 return
             time.sleep(min(wait, 0.1))
 
-    def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
+    def _idle(
+        self, summaries: Iterable[dict[str, str] | None], busy: Sequence[str] = ("queue", "waiting", "in_flight")
+    ) -> bool:
         """Return whether nothing has changed for a while, and nothing is queued or in flight (a large frame may take
         longer).
         """
-        busy = ("queue", "waiting", "in_flight")
         empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 
