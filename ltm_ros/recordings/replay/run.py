@@ -183,8 +183,8 @@ class LivePlayer:
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
 
     def _first_frames_done(self) -> Callable[[], bool]:
-        """Return a check whether the graph has finished what it can: a frame may wait for a later message. It ends after
-        `WARM_UP` seconds.
+        """Return a check whether the graph has finished what it can, because a frame may wait for a later message. It
+        ends after `WARM_UP` seconds.
         """
         self._changed = time.monotonic()
         deadline = self._changed + WARM_UP

@@ -17,7 +17,11 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, FLAME, FLAME_DIFFERENCE, PROBABILITY, arrival_scale
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas
 from ltm_core.pictures.legend import scale_colors, text_width
+from ltm_core.pictures.locating import STATE_COLORS
+from ltm_core.pictures.trace import _COUNTS
 from ltm_core.raster.dem import Dem
+from ltm_core.surface.surface_io import CHANGE_COLORS
+from ltm_core.visibility.point_visibility import PointState
 from ltm_core.vision.labels import LabelSet
 
 VISIONS = {
@@ -86,6 +90,19 @@ def test_labels_and_life_forms_differ_for_everyone(vision: str) -> None:
     worst, pair = least(dict(zip(labels.names, labels.colors, strict=True)), vision)
     print(f"labels and life forms, {vision}: at least {worst:.1f} CIEDE2000 ({pair})")
     assert worst >= 20
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+@pytest.mark.parametrize("name", ["changes of the terrain", "states of places", "counts of views"])
+def test_other_classes_differ_for_everyone(name: str, vision: str) -> None:
+    colors = {
+        "changes of the terrain": {kind.name: color for kind, color in CHANGE_COLORS.items()},
+        "states of places": {state.name: STATE_COLORS[state] for state in list(PointState)[:3]},
+        "counts of views": dict(zip(_COUNTS.names, _COUNTS.colors, strict=True)),
+    }[name]
+    worst, pair = least(colors, vision)
+    print(f"{name}, {vision}: at least {worst:.1f} CIEDE2000 ({pair})")
+    assert worst >= 10
 
 
 SCALES = {
