@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.base.number_text import counted
+from ltm_core.base.number_text import counted, number
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelSystem, code_color, code_colors, code_names, fuel_models
@@ -277,8 +277,8 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "")
     ImageError if no camera has seen anything."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
-        area = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e6
-        maps[f"{name}: number of frames that saw a cell, {area:.2f} km²"] = canvas.scaled(
+        hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4
+        maps[f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"] = canvas.scaled(
             seen.frames, seen.frames > 0, FRAMES
         )
         known = np.isfinite(seen.footprint)

@@ -230,9 +230,6 @@ def _draw_camera(picture: RgbImage, view: GridGeometry, camera: MapCamera, size:
     """Draw a camera; return whether its position or its sector is on the map."""
     if camera.camera is not None:
         outline = _pixels(view, camera.sector())
-        shaded = picture.copy()
-        cv2.fillPoly(shaded, [outline], (255, 255, 255), cv2.LINE_AA, _SHIFT)
-        picture[:] = cv2.addWeighted(picture, 0.86, shaded, 0.14, 0.0)
         cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
         cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
     row, col = view.to_grid(*camera.position)

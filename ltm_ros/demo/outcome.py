@@ -22,9 +22,20 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, overlay_labels, panel, to_png
+from ltm_core.pictures import (
+    MapCamera,
+    RangeScale,
+    fit,
+    label_legend,
+    overlay_depth,
+    overlay_labels,
+    panel,
+    range_legend,
+    to_png,
+    with_legend,
+)
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.pictures.legend import UNLABELLED, Palette, label_legend
+from ltm_core.pictures.legend import UNLABELLED, Palette
 from ltm_core.pictures.maps import finished, furnished, interesting_bounds, relief, view_of
 from ltm_core.pictures.sheets import with_axes
 from ltm_core.pipeline.site_fuel import provenance_of
@@ -168,16 +179,23 @@ def write_pictures(
     (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
     deepest = max(frames, key=_depth_span)
     for frame in frames:
-        sheet = [
-            ("photo", frame.photo),
-            ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth, scale)),
-            *([] if frame.fused is None else [("fused depth", overlay_depth(frame.photo, frame.fused, scale))]),
-            ("labels", overlay_labels(frame.photo, frame.labels, labels)),
-        ]
+        depths = [("Depth traced to the terrain", frame.depth), ("Fused depth", frame.fused)]
+        sheet = [("Photo", frame.photo)]
+        for title, metres in depths:
+            if metres is not None:
+                sheet.append(
+                    (title, _over(overlay_depth(frame.photo, metres, scale), range_legend(800, scale, sky=False)))
+                )
+        named = label_legend(800, labels, np.unique(frame.labels).tolist())
+        sheet.append(("Labels", _over(overlay_labels(frame.photo, frame.labels, labels), named)))
         name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
         (folder / name).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
         if frame is deepest:
             (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map, title)))
+
+
+def _over(picture: RgbImage, legend: RgbImage) -> RgbImage:
+    return with_legend(fit(picture, legend.shape[1]), legend)
 
 
 def _depth_span(frame: RecordedFrame) -> float:
