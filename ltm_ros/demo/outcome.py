@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,6 @@ import numpy as np
 from ltm_core.base.number_text import counted
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray, Float64Array, RgbImage, UInt8Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.class_map import CoverageMap, MajorityFuelMap, read_fuel_map
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
@@ -179,17 +176,15 @@ def write_pictures(
     (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
     deepest = max(frames, key=_depth_span)
     for frame in frames:
-        depths = [("Depth traced to the terrain", frame.depth), ("Fused depth", frame.fused)]
         sheet = [("Photo", frame.photo)]
-        for title, metres in depths:
+        for name, metres in (("Depth traced to the terrain", frame.depth), ("Fused depth", frame.fused)):
             if metres is not None:
-                sheet.append(
-                    (title, _over(overlay_depth(frame.photo, metres, scale), range_legend(800, scale, sky=False)))
-                )
+                depth = overlay_depth(frame.photo, metres, scale)
+                sheet.append((name, _over(depth, range_legend(800, scale, sky=False))))
         named = label_legend(800, labels, np.unique(frame.labels).tolist())
         sheet.append(("Labels", _over(overlay_labels(frame.photo, frame.labels, labels), named)))
-        name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
-        (folder / name).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
+        file = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
+        (folder / file).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
         if frame is deepest:
             (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map, title)))
 
@@ -220,32 +215,6 @@ def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: 
 def _padded(picture: RgbImage, height: int) -> RgbImage:
     missing = height - picture.shape[0]
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
-
-
-def recording_facts(site: Site, recorded: Recorded) -> str:
-    """Return the place of a site and the time of its recorded frames in words."""
-    poses = recorded_poses(recorded.bag, site)
-    x, y = np.mean([pose.position[:2] for pose, _ in poses.values()], axis=0)
-    lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))
-    stamps = [stamp_ns for _, stamp_ns in poses]
-    first, last = (f"{moment_of_stamp(edge(stamps)):%Y-%m-%d %H:%M:%S}" for edge in (min, max))
-    place = f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude)"
-    return f"{place}. Frames of {first} to {last} UTC."
-
-
-LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
-
-
-def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
-    """Return the conditions of the run, for the report."""
-    return [
-        ("site", f"{site.name}: {counted(len(site.cameras), 'camera')}, {site.crs}"),
-        ("frames", str(frames)),
-        ("network", site.model),
-        ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
-        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
-        ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
-    ]
 
 
 PHONE = Assumptions(focal_35mm=25.0, height_above_ground=1.6)

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import base64
 import math
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ltm_core.base.number_text import percent
+import numpy as np
+
+from ltm_core.base.number_text import counted, percent
 from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
+from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
 from ltm_core.pictures.legend import ClassPalette
 from ltm_core.scoring.depth import DepthScore
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
-from ltm_ros.demo.score import SHARED, RunScore
+from ltm_core.site.site import Site
+from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
 from ltm_ros.pages.render import render_page, shown
+from ltm_ros.recordings.recorded_run import Recorded
 from ltm_ros.runtime.health import NodeRow
 
 MAX_WIDTH = 1700
@@ -228,3 +235,29 @@ def fuel_maps_table(score: RunScore) -> Table | None:
             f"{false.of:,} others it changed {false.count:,}."
         )
     return Table("Fuel maps", ("map", "cells seen", "right", "share"), rows, note)
+
+
+def recording_facts(site: Site, recorded: Recorded) -> str:
+    """Return the place of a site and the time of its recorded frames in words."""
+    poses = recorded_poses(recorded.bag, site)
+    x, y = np.mean([pose.position[:2] for pose, _ in poses.values()], axis=0)
+    lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))
+    stamps = [stamp_ns for _, stamp_ns in poses]
+    first, last = (f"{moment_of_stamp(edge(stamps)):%Y-%m-%d %H:%M:%S}" for edge in (min, max))
+    place = f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude)"
+    return f"{place}. Frames of {first} to {last} UTC."
+
+
+LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
+
+
+def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
+    """Return the conditions of the run, for the report."""
+    return [
+        ("site", f"{site.name}: {counted(len(site.cameras), 'camera')}, {site.crs}"),
+        ("frames", str(frames)),
+        ("network", site.model),
+        ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
+        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
+        ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
+    ]

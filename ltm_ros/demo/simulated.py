@@ -19,17 +19,22 @@ from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import (
     Walk,
     camera_pictures,
-    conditions,
     fuel_sheets,
     headings,
     map_picture,
     range_scale,
-    recording_facts,
     run_walk,
     walk_sheet,
     write_pictures,
 )
-from ltm_ros.demo.report import ReportData, depth_table, fuel_maps_table, write_report
+from ltm_ros.demo.report import (
+    ReportData,
+    conditions,
+    depth_table,
+    fuel_maps_table,
+    recording_facts,
+    write_report,
+)
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
 from ltm_ros.fuel_map.layers import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
