@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,7 +81,7 @@ def terrain_map_picture(
     `offset`: added to coordinates on the axes. `width`: without the axes."""
     if seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
-    view = view_of(interesting_bounds(seen, dem.geometry, cameras, dem.geometry), width)
+    view = view_of(interesting_bounds(seen, dem.geometry, [c.position for c in cameras], dem.geometry), width)
     colors = _on_view(dem, view, lambda factor, window: terrain_colors(dem, factor=factor, window=window))
     picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
     hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
@@ -183,10 +183,11 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 
 
 def interesting_bounds(
-    mask: BoolArray, geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
+    mask: BoolArray, geometry: GridGeometry, points: Iterable[Sequence[float]], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
-    """Return the bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
-    xs, ys = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
+    """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
+    terrain."""
+    xs, ys = ([*values] for values in zip(*points, strict=True)) if (points := [*points]) else ([], [])
     rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if len(rows):
         x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])

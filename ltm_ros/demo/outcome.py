@@ -120,7 +120,7 @@ def map_picture(
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
     grid = site.in_map(geometry)
-    bounds = interesting_bounds(classes != UNLABELLED, grid, cameras, dem.geometry)
+    bounds = interesting_bounds(classes != UNLABELLED, grid, [c.position for c in cameras], dem.geometry)
     ground = Dem(dem.elevation, dem.geometry)
     return FuelCanvas(grid, ground, cameras, bounds, site.origin, 1200, site.crs).classes(classes, labels, changed)
 

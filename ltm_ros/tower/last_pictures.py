@@ -19,7 +19,7 @@ from rclpy.node import Node
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import config_path
-from ltm_core.base.types import Float32Array, Float64Array, RgbImage, UInt8Array
+from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
@@ -132,10 +132,9 @@ def map_png(
 ) -> bytes:
     """Return the part of the life form map that the cameras see, or all that is known without cameras, with the places
     a scale bar with a note, and a legend; `classes` (H, W), 255 unknown, north up."""
-    if cameras:
-        bounds = around(geometry, [camera.sector() for camera in cameras])
-    else:
-        bounds = interesting_bounds(classes != UNLABELLED, geometry, (), geometry)
+    known = (classes != UNLABELLED) & (not cameras)
+    seen = np.concatenate([camera.sector() for camera in cameras]).tolist() if cameras else ()
+    bounds = interesting_bounds(known, geometry, seen, geometry)
     view = view_of(bounds, WIDTH)
     ids = nearest(classes, geometry, view, UNLABELLED)
     picture = label_colors(ids, palette, unlabelled=_GREY)
@@ -147,19 +146,6 @@ def map_png(
     found = [len(shown.names) - 1 if label == UNLABELLED else label for label in np.unique(ids).tolist()]
     legend = label_legend(WIDTH, shown, found)
     return to_png(finished(furnished(picture, view, [*cameras, *places]), view, legend, note=note))
-
-
-def around(geometry: GridGeometry, outlines: Sequence[Float64Array]) -> tuple[float, float, float, float]:
-    """Return the bounds of outlines (N, 2) with a margin, not thinner than 5:8, inside a grid."""
-    points = np.concatenate(outlines)
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = np.maximum((high - low) / 2 * 1.1, 10 * geometry.resolution)
-    half = np.maximum(half, half[::-1] * 0.6)
-    x_min, y_min, x_max, y_max = geometry.bounds
-    centre = np.clip((low + high) / 2, (x_min, y_min), (x_max, y_max))
-    west, south = np.maximum(centre - half, (x_min, y_min))
-    east, north = np.minimum(centre + half, (x_max, y_max))
-    return float(west), float(south), float(east), float(north)
 
 
 def legends(labels: ClassPalette) -> dict[str, list[tuple[str, list[int]]]]:

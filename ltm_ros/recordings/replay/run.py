@@ -31,6 +31,7 @@ from ltm_ros.recordings.replay import LONGEST_PAUSE
 from ltm_ros.recordings.replay.offline import RECORDING, Selection, replay_offline
 from ltm_ros.runtime.delivery_checks import unmatched
 from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
+from ltm_ros.runtime.topics import CAMERA_TRUTH
 
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
@@ -102,9 +103,13 @@ class LivePlayer:
         """
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
         known, loose = 0, list[str]()
+        truth = tuple(f"/{topic.name}" for topic in CAMERA_TRUTH)  # only a recorder takes it
+        wanted = [
+            name for name, topic in self._selection.topics.items() if is_image(topic) and not name.endswith(truth)
+        ]
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
-            images = [count for name, count in counts.items() if is_image(self._selection.topics[name])]
+            images = [counts[name] for name in wanted]
             summaries = dict(self.summaries)
             known = min(self._clock.get_subscription_count(), len(summaries))
             loose = unmatched(self._node, summaries)
@@ -113,7 +118,7 @@ class LivePlayer:
             if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
-        topics = ", ".join(name for name, topic in self._selection.topics.items() if is_image(topic))
+        topics = ", ".join(wanted)
         raise RecordingError(
             f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
             f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
