@@ -17,8 +17,7 @@ from rclpy.node import Node
 from ltm_core.base.errors import LtmError
 from ltm_lab.bench.graph_site import NAME, SENT, stamped
 from ltm_lab.bench.measure import own_process
-from ltm_lab.bench.spinning_node import SpinningNode
-from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.outlet_node import SpinningNode, stream_qos
 from ltm_ros.runtime.ros_environment import limit_shutdown
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, camera_topic, site_topic
 

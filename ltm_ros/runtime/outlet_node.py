@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Set
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
+import rclpy
 from pydantic_core import PydanticUndefined
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -18,6 +23,7 @@ from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report,
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import TRAFFIC, TopicCount
+from ltm_ros.runtime.ros_environment import wait_for_quiet
 
 WIRING_S = 5.0
 """Seconds between two checks for published topics that do not reach a node."""
@@ -180,3 +186,34 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
 
 def _ros_value(value: object) -> object:
     return value if isinstance(value, bool | int | float | str | list) else str(value)
+
+
+class SpinningNode:
+    """Spins `node` in a thread; callbacks come on that thread. A context manager."""
+
+    def __init__(self, name: str) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = Node(name, context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._executor.shutdown()
+        wait_for_quiet(self.node)
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def _spin(self) -> None:
+        while not self._stopping.is_set():
+            self._executor.spin_once(timeout_sec=0.1)

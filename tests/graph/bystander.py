@@ -12,10 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from scenes.waiting import PATIENCE_S, wait_for
 from std_srvs.srv import Trigger
 
-from ltm_lab.bench.spinning_node import SpinningNode
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.delivery_checks import unmatched, with_info
-from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.outlet_node import SpinningNode, stream_qos
 
 SEND_AGAIN_S = 2.0
 
