@@ -33,7 +33,7 @@ class LifeForm(IntEnum):
 
 FORMS: Final = len(LifeForm)
 """Life forms; arrays over them are indexed by the form's id - 1."""
-BURNED_COLOR: Final = (45, 35, 35)
+BURNED_COLOR: Final = (15, 10, 10)
 NODATA: Final = -9999
 """Nodata value of fuel codes and canopy bands."""
 NONBURNABLE: Final = (91, 92, 93, 98, 99)

@@ -1,7 +1,7 @@
 """Pictures of depth, labels and fuel maps: arrays in, RGB arrays (H, W, 3) uint8 out; no file is touched."""
 
 from ltm_core.pictures.legend import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
-from ltm_core.pictures.maps import MapCamera, fuel_map_picture, labelled_shade, terrain_map_picture
+from ltm_core.pictures.maps import MapCamera, terrain_map_picture
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.pictures.relief import hillshade, terrain_colors
 from ltm_core.pictures.sheets import fit, panel
@@ -11,11 +11,9 @@ __all__ = [
     "RangeScale",
     "depth_colors",
     "fit",
-    "fuel_map_picture",
     "hillshade",
     "label_colors",
     "label_legend",
-    "labelled_shade",
     "overlay_depth",
     "overlay_labels",
     "panel",

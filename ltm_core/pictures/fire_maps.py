@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -11,22 +13,23 @@ from numpy.typing import NDArray
 from ltm_core.base.types import BoolArray, Float32Array, RgbImage
 from ltm_core.fire.effect import FireEffect
 from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.fire.scenario import FireScenario, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas, Scale, bare_map
-from ltm_core.pictures.legend import label_legend
-from ltm_core.pictures.maps import interesting_bounds
+from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
+from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, label_legend
+from ltm_core.pictures.maps import MapCamera, interesting_bounds
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel
 from ltm_core.raster.dem import Dem
 
-FLAME: Final = Scale.of(
+FLAME: Final = Scale(
     ("below 1.2 m: hand tools", "1.2 to 2.4 m: engines", "2.4 to 3.4 m: hard to control", "3.4 m and more"),
+    ((255, 232, 150), (250, 160, 60), (214, 47, 39), (92, 0, 22)),
     (1.2, 2.4, 3.4),
-    cv2.COLORMAP_PLASMA,
-    upwards=False,
 )  # fmt: skip
-"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
+"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and
+darker."""
 PROBABILITY: Final = Scale.of(
     ("below 5 %", "5 to 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 to 95 %", "95 % and more"),
     (0.05, 0.2, 0.4, 0.6, 0.8, 0.95),
@@ -80,10 +83,10 @@ def terrain_of(landscape: Landscape) -> Dem:
     return Dem(np.where(band == NODATA, np.nan, band).astype(np.float32), landscape.geometry)
 
 
-def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int]) -> RgbImage:
-    """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble;
-    cells whose fuel or canopy has changed are outlined. `cell`: where it starts."""
-    canvas = _canvas(effect, landscape, cell)
+def fire_sheet(effect: FireEffect, landscape: Landscape, scenario: FireScenario, heading: str = "") -> RgbImage:
+    """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble,
+    each with the ignition and an arrow in the wind's direction; cells whose fuel or canopy has changed are outlined."""
+    canvas = _FireCanvas.of(effect, landscape, scenario)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
     was, now = effect.before, effect.after
@@ -102,10 +105,10 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int]) 
     }
     if effect.probability is not None:
         count = len(effect.members)
-        maps[f"probability to burn, of {count} landscapes drawn from the fuel probabilities"] = _drawn(
+        maps[f"Probability to burn, of {count} landscapes drawn from the fuel probabilities"] = _drawn(
             canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
         )
-    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])
+    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)
 
 
 def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:
@@ -121,17 +124,34 @@ def _flames(run: FireRun) -> BoolArray:
     return run.burned & (run.flame > 0)
 
 
-def _canvas(effect: FireEffect, landscape: Landscape, cell: tuple[int, int]) -> FuelCanvas:
-    g = landscape.geometry
-    x, y = (float(v) for v in g.to_map(*cell))
-    burned = effect.before.burned | effect.after.burned
-    bounds = interesting_bounds(burned, g, (), g)
-    return FuelCanvas(g, terrain_of(landscape), [CameraMark("ignition", x, y)], bounds)
+class _FireCanvas(FuelCanvas):
+    """Draws the wind under the north arrow."""
+
+    wind: Wind
+
+    @classmethod
+    def of(cls, effect: FireEffect, landscape: Landscape, scenario: FireScenario) -> _FireCanvas:
+        g = landscape.geometry
+        x, y = (float(v) for v in g.to_map(scenario.row, scenario.col))
+        bounds = interesting_bounds(effect.before.burned | effect.after.burned, g, (), g)
+        canvas = cls(g, terrain_of(landscape), [MapCamera("ignition", None, (x, y))], bounds, about=g.crs or "")
+        canvas.wind = scenario.wind
+        return canvas
+
+    def _framed(self, picture: RgbImage, names: Sequence[Text]) -> RgbImage:
+        reach, towards = 0.035 * self.view.width, math.radians(self.wind.direction + 180)
+        x, y = self.view.width - 2.5 * reach, 5.5 * reach
+        step = reach * math.sin(towards), -reach * math.cos(towards)
+        ends = [(round(x + sign * step[0]), round(y + sign * step[1])) for sign in (-1, 1)]
+        for color, width in ((PAPER, 6), (INK, 3)):
+            cv2.arrowedLine(picture, ends[0], ends[1], color, width, cv2.LINE_AA, tipLength=0.35)
+        label: Text = (f"wind {self.wind.speed:g} m/s", x, y + 1.3 * reach, "mt")
+        return super()._framed(draw_texts(picture, [label], 14, INK, PAPER), names)
 
 
 def _drawn(
-    canvas: FuelCanvas, values: Float32Array | NDArray[np.floating], known: BoolArray, scale: Scale, effect: FireEffect
+    canvas: _FireCanvas, values: Float32Array | NDArray[np.floating], known: BoolArray, scale: Scale, effect: FireEffect
 ) -> RgbImage:
     outlined = effect.changed if effect.changed.mean() < 0.5 else None
     picture = canvas.map(label_colors(scale.classes(values, known), scale), known, outlined)
-    return canvas.finished(picture, label_legend(picture.shape[1], scale))
+    return canvas.finished(picture, scale)

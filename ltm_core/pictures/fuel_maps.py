@@ -1,12 +1,12 @@
 """Draw the fuel map over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
-The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes; fuel models have
-LANDFIRE's colours.
+The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes. Fuel models have
+LANDFIRE's colours, which do not: their names are written on the map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -15,31 +15,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.errors import ImageError
+from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.base.number_text import counted, number
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
-from ltm_core.fuel.codes import FuelSystem, code_colors, code_names, fuel_models
+from ltm_core.fuel.codes import FuelSystem, code_color, code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
-from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import (
-    INK,
-    PAPER,
-    UNLABELLED,
-    Anchor,
-    ClassPalette,
-    Palette,
-    draw_texts,
-    label_legend,
-    with_legend,
-)
-from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, label_legend, text_width
+from ltm_core.pictures.maps import MapCamera, draw_outline, finished, furnished, interesting_bounds, relief, view_of
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
+_NAME_SIZE: Final = 11
+"""Height in pixels of fuel models' names on a map."""
+_NAMES: Final = 8
+"""Maximum number of names of one fuel model on a map."""
 _SURE: Final = 0.25
 _NO_MORE: Final = 0.85
 """Entropies at which a life form's colour is full and palest."""
@@ -66,8 +61,8 @@ class Scale(Palette):
 
 
 DOUBT: Final = Scale.of(
-    ("below 0.1: sure", "0.1 to 0.2", "0.2 to 0.3", "0.3 to 0.4", "0.4 to 0.5", "0.5 to 0.7", "0.7 and more"),
-    (0.1, 0.2, 0.3, 0.4, 0.5, 0.7),
+    ("below 0.1: certain", "0.1 to 0.2", "0.2 to 0.35", "0.35 to 0.5", "0.5 to 0.7", "0.7 and more"),
+    (0.1, 0.2, 0.35, 0.5, 0.7),
     cv2.COLORMAP_CIVIDIS,
 )
 """Share of the maximum entropy of a cell's life forms: 0 certain, 1 unknown."""
@@ -83,37 +78,32 @@ FOOTPRINT: Final = Scale.of(
 )
 
 
-@dataclass(frozen=True)
-class CameraMark:
-    """Position of a camera in the frame of the map, metres."""
-
-    name: str
-    x: float
-    y: float
-
-
 class FuelCanvas:
     """Draws layers of one fuel grid over the relief of one part of the terrain. Palettes are of life forms
     (`life_form_labels`).
 
-    `geometry`: the fuel grid; `dem` in the same frame. `places`: the cameras. `bounds`: (x_min, y_min, x_max, y_max) of
-    the part; default: the whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its
-    axes.
+    `geometry`: the fuel grid; `dem` in the same frame. `bounds`: (x_min, y_min, x_max, y_max) of the part; default: the
+    whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its axes. `about`: a note
+    beside the scale bar. Raises RasterError for rasters in different CRSs.
     """
 
     def __init__(
         self,
         geometry: GridGeometry,
         dem: Dem,
-        places: Sequence[CameraMark] = (),
+        cameras: Sequence[MapCamera] = (),
         bounds: tuple[float, float, float, float] | None = None,
         offset: tuple[float, float] = (0.0, 0.0),
         width: int = 760,
+        about: str = "",
     ) -> None:
+        known = {g.crs for g in (geometry, dem.geometry) if g.crs is not None}
+        if len(known) > 1:
+            raise RasterError(f"a map needs its rasters in one CRS, got {' and '.join(sorted(known))}")
         if bounds is None:
             bounds = interesting_bounds(np.ones(geometry.shape, np.bool_), geometry, (), dem.geometry)
         self.view = view_of(bounds, width)
-        self._places, self._offset, self._cell = places, offset, geometry.resolution
+        self._cameras, self._offset, self._about, self._cell = cameras, offset, about, geometry.resolution
         self._shape = geometry.shape
         self._relief = relief(dem, self.view)
         x, y = (self.view.to_map(0, np.arange(self.view.width))[0], self.view.to_map(np.arange(self.view.height), 0)[1])
@@ -121,69 +111,83 @@ class FuelCanvas:
         self._inside = np.asarray(geometry.contains(row, col))
         self._row, self._col = np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)
 
-    def map(self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None) -> RgbImage:
-        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, cameras, north and
-        axes."""
+    def map(
+        self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None, names: Sequence[Text] = ()
+    ) -> RgbImage:
+        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, names, cameras,
+        north and axes. Raises RasterError for another shape."""
+        if known.shape != self._shape:
+            raise RasterError(f"cells of shape {known.shape} do not fit a raster of {self._shape}")
         shown = self._inside & known[self._row, self._col]
+        # Shade the colours too, or steep ground loses its shape under them.
         tinted = np.clip(colors[self._row, self._col] * (0.4 + 0.62 * self._relief[..., :1] / 255.0), 0, 255)
         mixed = (self._relief * (1 - _OPACITY) + tinted * _OPACITY).round().astype(np.uint8)
         picture = np.where(shown[..., None], mixed, self._relief)
         if outlined is not None:
             draw_outline(picture, self._inside & outlined[self._row, self._col], self._cell / self.view.resolution)
-        return with_axes(self._furnished(picture), self.view, self._offset)
+        return self._framed(picture, names)
 
     def classes(self, classes: UInt8Array, palette: ClassPalette, outlined: BoolArray | None = None) -> RgbImage:
-        """Return a map of classes (H, W), UNLABELLED none, over its scale bar and the names of the classes that
-        occur."""
+        """Return a map of classes (H, W), UNLABELLED none, over its scale bar and the names of the classes in it."""
         picture = self.map(label_colors(classes, palette), classes != UNLABELLED, outlined)
-        return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(classes).tolist()))
+        return self.finished(picture, palette, self._within(classes).tolist())
 
     def scaled(self, values: NDArray[Any], known: BoolArray, scale: Scale) -> RgbImage:
-        """Return a map of values (H, W) where they are known, with the whole scale."""
-        picture = self.map(label_colors(scale.classes(values, known), scale), known)
-        return self.finished(picture, label_legend(picture.shape[1], scale))
+        """Return a map of values (H, W) where they are known, with the part of the scale that they span."""
+        classes = scale.classes(values, known)
+        found = self._within(classes)
+        found = found[found != UNLABELLED]
+        span = range(found[0], found[-1] + 1) if len(found) else None
+        return self.finished(self.map(label_colors(classes, scale), known), scale, span)
 
     def codes(self, codes: Int16Array, outlined: BoolArray | None = None) -> RgbImage:
-        """Return a map of fuel models (H, W)."""
-        picture = self.map(code_colors(codes), codes >= 0, outlined)
-        named = code_names(codes)
-        legend = Palette(tuple(name for name, _ in named), tuple(color for _, color in named))
-        return self.finished(picture, label_legend(picture.shape[1], legend))
+        """Return a map of fuel models (H, W), with their names on the areas that have room for them."""
+        shown = np.where(self._inside, codes[self._row, self._col], NODATA)
+        picture = self.map(code_colors(codes), codes >= 0, outlined, self._names(shown))
+        named = code_names(shown)
+        return self.finished(picture, Palette(tuple(name for name, _ in named), tuple(color for _, color in named)))
 
     def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
         """Return a map of life forms, paler where they are less sure, changed cells outlined."""
-        colors = faded(layers, palette)
-        picture = self.map(colors, layers.life_form != UNLABELLED, layers.changed)
-        return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(layers.life_form).tolist()))
+        picture = self.map(faded(layers, palette), layers.life_form != UNLABELLED, layers.changed)
+        return self.finished(picture, palette, self._within(layers.life_form).tolist())
 
     @cached_property
     def tallest(self) -> int:
         """Return the pixels that no finished map exceeds in height: one with the name of every fuel model."""
-        every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
-        return len(self.codes(np.resize(every, self._shape)))
+        every = [(fuel_models().name(code), code_color(code)) for code in fuel_models().codes(FuelSystem.FBFM40)]
+        blank = np.zeros((*self._shape, 3), np.uint8), np.zeros(self._shape, np.bool_)
+        return len(self.finished(self.map(*blank), Palette(tuple(n for n, _ in every), tuple(c for _, c in every))))
 
-    def finished(self, picture: RgbImage, legend: RgbImage) -> RgbImage:
-        """Return a map with its scale bar and legend under it."""
-        bar = scale_bar(self.view)
-        margin = picture.shape[1] - bar.shape[1]
-        moved = np.full((bar.shape[0], picture.shape[1], 3), PAPER, np.uint8)
-        moved[:, margin:] = bar
-        return with_legend(picture, moved, legend)
+    def finished(self, picture: RgbImage, palette: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
+        """Return a map with its scale bar and the names of the classes `ids` (default: all) under it."""
+        return finished(picture, self.view, label_legend(picture.shape[1], palette, ids), note=self._about)
 
-    def _furnished(self, picture: RgbImage) -> RgbImage:
-        size = max(12, round(self.view.width / 55))
-        texts: list[tuple[str, float, float, Anchor]] = []
-        for place in self._places:
-            row, col = (float(v) for v in self.view.to_grid(place.x, place.y))
-            if not (0 <= row < self.view.height and 0 <= col < self.view.width):
-                continue
-            centre = round(col), round(row)
-            cv2.circle(picture, centre, round(size * 0.42), (255, 255, 255), -1, cv2.LINE_AA)
-            cv2.circle(picture, centre, round(size * 0.28), INK, -1, cv2.LINE_AA)
-            right = col < 0.75 * self.view.width
-            texts.append((place.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"))
-        texts.append(draw_north(picture, size, texts))
-        return draw_texts(picture, texts, size, INK, halo=PAPER)
+    def _within(self, classes: UInt8Array) -> UInt8Array:
+        """Return the classes (N,) in the shown part, UNLABELLED too."""
+        return np.unique(np.where(self._inside, classes[self._row, self._col], UNLABELLED).astype(np.uint8))
+
+    def _names(self, codes: Int16Array) -> list[Text]:
+        """Return the names of the largest areas of each code (h, w) in the view that have room for one."""
+        names: list[Text] = []
+        for code in np.unique(codes[codes >= 0]).tolist():
+            name, mask = fuel_models().name(code), (codes == code).astype(np.uint8)
+            room = np.ones((_NAME_SIZE + 4, text_width(name, _NAME_SIZE) + 2), np.uint8)
+            free = cv2.erode(mask, room, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+            depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3) * free
+            _, areas, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+            largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:_NAMES]
+            for area in largest.tolist():
+                left, top, width, height = stats[area, :4].tolist()
+                part = np.s_[top : top + height, left : left + width]
+                inside = np.where(areas[part] == area, depth[part], 0)
+                row, col = np.unravel_index(int(inside.argmax()), inside.shape)
+                if inside[row, col] > 0:
+                    names.append((name, float(left + col), float(top + row), "mm"))
+        return names
+
+    def _framed(self, picture: RgbImage, names: Sequence[Text]) -> RgbImage:
+        return with_axes(furnished(picture, self.view, self._cameras, names), self.view, self._offset)
 
 
 def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
@@ -217,17 +221,13 @@ def bare_map(
 
 
 class _Bare(FuelCanvas):
-    """Without cameras, north and axes."""
+    """Without names, cameras, north and axes."""
 
-    def map(self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None) -> RgbImage:
-        whole = super().map(colors, known, outlined)
-        return whole[: self.view.height, whole.shape[1] - self.view.width :]
-
-    def _furnished(self, picture: RgbImage) -> RgbImage:
+    def _framed(self, picture: RgbImage, names: Sequence[Text]) -> RgbImage:
         return picture
 
 
-def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
+def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette, heading: str = "") -> RgbImage:
     """Return the life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of
     which the last two are not known, as of an earlier date, the first two alone."""
     known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
@@ -242,63 +242,67 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) ->
             ),
             "Number of cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
         }
-    return _sheet(maps)
+    return _sheet(maps, heading)
 
 
 def change_sheet(
-    canvas: FuelCanvas, before: FuelLayers, after: FuelLayers, palette: ClassPalette, names: tuple[str, str]
+    canvas: FuelCanvas,
+    before: FuelLayers,
+    after: FuelLayers,
+    palette: ClassPalette,
+    names: tuple[str, str],
+    heading: str = "",
 ) -> RgbImage:
     """Return the life forms and fuel models at two dates, changed cells outlined; `names`: of the dates. A code may
     stand for several life forms: that of an unchanged cell is the one last seen, in both."""
     changed = changed_cells(before.code, after.code)
     then, now = names
-    told = f"{int(changed.sum()):,} changed cells"
     stayed = (before.code == after.code) & (before.life_form != UNLABELLED)
     forms = np.where(stayed, after.life_form, before.life_form)
     return _sheet(
         {
-            f"life form, {then}": canvas.classes(forms, palette, changed),
-            f"life form, {now}; outlined: {told}": canvas.classes(after.life_form, palette, changed),
-            f"fuel model, {then}": canvas.codes(before.code, changed),
-            f"fuel model, {now}": canvas.codes(after.code, changed),
-        }
+            f"Life form: {then}": canvas.classes(forms, palette, changed),
+            f"Life form: {now}. Outlined: {counted(int(changed.sum()), 'changed cell')}.": canvas.classes(
+                after.life_form, palette, changed
+            ),
+            f"Fuel model: {then}": canvas.codes(before.code, changed),
+            f"Fuel model: {now}": canvas.codes(after.code, changed),
+        },
+        heading,
     )
 
 
-def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
+def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "") -> RgbImage:
     """Draw, for each camera, how many frames saw each cell, and the smallest ground footprint of a pixel. Raises
     ImageError if no camera has seen anything."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
-        maps[f"{name}: number of frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
+        hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4
+        maps[f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"] = canvas.scaled(
             seen.frames, seen.frames > 0, FRAMES
         )
         known = np.isfinite(seen.footprint)
         maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
-    return _sheet(maps)
+    return _sheet(maps, heading)
 
 
-def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbImage:
+def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray], heading: str = "") -> RgbImage:
     """Draw, for each camera, the cells (H, W) that it has seen, and how many cameras have seen each. Raises ImageError
     without cameras."""
     maps = {
-        f"seen by {name}: {int(cells.sum()):,} cells": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
+        f"Seen by {name}: {counted(int(cells.sum()), 'cell')}": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
         for name, cells in sorted(by_camera.items())
     }
     if len(maps) > 1:
         count = np.sum(list(by_camera.values()), axis=0)
         maps["Number of cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
-    return _sheet(maps)
+    return _sheet(maps, heading)
 
 
 _SEEN = Scale(("seen",), (CAMERAS.colors[1],), ())
 
 
-def _area(cells: BoolArray, coverage: CoverageMap) -> str:
-    return f"{cells.sum() * coverage.geometry.resolution**2 / 1e6:.2f} sq km"
-
-
-def _sheet(maps: Mapping[str, RgbImage]) -> RgbImage:
+def _sheet(maps: Mapping[str, RgbImage], heading: str) -> RgbImage:
     if not maps:
         raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")
-    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])
+    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)

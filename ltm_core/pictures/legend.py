@@ -71,7 +71,37 @@ def draw_texts(
             stroke_width=max(1, round(size / 8)) if halo else 0,
             stroke_fill=halo,
         )
-    return np.asarray(canvas, np.uint8)
+    return np.array(canvas, np.uint8)
+
+
+Text = tuple[str, float, float, Anchor]
+"""A text, the pixel (x, y) of its anchor, and which of its points that is."""
+
+
+def apart(texts: Sequence[Text], size: float, height: int) -> list[Text]:
+    """Return the texts, each moved up or down by whole lines until it covers none before it, in `height` rows."""
+    line, boxes, placed = size * 1.3, list[tuple[float, float, float, float]](), []
+    for text, x, y, anchor in texts:
+        width = text_width(text, size)
+        left = x - {"l": 0.0, "m": 0.5, "r": 1.0}[anchor[0]] * width
+        top = y - {"t": 0.0, "m": 0.5, "b": 1.0}[anchor[1]] * line
+        moves = sorted(range(-12, 13), key=lambda k: (abs(k), -k))
+        free = (k * line for k in moves if text and 0 <= top + k * line <= height - line)
+        move = next(
+            (
+                m
+                for m in free
+                if not any(
+                    left < right and other < left + width and top + m < end and begin < top + m + line
+                    for other, begin, right, end in boxes
+                )
+            ),
+            0.0,
+        )
+        if text:
+            boxes.append((left, top + move, left + width, top + move + line))
+        placed.append((text, x, y + move, anchor))
+    return placed
 
 
 def metres(value: float) -> str:
@@ -151,9 +181,9 @@ def _one_two_five(low: float, high: float) -> list[float]:
 
 @lru_cache(maxsize=1)
 def scale_colors() -> RgbImage:
-    """Return (256, 3) colours from near to far: turbo, reversed."""
+    """Return (256, 3) colours from near to far: viridis from bright to dark, in order for colour-blind eyes too."""
     ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
-    colors = np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO)[:, 0, ::-1])
+    colors = np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
     colors.flags.writeable = False
     return np.asarray(colors, np.uint8)
 
@@ -179,15 +209,15 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
     """Return the colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no
     range."""
     scale = scale or RangeScale()
-    ticks = [(tick, float(scale.fraction(tick))) for tick in scale.ticks()]
+    ticks = [(metres(tick), float(scale.fraction(tick))) for tick in scale.ticks()]
     others = [("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)] if sky else []
     return ramp_legend(width, scale_colors(), ticks, others)
 
 
 def ramp_legend(
-    width: int, ramp: RgbImage, ticks: Sequence[tuple[float, float]], others: Sequence[tuple[str, Color]] = ()
+    width: int, ramp: RgbImage, ticks: Sequence[tuple[str, float]], others: Sequence[tuple[str, Color]] = ()
 ) -> RgbImage:
-    """Return a strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (metres, where between 0 and 1), and
+    """Return a strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (name, where between 0 and 1), and
     the colours of what is not on the scale."""
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
@@ -203,9 +233,9 @@ def ramp_legend(
     for tick, place in ticks:
         x = left + place * (right - left)
         cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
-        half = text_width(metres(tick), size) / 2
+        half = text_width(tick, size) / 2
         if x - half > end + size * 0.5 and x + half < right + size * 1.7:
-            texts.append((metres(tick), x, top + bar + size * 0.5))
+            texts.append((tick, x, top + bar + size * 0.5))
             end = x + half
     x = right + 2 * size
     for (name, color), other in zip(others, widths, strict=True):
@@ -276,7 +306,7 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
 
 def error_legend(width: int) -> RgbImage:
     """Return the colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
-    ticks = [(tick, float(_place(np.float32(tick)))) for tick in _TICKS]
+    ticks = [(metres(tick), float(_place(np.float32(tick)))) for tick in _TICKS]
     return ramp_legend(width, _ramp(), ticks, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,8 +11,8 @@ import numpy as np
 from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.posterior import Ellipse, Posterior
-from ltm_core.pictures.legend import INK, PAPER, Anchor, draw_texts, with_legend
-from ltm_core.pictures.maps import MapCamera, furnished, relief, scale_bar, view_of
+from ltm_core.pictures.legend import INK, PAPER, Text, apart, draw_texts, ramp_legend, with_legend
+from ltm_core.pictures.maps import MapCamera, finished, furnished, relief, view_of
 from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointState
@@ -20,11 +21,13 @@ _WIDTH = 760
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _LEAST_VIEW = 300.0
 """Minimum width in metres of the detail map."""
+_ALIKE = 0.5
+"""Share of the whole map's width above which the detail map is left out."""
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
 _FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
 STATE_COLORS = {
-    PointState.VISIBLE: (40, 190, 90),
-    PointState.HIDDEN: (235, 90, 40),
+    PointState.VISIBLE: (50, 120, 225),
+    PointState.HIDDEN: (245, 150, 30),
     PointState.UNKNOWN: (150, 150, 160),
     PointState.OUTSIDE: (150, 150, 160),
 }
@@ -36,42 +39,65 @@ def location_picture(
     ellipses: Sequence[tuple[str, Ellipse]],
     cameras: Sequence[MapCamera],
     offset: tuple[float, float],
-    titles: tuple[str, str],
+    heading: str,
 ) -> RgbImage:
-    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely; all in the map
-    frame. `ellipses`: with their names, smallest first. `offset`: of the map frame, for the axes."""
+    """Return the cameras with their lines of sight and the posterior, and beside it the posterior closely unless that
+    shows much the same, (H, W, 3); all in the map frame. `ellipses`: with their names, smallest first. `offset`: of the
+    map frame, for the axes."""
     close = _padded(
         np.concatenate([posterior.places[posterior.densest(0.99)], ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW
     )
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
     whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
-    maps = []
-    for title, bounds in zip(titles, (whole, close), strict=True):
+    maps = [("Cameras, lines of sight and probability", whole), ("Probability and its ellipses", close)]
+    if close[2] - close[0] > _ALIKE * (whole[2] - whole[0]):
+        maps = maps[:1]
+    drawn = []
+    for title, bounds in maps:
         view = view_of(bounds, _WIDTH)
         picture = _heated(relief(dem, view), posterior, view)
+        for camera in cameras:
+            ends = np.array([camera.position, posterior.mean])
+            row, col = view.to_grid(ends[:, 0], ends[:, 1])
+            line = np.rint(np.clip(np.column_stack([col, row]), -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
+            cv2.polylines(picture, [line], False, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(picture, [line], False, INK, 1, cv2.LINE_AA, _SHIFT)
         reach = 0.3 * (bounds[2] - bounds[0])
-        drawn = [MapCamera(c.name, c.camera, c.position, c.azimuth_deg, reach) for c in cameras if _within(c, bounds)]
-        picture = furnished(picture, view, drawn, None).copy()  # Pillow's cannot be drawn on
+        picture = furnished(picture, view, [replace(c, reach=reach) for c in cameras if _within(c, bounds)])
         _draw(picture, view, ellipses, posterior.mean)
-        if bounds is close:
+        if bounds == maps[-1][1]:
             picture = _named(picture, view, ellipses)
-        framed = with_axes(picture, view, offset)
-        bar = np.full((scale_bar(view).shape[0], framed.shape[1], 3), PAPER, np.uint8)
-        bar[:, framed.shape[1] - view.width :] = scale_bar(view)
-        maps.append((title, with_legend(framed, bar)))
-    return panel(maps, columns=2, width=max(picture.shape[1] for _, picture in maps))
+        drawn.append((title, finished(with_axes(picture, view, offset), view, _heat_legend())))
+    return panel(drawn, columns=2, width=max(picture.shape[1] for _, picture in drawn), heading=heading)
+
+
+def _heat_legend() -> RgbImage:
+    """Return the colours by the probability of a cell and all that are more probable."""
+    names = ("99 %", "90 %", "75 %", "50 %", "25 %")
+    places = (0.01, 0.1, 0.25, 0.5, 0.75)
+    text = "Probability that the place is in a cell of this or a darker colour"
+    title = draw_texts(np.full((22, _WIDTH, 3), PAPER, np.uint8), [(text, 14, 14, "lm")], 14, INK)
+    return with_legend(
+        title, ramp_legend(_WIDTH, _heat_colors(np.linspace(0, 1, 256)), list(zip(names, places, strict=True)))
+    )
+
+
+def _heat_colors(heat: Float64Array) -> RgbImage:
+    place = heat * (len(_HEAT) - 1)
+    colors = [np.interp(place, np.arange(len(_HEAT)), _HEAT[:, channel]) for channel in range(3)]
+    return np.stack(colors, axis=-1).astype(np.uint8)
 
 
 def places_picture(
     photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]], marked: Float64Array | None = None
 ) -> RgbImage:
-    """Return a photo with places of the map drawn where they lie in it: green seen, orange hidden by terrain, grey
+    """Return a photo with places of the map drawn where they lie in it: blue seen, orange hidden by terrain, grey
     where unknown ground decides. `marked`: (N, 2) where they were marked, a cross each with a line to where they lie.
     """
     picture = photo.copy()
-    size = max(12, round(photo.shape[1] / 80))
+    size = max(13, round(photo.shape[1] / 80))
     line = max(1, size // 8)
-    labels: list[tuple[str, float, float, Anchor]] = []
+    labels: list[Text] = []
     for number, (name, (u, v), state) in enumerate(places):
         centre = _fixed(np.array([[u, v]]))[0]
         if marked is not None and np.isfinite(marked[number]).all():
@@ -83,7 +109,7 @@ def places_picture(
         cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, (255, 255, 255), line + 2, cv2.LINE_AA, _SHIFT)
         cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, color, line, cv2.LINE_AA, _SHIFT)
         labels.append((name, u + size * 0.8, v, "lm"))
-    return draw_texts(picture, labels, size, INK, halo=PAPER)
+    return draw_texts(picture, apart(labels, size, photo.shape[0]), size, INK, halo=PAPER)
 
 
 def _fixed(points: Float64Array) -> list[list[int]]:
@@ -127,9 +153,7 @@ def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbI
     inside = view.contains(row, col)
     np.maximum.at(heat, (row[inside], col[inside]), (1 - before[chosen])[inside])
     shown = heat > 0
-    place = heat * (len(_HEAT) - 1)
-    colors = np.stack([np.interp(place, np.arange(len(_HEAT)), _HEAT[:, c]) for c in range(3)], axis=-1)
-    mixed = np.clip(colors * (0.45 + 0.55 * picture / 255.0), 0, 255) * 0.75 + picture * 0.25
+    mixed = np.clip(_heat_colors(heat) * (0.45 + 0.55 * picture / 255.0), 0, 255) * 0.75 + picture * 0.25
     return np.where(shown[..., None], mixed, picture).astype(np.uint8)
 
 
@@ -152,7 +176,7 @@ def _draw(
 
 
 def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]]) -> RgbImage:
-    texts: list[tuple[str, float, float, Anchor]] = []
+    texts: list[Text] = []
     for name, ellipse in ellipses:
         top = max(ellipse.outline(180).tolist(), key=lambda place: place[1])
         row, col = view.to_grid(*top)

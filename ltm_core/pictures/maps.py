@@ -1,9 +1,9 @@
-"""Maps of classes or terrain over shaded relief, with cameras, legend, scale bar and north arrow."""
+"""Draw terrain over shaded relief, and what every map has: cameras, outlines, scale bar and north arrow."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,17 +18,17 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import (
     INK,
     PAPER,
-    UNLABELLED,
-    Anchor,
-    ClassPalette,
+    Palette,
+    Text,
+    apart,
     draw_texts,
     label_legend,
     metres,
     text_width,
     with_legend,
 )
-from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.relief import Window, hillshade, terrain_colors
+from ltm_core.pictures.sheets import with_axes
 from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
@@ -38,69 +38,24 @@ _SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 @dataclass(frozen=True)
 class MapCamera:
-    """A camera on a map: where it stands, in the map frame, and the sector it looks into (metres, degrees)."""
+    """A camera on a map: its position in the map frame, and its field of view as a sector (metres, degrees).
+
+    `camera`: None marks a position without a sector."""
 
     name: str
-    camera: Camera
+    camera: Camera | None
     position: tuple[float, float]
-    azimuth_deg: float
+    azimuth_deg: float = 0.0
     reach: float = 3000.0
 
     def sector(self, steps: int = 24) -> Float64Array:
         """Return the outline (N, 2) of the sector in map coordinates, from the camera round and back."""
+        if self.camera is None:
+            return np.array([self.position], np.float64)
         half = self.camera.hfov_deg / 2
         angles = np.deg2rad(np.linspace(self.azimuth_deg - half, self.azimuth_deg + half, steps))
         arc = np.column_stack([np.sin(angles), np.cos(angles)]) * self.reach
         return np.asarray(np.vstack([[0.0, 0.0], arc, [0.0, 0.0]]) + np.asarray(self.position), np.float64)
-
-
-def labelled_shade(
-    classes: UInt8Array,
-    geometry: GridGeometry,
-    label_set: ClassPalette,
-    dem: Dem,
-    view: GridGeometry,
-    opacity: float = 0.8,
-) -> RgbImage:
-    """Return the class colours over grey relief on the raster `view`, (H, W, 3), nearest cells; 255 shows the bare
-    relief. Raises RasterError if classes and geometry disagree or the rasters are in different CRSs."""
-    if classes.shape != geometry.shape:
-        raise RasterError(f"classes of shape {classes.shape} do not fit a raster of {geometry.shape}")
-    known = {g.crs for g in (geometry, dem.geometry, view) if g.crs is not None}
-    if len(known) > 1:
-        raise RasterError(f"a map needs its rasters in one CRS, got {' and '.join(sorted(known))}")
-    picture = relief(dem, view)
-    ids = nearest(classes, geometry, view, UNLABELLED)
-    colors = label_colors(ids, label_set)
-    # Shade the class colours too, or steep ground loses its shape under them.
-    tinted = np.clip(colors * (0.4 + 0.62 * picture[..., :1] / 255.0), 0, 255).astype(np.uint8)
-    mixed = np.asarray(cv2.addWeighted(picture, 1 - opacity, tinted, opacity, 0.0), np.uint8)
-    return np.where((ids != UNLABELLED)[..., None], mixed, picture)
-
-
-def fuel_map_picture(
-    classes: UInt8Array,
-    geometry: GridGeometry,
-    label_set: ClassPalette,
-    dem: Dem,
-    cameras: Sequence[MapCamera] = (),
-    bounds: tuple[float, float, float, float] | None = None,
-    width: int = 1200,
-    title: str | None = None,
-    outlined: BoolArray | None = None,
-) -> RgbImage:
-    """Return the fuel map (H, W) uint8 class ids, 255 unseen, over relief, with cameras and legend. `bounds`: the part
-    shown; default: all seen cells and cameras. `outlined`: (H, W) cells to mark."""
-    if bounds is None:
-        bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, dem.geometry)
-    view = view_of(bounds, width)
-    picture = labelled_shade(classes, geometry, label_set, dem, view)
-    if outlined is not None:
-        marked = nearest(outlined.astype(np.uint8), geometry, view, 0) > 0
-        draw_outline(picture, marked, geometry.resolution / view.resolution)
-    picture = furnished(picture, view, cameras, title)
-    names = label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist())
-    return with_legend(picture, scale_bar(view), names)
 
 
 def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
@@ -116,30 +71,39 @@ def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
 
 def terrain_map_picture(
     dem: Dem,
-    seen: BoolArray | None = None,
+    seen: BoolArray,
     cameras: Sequence[MapCamera] = (),
-    bounds: tuple[float, float, float, float] | None = None,
     width: int = 1200,
-    title: str | None = None,
+    title: str = "",
+    offset: tuple[float, float] = (0.0, 0.0),
 ) -> RgbImage:
-    """Return the tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover."""
-    if seen is not None and seen.shape != dem.elevation.shape:
+    """Return the tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover.
+    `offset`: added to coordinates on the axes. `width`: without the axes."""
+    if seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
-    if bounds is None:
-        mask = seen if seen is not None else np.isfinite(dem.elevation)
-        bounds = interesting_bounds(mask, dem.geometry, cameras, dem.geometry)
-    view = view_of(bounds, width)
+    view = view_of(interesting_bounds(seen, dem.geometry, [c.position for c in cameras], dem.geometry), width)
     colors = _on_view(dem, view, lambda factor, window: terrain_colors(dem, factor=factor, window=window))
     picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
-    if seen is not None:
-        hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
-        mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
-        picture = np.where(hit[..., None], mixed, picture)
-    return with_legend(furnished(picture, view, cameras, title), scale_bar(view))
+    hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
+    mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
+    picture = np.where(hit[..., None], mixed, picture)
+    legend = label_legend(width, Palette(("seen; ground tints: low green to high white",), (_SEEN,)))
+    return finished(with_axes(furnished(picture, view, cameras), view, offset), view, legend, note=title)
 
 
-def scale_bar(view: GridGeometry) -> RgbImage:
-    """Return a strip as wide as the map, with a bar of a round length in four parts, (h, view.width, 3)."""
+def finished(picture: RgbImage, view: GridGeometry, *legends: RgbImage, note: str = "") -> RgbImage:
+    """Return a map, which may have axes, over its scale bar, a note beside that, and its legends."""
+    strips = []
+    for strip in (scale_bar(view, note), *legends):
+        paper = np.full((strip.shape[0], picture.shape[1], 3), PAPER, np.uint8)
+        paper[:, picture.shape[1] - strip.shape[1] :] = strip
+        strips.append(paper)
+    return with_legend(picture, *strips)
+
+
+def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
+    """Return a strip as wide as the map, with a bar of a round length in four parts and a note on the right, (h,
+    view.width, 3)."""
     size = _text_size(view)
     target = view.width * view.resolution / 4
     power = 10 ** math.floor(math.log10(target))
@@ -149,8 +113,9 @@ def scale_bar(view: GridGeometry) -> RgbImage:
     edges = [size + round(length * part / 4 / view.resolution) for part in range(5)]
     for part in range(4):
         cv2.rectangle(strip, (edges[part], top), (edges[part + 1], bottom), INK, -1 if part % 2 == 0 else 1)
-    texts: list[tuple[str, float, float, Anchor]] = [("0", edges[0], bottom + size * 0.4, "mt")]
-    texts += [(metres(length * part / 4), edges[part], bottom + size * 0.4, "mt") for part in (2, 4)]
+    texts: list[Text] = [("0", edges[0], bottom + size * 0.4, "mt"), (note, view.width - size * 0.5, size, "rm")]
+    named = (2, 4) if edges[2] - edges[0] > text_width(metres(length), size) + size else (4,)
+    texts += [(metres(length * part / 4), edges[part], bottom + size * 0.4, "mt") for part in named]
     return draw_texts(strip, texts, size, INK)
 
 
@@ -218,10 +183,11 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 
 
 def interesting_bounds(
-    mask: BoolArray, geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
+    mask: BoolArray, geometry: GridGeometry, points: Iterable[Sequence[float]], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
-    """Return the bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
-    xs, ys = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
+    """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
+    terrain."""
+    xs, ys = ([*values] for values in zip(*points, strict=True)) if (points := [*points]) else ([], [])
     rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if len(rows):
         x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])
@@ -237,21 +203,21 @@ def interesting_bounds(
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
 
 
-def furnished(picture: RgbImage, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> RgbImage:
-    """Return the cameras, north arrow and title drawn on a map."""
+def furnished(
+    picture: RgbImage, view: GridGeometry, cameras: Sequence[MapCamera], names: Sequence[Text] = ()
+) -> RgbImage:
+    """Return the cameras, their names and others, and the north arrow drawn on a map; no name covers another."""
     picture = picture.copy()
     size = _text_size(view)
-    labels: list[tuple[str, float, float, Anchor]] = []
-    for camera in cameras:
-        labels.append(_draw_camera(picture, view, camera, size))
-    labels.append(draw_north(picture, size, labels))
-    if title:
-        labels.append((title, size, size * 0.9, "lt"))
-    return draw_texts(picture, labels, size, INK, halo=PAPER)
+    shown = [camera for camera in cameras if _draw_camera(picture, view, camera, size)]
+    labels = apart([_label(view, camera, size) for camera in shown], size, view.height)
+    north = draw_north(picture, size, labels)
+    small = draw_texts(picture, list(names), max(11, round(size * 0.75)), INK, halo=PAPER)
+    return draw_texts(small, [*labels, north], size, INK, halo=PAPER)
 
 
 def _text_size(view: GridGeometry) -> int:
-    return max(12, round(view.width / 62))
+    return max(13, round(view.width / 58))
 
 
 def _pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
@@ -261,32 +227,36 @@ def _pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
     return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**_SHIFT, np.int32)
 
 
-def _draw_camera(
-    picture: RgbImage, view: GridGeometry, camera: MapCamera, size: int
-) -> tuple[str, float, float, Anchor]:
-    outline = _pixels(view, camera.sector())
-    shaded = picture.copy()
-    cv2.fillPoly(shaded, [outline], (255, 255, 255), cv2.LINE_AA, _SHIFT)
-    picture[:] = cv2.addWeighted(picture, 0.86, shaded, 0.14, 0.0)
-    cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
+def _draw_camera(picture: RgbImage, view: GridGeometry, camera: MapCamera, size: int) -> bool:
+    """Draw a camera; return whether its position or its sector is on the map."""
+    if camera.camera is not None:
+        outline = _pixels(view, camera.sector())
+        cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
     row, col = view.to_grid(*camera.position)
     centre = round(float(col)), round(float(row))
-    if 0 <= centre[0] < view.width and 0 <= centre[1] < view.height:
+    inside = 0 <= centre[0] < view.width and 0 <= centre[1] < view.height
+    if inside:
         cv2.circle(picture, centre, round(size * 0.42), (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(picture, centre, round(size * 0.3), (200, 30, 45), -1, cv2.LINE_AA)
-    # The name goes behind the camera, where its own view does not cover it.
+        cv2.circle(picture, centre, round(size * 0.3), INK, -1, cv2.LINE_AA)
+    return inside or camera.camera is not None
+
+
+def _label(view: GridGeometry, camera: MapCamera, size: int) -> Text:
+    """Return a camera's name beside it, or behind it where its own sector does not cover it."""
+    row, col = (float(v) for v in view.to_grid(*camera.position))
+    if camera.camera is None:
+        right = col < 0.75 * view.width
+        return camera.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"
     back = math.radians(camera.azimuth_deg + 180)
-    x, y = centre[0] + math.sin(back) * size * 1.2, centre[1] - math.cos(back) * size * 1.2
+    x, y = col + math.sin(back) * size * 1.2, row - math.cos(back) * size * 1.2
     half, margin = text_width(camera.name, size) / 2, size * 0.5
     x += half * math.sin(back)
     x = min(max(x, half + margin), view.width - half - margin)
     return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
-def draw_north(
-    picture: RgbImage, size: int, texts: Sequence[tuple[str, float, float, Anchor]] = ()
-) -> tuple[str, float, float, Anchor]:
+def draw_north(picture: RgbImage, size: int, texts: Sequence[Text] = ()) -> Text:
     """Return the arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its
     N."""
     x, y = picture.shape[1] - 2 * size, size

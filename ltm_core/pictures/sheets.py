@@ -11,17 +11,17 @@ import numpy as np
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import RgbImage
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import INK, PAPER, Anchor, draw_texts, text_width
+from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, text_width
 
 _STEPS = (0.5, 1, 2, 5)  # the first for lengths that rounding puts just below a power of ten
 _LEAST_TICKS = 3
 
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
-    """Return `picture` (of the raster `view`) with eastings below and northings on the left, metres, every round
+    """Return `picture` (of the raster `view`) with eastings below and northings on the left, in metres, every round
     distance. `offset`: added to the view's coordinates."""
     height, width = picture.shape[:2]
-    size = max(11, round(width / 68))
+    size = max(14, round(width / 54))
     step = round_step(min(width, height) * view.resolution)
     eastings = _ticks(view.x_min + offset[0], view.x_max + offset[0], step)
     northings = _ticks(view.y_min + offset[1], view.y_max + offset[1], step)
@@ -30,12 +30,13 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
     sheet = np.full((height + bottom, width + left, 3), PAPER, np.uint8)
     sheet[:height, left:] = picture
     cv2.rectangle(sheet, (left, 0), (left + width - 1, height - 1), INK, 1)
-    texts: list[tuple[str, float, float, Anchor]] = []
+    texts: list[Text] = [("m N", left - size * 0.5, height + size * 0.5, "rt")]
     for value in eastings:
         x = left + round((value - offset[0] - view.x_min) / view.resolution)
         cv2.line(sheet, (x, height), (x, height + size // 3), INK, 1)
-        half = text_width(_number(value), size) / 2
-        texts.append((_number(value), min(max(x, left + half), left + width - half), height + size * 0.5, "mt"))
+        name = _number(value) + " m E" * (value == eastings[-1])
+        half = text_width(name, size) / 2
+        texts.append((name, min(max(x, left + half), left + width - half), height + size * 0.5, "mt"))
     for value in northings:
         y = round((view.y_max - value + offset[1]) / view.resolution)
         cv2.line(sheet, (left - size // 3, y), (left, y), INK, 1)
@@ -66,23 +67,38 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 
 
-def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800) -> RgbImage:
-    """Return a sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
+def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, heading: str = "") -> RgbImage:
+    """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading. Raises ImageError
+    when there is none."""
     if not pictures or columns < 1:
         raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
-    size, gap = max(13, round(width / 42)), 14
+    size, gap = max(14, round(width / 46)), 14
     title = round(size * 1.8)
     columns = min(columns, len(pictures))
+    whole = gap + columns * (width + gap)
+    lines = _wrapped(heading, size, whole - 2 * gap)
     fitted = [(name, fit(picture, width)) for name, picture in pictures]
     rows = [fitted[i : i + columns] for i in range(0, len(fitted), columns)]
     heights = [title + max(p.shape[0] for _, p in row) for row in rows]
-    sheet = np.full((gap + sum(h + gap for h in heights), gap + columns * (width + gap), 3), PAPER, np.uint8)
-    texts: list[tuple[str, float, float]] = []
-    y = gap
+    y = gap + len(lines) * title
+    sheet = np.full((y + sum(h + gap for h in heights), whole, 3), PAPER, np.uint8)
+    texts: list[Text] = [(line, gap, gap + (n + 0.5) * title, "lm") for n, line in enumerate(lines)]
     for row, height in zip(rows, heights, strict=True):
         for column, (name, picture) in enumerate(row):
             x = gap + column * (width + gap)
             sheet[y + title : y + title + picture.shape[0], x : x + width] = picture
-            texts.append((name, x, y + title * 0.45))
+            texts.append((name, x, y + title * 0.45, "lm"))
         y += height + gap
-    return draw_texts(sheet, [(text, x, y, "lm") for text, x, y in texts], size, INK)
+    return draw_texts(sheet, texts, size, INK)
+
+
+def _wrapped(text: str, size: float, width: float) -> list[str]:
+    """Return the lines of a text that fit a width in pixels."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and text_width(longer, size) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines

@@ -1,30 +1,29 @@
-"""Draw a traced photo, a fitted pose and the coverage of a viewshed."""
+"""Draw a traced photo, a fitted pose, the coverage of a viewshed and the cameras of a site."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from ltm_core.base.types import Float32Array, Float64Array, RgbImage, UInt8Array, UInt32Array
+from ltm_core.base.number_text import percent
+from ltm_core.base.types import Float32Array, Float64Array, RgbImage, UInt32Array
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pictures import (
-    MapCamera,
-    RangeScale,
-    fuel_map_picture,
-    overlay_depth,
-    range_legend,
-    terrain_map_picture,
-    with_legend,
-)
-from ltm_core.pictures.legend import Palette, draw_texts
+from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, terrain_map_picture, with_legend
+from ltm_core.pictures.fuel_maps import FuelCanvas
+from ltm_core.pictures.legend import UNLABELLED, Palette, draw_texts
 from ltm_core.pictures.relief import brightness_at
+from ltm_core.pictures.sheets import panel
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
@@ -108,15 +107,19 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
     return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
 
 
-def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
+def map_picture(
+    traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, frame: SiteFrame | None = None
+) -> RgbImage:
     """Return the shaded relief with the cells that the photo sees, its camera and its field of view. `counts`: pixels
-    per cell, of the DEM's shape."""
+    per cell, of the DEM's shape. `frame`: of the DEM; None: its coordinates are of no CRS."""
     horizontal = traced.horizontal()
     known = horizontal[np.isfinite(horizontal)]
     reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
     x, y, _ = (float(v) for v in traced.pose.position)
     camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
-    return terrain_map_picture(dem, counts > 0, [camera], title=title)
+    offset = (0.0, 0.0) if frame is None else (frame.x_origin, frame.y_origin)
+    share = f"; {percent((counts > 0).mean())} of the DEM" + ("" if frame is None else f"; {frame.crs}")
+    return terrain_map_picture(dem, counts > 0, [camera], title=title + share, offset=offset)
 
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
@@ -159,10 +162,8 @@ BANDS = (
 )
 
 
-_PALETTE = Palette(
-    ("not seen", "1 camera", "2 cameras", "3 cameras", "4 or more"),
-    ((92, 98, 112), (253, 190, 92), (243, 130, 62), (214, 68, 66), (140, 32, 92)),
-)
+_COVERED = ((140, 146, 158), (255, 236, 170), (253, 180, 80), (226, 96, 50), (130, 25, 75))
+_COUNTS = Palette(("not seen", "seen by 1 camera", "by 2 cameras", "by 3 cameras", "by 4 or more"), _COVERED)
 
 
 def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> None:
@@ -177,23 +178,66 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 
 
 def coverage_picture(
-    coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str | None = None
-) -> UInt8Array:
+    coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame
+) -> RgbImage:
     """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with cameras and legend.
     `dem`: in the frame of the coverage."""
-    classes = np.clip(coverage.count, 0, len(_PALETTE.names) - 1).astype(np.uint8)
-    classes[coverage.count < 0] = 255
-    reach = 0.08 * max(
-        coverage.geometry.x_max - coverage.geometry.x_min, coverage.geometry.y_max - coverage.geometry.y_min
-    )
-    cameras = [
-        MapCamera(
-            view.name,
-            view.camera,
-            (float(view.pose.position[0]), float(view.pose.position[1])),
-            view.pose.angles_deg[0],
-            reach,
-        )
-        for view in views
-    ]
-    return fuel_map_picture(classes, coverage.geometry, _PALETTE, dem, cameras, coverage.geometry.bounds, title=title)
+    classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)
+    classes[coverage.count < 0] = UNLABELLED
+    g = coverage.geometry
+    reach = 0.08 * max(g.x_max - g.x_min, g.y_max - g.y_min)
+    offset = (frame.x_origin, frame.y_origin)
+    canvas = FuelCanvas(g, dem, [map_camera(view, reach) for view in views], g.bounds, offset, 1200, f"{frame.crs}")
+    picture = canvas.classes(classes, _COUNTS)
+    return panel([(title, picture)], 1, picture.shape[1])
+
+
+def map_camera(view: PosedCamera, reach: float = 3000.0) -> MapCamera:
+    """Return a camera with its name, position and field of view, `reach` metres long, for a map."""
+    x, y, _ = (float(value) for value in view.pose.position)
+    return MapCamera(view.name, view.camera, (x, y), view.pose.angles_deg[0], reach)
+
+
+def site_picture(
+    dem: Dem,
+    cameras: Sequence[MapCamera],
+    seen: tuple[Coverage, Coverage] | None,
+    prior: FuelPrior | None,
+    offset: tuple[float, float],
+    heading: str,
+) -> RgbImage:
+    """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3).
+
+    `dem`, `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to
+    vote; a camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS.
+    """
+    bounds = _around(dem.geometry, cameras)
+    reach = 0.14 * (bounds[2] - bounds[0])
+    drawn = [replace(camera, reach=reach) for camera in cameras]
+    classes, g = np.full((1, 1), UNLABELLED, np.uint8), GridGeometry(bounds[0], bounds[3], 1.0, 1, 1)
+    if seen is not None:
+        whole, near = seen
+        g = whole.geometry
+        votes = np.where(near.count > 0, np.clip(near.count, 1, 3) + 1, (whole.count > 0).astype(np.int64))
+        classes = np.where(whole.count < 0, UNLABELLED, votes).astype(np.uint8)
+    known = None if prior is None else prior.codes != NODATA
+    canvas = FuelCanvas(g, dem, drawn, bounds, offset, 900)
+    maps = [("Ground that the cameras see" if cameras else "Terrain", canvas.classes(classes, _VIEWS))]
+    if prior is not None and known is not None:
+        canvas = FuelCanvas(prior.geometry, dem, drawn, bounds, offset, 900)
+        maps.append(("Prior fuel map", canvas.codes(prior.codes, None if known.all() else known)))
+        if not known.all():
+            heading += " Outlined: the area of the prior map."
+    return panel(maps, columns=2, width=maps[0][1].shape[1], heading=heading)
+
+
+_VIEWS = Palette(("not seen", "seen, too far to vote", "votes: 1 view", "2 views", "3 views or more"), _COVERED)
+
+
+def _around(geometry: GridGeometry, cameras: Sequence[MapCamera]) -> tuple[float, float, float, float]:
+    """Return the bounds of a DEM and of cameras beside it, with a margin."""
+    x, y = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
+    x_min, x_max = min([geometry.x_min, *x]), max([geometry.x_max, *x])
+    y_min, y_max = min([geometry.y_min, *y]), max([geometry.y_max, *y])
+    margin = 0.02 * max(x_max - x_min, y_max - y_min)
+    return x_min - margin, y_min - margin, x_max + margin, y_max + margin

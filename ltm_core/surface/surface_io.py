@@ -55,9 +55,9 @@ UNSEEN = 255
 """Value in the raster of changes for cells that independent views have not seen."""
 CHANGE_COLORS = {
     ChangeKind.NONE: (236, 236, 232),
-    ChangeKind.REMOVED: (200, 60, 40),
-    ChangeKind.GROWN: (40, 140, 70),
-    ChangeKind.LOWERED: (120, 70, 170),
+    ChangeKind.REMOVED: (190, 50, 35),
+    ChangeKind.GROWN: (120, 205, 120),
+    ChangeKind.LOWERED: (90, 50, 160),
 }
 
 Exported = Literal["surface", "change"]

@@ -28,9 +28,10 @@ from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, wit
 from ltm_core.vision.vocabulary import QueryMatch, Vocabulary, load_text, read_queries
 
 _COLORS = (
-    (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),
-    (90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (135, 190, 235),
-)  # fmt: skip
+    *((250, 235, 95), (196, 128, 25), (30, 90, 45), (152, 150, 148), (50, 120, 225), (125, 45, 105), (190, 230, 255)),
+    *((90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (205, 50, 60)),
+)
+"""Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
 
 
 @dataclass(frozen=True)

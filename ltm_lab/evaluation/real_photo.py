@@ -24,8 +24,8 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, range_scale, write_pictures
-from ltm_ros.demo.report import ReportData, Table, write_report
+from ltm_ros.demo.outcome import camera_pictures, map_picture, range_scale, write_pictures
+from ltm_ros.demo.report import ReportData, Table, conditions, write_report
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.recorded_run import RecordedFrame, recorded_frames
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live

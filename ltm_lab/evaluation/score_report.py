@@ -16,20 +16,19 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import (
-    MapCamera,
     label_colors,
     label_legend,
     panel,
     to_png,
     with_legend,
 )
-from ltm_core.pictures.maps import fuel_map_picture
 from ltm_core.scoring.depth import at_pixels_of
 from ltm_core.scoring.fuel import on_grid
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
 from ltm_lab.evaluation.run_score import BagScore
 from ltm_lab.evaluation.score_tables import tables
+from ltm_ros.demo.outcome import map_picture
 from ltm_ros.demo.report import ReportData, Sheet, write_report
 from ltm_ros.demo.score import DEPTH_SOURCES
 from ltm_ros.recordings.frame_stream import StreamedFrame
@@ -157,11 +156,6 @@ def fuel_sheet(recorded: Recorded, seen: Sequence[ScoredView]) -> RgbImage | Non
     maps = [("fuel map", classes)]
     if recorded.life_forms is not None:
         maps.append(("truth", on_grid(*read_fuel_map(recorded.life_forms), geometry)))
-    dem, grid, palette = recorded.site.open_dem(), recorded.site.in_map(geometry), life_form_labels(labels)
-    cameras: list[MapCamera] = []
-    for view in seen:
-        name = "" if view.camera_name in {camera.name for camera in cameras} else view.camera_name
-        place = (float(view.pose.position[0]), float(view.pose.position[1]))
-        cameras.append(MapCamera(name, view.camera, place, view.pose.angles_deg[0]))
-    cells = [(name, fuel_map_picture(ids, grid, palette, dem, cameras)) for name, ids in maps]
+    dem, palette = recorded.site.open_dem(), life_form_labels(labels)
+    cells = [(name, map_picture(ids, geometry, recorded.site, dem, seen, palette)) for name, ids in maps]
     return panel(cells, columns=len(cells), width=_WIDTH)

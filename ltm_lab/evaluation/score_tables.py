@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.base.number_text import NOTHING, percent
 from ltm_lab.evaluation.run_score import BagScore
-from ltm_ros.demo.report import NOTHING, Table, depth_table, fuel_maps_table, percent
+from ltm_ros.demo.report import Table, depth_table, fuel_maps_table
 from ltm_ros.pages.render import without_nan
 
 

@@ -34,21 +34,14 @@ import yaml
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.vision.labels import LabelSet
 from ltm_lab.simulator.mitsuba_scene import SURROUNDINGS_SINK
 from ltm_lab.simulator.rasters import UNKNOWN, SiteRasters, outdated_dem, regional_dem, site_change
 from ltm_lab.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_lab.simulator.scenario import Scenario
 from ltm_lab.simulator.viewpoints import Report
 
-_COLORS = {
-    0: (0, 0, 0),
-    1: (222, 205, 95),
-    2: (196, 120, 45),
-    3: (30, 115, 55),
-    4: (165, 150, 140),
-    5: (35, 85, 190),
-    6: (205, 50, 60),
-}
+_COLORS = dict(enumerate(LabelSet.load().colors)) | {0: (0, 0, 0)}
 
 
 def write_scenario(out: Path, scenario: Scenario) -> None:

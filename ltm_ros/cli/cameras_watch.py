@@ -225,7 +225,7 @@ def _traced(
 ) -> str:
     traced = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground).trace(camera, pose)
     depth.write_bytes(to_png(depth_picture(traced, dem, photo)))
-    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"what {name} sees")))
+    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"seen by {name}", site.frame)))
     ranges = traced.range
     known = ranges[np.isfinite(ranges)]
     if not known.size:

@@ -103,15 +103,14 @@ def _picture(found: SiteCheck) -> RgbImage:
     from dataclasses import replace
 
     from ltm_core.base.errors import LtmError
-    from ltm_core.pictures import MapCamera
-    from ltm_core.site.picture import site_picture
+    from ltm_core.pictures.trace import map_camera, site_picture
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import viewshed
 
     site, dem = found.site, found.dem
     assert site is not None  # nosec B101 # tells the type checker what holds
     assert dem is not None  # nosec B101 # tells the type checker what holds
-    geometry = dem.geometry
+    geometry, farthest = dem.geometry, site.fuel.max_range
     above = [view for view in found.views if not view.pose.position[2] <= dem.elevation_at(*view.pose.position[:2])]
     seen = None
     if above:
@@ -121,33 +120,31 @@ def _picture(found: SiteCheck) -> RgbImage:
         except LtmError:  # a finding
             surface = dem
         sight = PointVisibility(surface, site.curvature, site.refraction, site.possible_ground)
-        seen = viewshed(sight, above, max(geometry.resolution, finest), ground=dem)
+        whole, near = (
+            viewshed(sight, above, max(geometry.resolution, finest), max_range=reach, ground=dem)
+            for reach in (math.inf, farthest)
+        )
+        seen = whole, near
     names = [view.name for view in found.views]
     named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views, the middle one
     cameras = [
-        MapCamera(
-            v.name if k in named else "",
-            v.camera,
-            (float(v.pose.position[0]), float(v.pose.position[1])),
-            v.pose.angles_deg[0],
-        )
-        for k, v in enumerate(found.views)
+        camera if k in named else replace(camera, name="") for k, camera in enumerate(map(map_camera, found.views))
     ]
     prior = found.prior
-    return site_picture(
-        dem,
-        cameras,
-        None if seen is None else seen.count,
-        None if seen is None else seen.geometry,
-        None if prior is None else replace(prior, geometry=site.in_map(prior.geometry)),
-        site.origin,
-        (f"{site.name}: {_told(found)}", f"prior fuel map, {site.crs}"),
-    )
+    shown = prior and replace(prior, geometry=site.in_map(prior.geometry))
+    return site_picture(dem, cameras, seen, shown, site.origin, _heading(found))
 
 
-def _told(found: SiteCheck) -> str:
+def _heading(found: SiteCheck) -> str:
     assert found.site is not None  # nosec B101 # tells the type checker what holds
-    shown = {view.name for view in found.views}
-    absent = [name for name in found.site.cameras if name not in shown]
-    what = "ground covered by cameras" if shown else "terrain"
-    return f"{what}; {', '.join(absent)}: pose from a topic" if absent else what
+    site, shown = found.site, {view.name for view in found.views}
+    absent = [name for name in site.cameras if name not in shown]
+    said = [f"Site {site.name}, {site.crs}."]
+    if shown:
+        said.append(
+            f"Pixels vote up to {site.fuel.max_range / 1000:g} km. Sectors are horizontal fields of view; their length "
+            "has no meaning."
+        )
+    if absent:
+        said.append(f"Pose from a topic: {', '.join(absent)}.")
+    return " ".join(said)

@@ -47,6 +47,7 @@ def fire(
     """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
     from rich.console import Console
 
+    from ltm_core.base.number_text import difference, number
     from ltm_core.fire.pyretechnics import interpreter
     from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
     from ltm_core.storage.disk_io import require_files
@@ -65,9 +66,9 @@ def fire(
     write_results(out, pair, scenario, result)
     rows = []
     for area in result.effect.areas():
-        drawn = "" if area.ensemble is None else f"{area.ensemble[0]:.0f} to {area.ensemble[2]:.0f}"
-        change = f"{area.after - area.before:+.0f}"
-        rows.append((f"{area.hours:g}", f"{area.before:.0f}", f"{area.after:.0f}", change, drawn))
+        drawn = "" if area.ensemble is None else f"{number(area.ensemble[0])} to {number(area.ensemble[2])}"
+        change = difference(area.before, area.after)
+        rows.append((f"{area.hours:g}", number(area.before), number(area.after), change, drawn))
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
     columns = (">hours", ">before", ">after", ">difference", ">80 % of draws")
     print_table(console, title, columns, rows)

@@ -129,8 +129,12 @@ def _write(out: Path, said: LocateResult, scene: LocatingScene, marked: list[str
         cameras.append(MapCamera(name, camera.camera, (x, y), camera.pose.angles_deg[0]))
     ellipses = [(f"{share:.0%}", ellipse) for share, ellipse in zip(SHARES, said.ellipses, strict=True)]
     offset = (scene.frame.x_origin, scene.frame.y_origin)
-    titles = (f"seen by {', '.join(dict.fromkeys(marked))}", said.name.mgrs or "closely")
-    picture = location_picture(scene.dem, said.location.posterior, ellipses, cameras, offset, titles)
+    place = said.name
+    heading = (
+        f"Marked by {', '.join(dict.fromkeys(marked))}: {place.lon:.5f}, {place.lat:.5f} (longitude, latitude); "
+        f"{place.x:.0f} m E, {place.y:.0f} m N in {place.crs}{f'; MGRS {place.mgrs}' if place.mgrs else ''}"
+    )
+    picture = location_picture(scene.dem, said.location.posterior, ellipses, cameras, offset, heading)
     files[0].write_bytes(to_png(picture))
     files[1].write_text(json.dumps(as_data(said, scene.frame), indent=2) + "\n", encoding="utf-8")
     files[2].write_text(json.dumps(as_geojson(said, scene.frame)) + "\n", encoding="utf-8")

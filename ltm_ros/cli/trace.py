@@ -54,10 +54,10 @@ def trace(
     with console.status("writing"):
         counts = cell_counts(traced)
         written = write_trace(out, traced, setup.frame, counts)
-        title = f"what {image.name if image else pose.stem} sees"
+        title = f"seen in {image.name if image else pose.stem}"
         pictures = {
             "depth.png": depth_picture(traced, setup.dem, photo),
-            "map.png": map_picture(traced, setup.dem, counts, title),
+            "map.png": map_picture(traced, setup.dem, counts, title, setup.frame),
         }
         for name, picture in pictures.items():
             written.append(out / name)
@@ -151,7 +151,8 @@ def viewshed(
         out.parent.mkdir(parents=True, exist_ok=True)
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_coverage(out, coverage, frame)
-        picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, _title(views, target_height))))
+        title = _title(views, target_height)
+        picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, title, frame)))
 
     geometry = coverage.geometry
     rows = [
@@ -172,8 +173,8 @@ def viewshed(
 
 
 def _title(views: list[PosedCamera], target_height: float) -> str:
-    what = "the ground" if target_height == 0 else f"{target_height:g} m above the ground"
-    return f"cameras that see {what}" if len(views) > 1 else f"{what}, seen from {views[0].name}"
+    what = "the ground" if target_height == 0 else f"a height of {target_height:g} m above the ground"
+    return f"Number of cameras that see {what}" if len(views) > 1 else f"Where {views[0].name} sees {what}"
 
 
 def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str], Dem]:

@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
 
+from ltm_core.base.number_text import counted
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray, Float64Array, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap, MajorityFuelMap, read_fuel_map
+from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
-from ltm_core.pictures.fuel_maps import CameraMark, change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.pictures.legend import Palette, label_legend, with_legend
-from ltm_core.pictures.maps import furnished, relief, scale_bar, view_of
+from ltm_core.geometry.pose import Pose
+from ltm_core.pictures import (
+    MapCamera,
+    RangeScale,
+    fit,
+    label_legend,
+    overlay_depth,
+    overlay_labels,
+    panel,
+    range_legend,
+    to_png,
+    with_legend,
+)
+from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
+from ltm_core.pictures.legend import UNLABELLED, Palette
+from ltm_core.pictures.maps import finished, furnished, interesting_bounds, relief, view_of
+from ltm_core.pictures.sheets import with_axes
+from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import score_fuel
 from ltm_core.site.site import Site
@@ -74,16 +90,28 @@ def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: Ra
     ]
 
 
+class PosedView(Protocol):
+    """A frame of a camera, with its pose in the map frame."""
+
+    @property
+    def camera_name(self) -> str: ...
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def pose(self) -> Pose: ...
+
+
 def map_picture(
     classes: UInt8Array,
     geometry: GridGeometry,
     site: Site,
     dem: Dem,
-    frames: Sequence[RecordedFrame],
+    frames: Sequence[PosedView],
     labels: LabelSet,
     changed: BoolArray | None = None,
 ) -> RgbImage:
-    """Draw the fuel map over relief with the cameras and their sectors, changed cells outlined."""
+    """Draw the part of the fuel map with known cells over relief, with the cameras and their sectors, changed cells
+    outlined."""
     named: set[str] = set()
     cameras = []
     for frame in frames:
@@ -91,7 +119,10 @@ def map_picture(
         named.add(frame.camera_name)
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
-    return fuel_map_picture(classes, site.in_map(geometry), labels, dem, cameras, outlined=changed)
+    grid = site.in_map(geometry)
+    bounds = interesting_bounds(classes != UNLABELLED, grid, [c.position for c in cameras], dem.geometry)
+    ground = Dem(dem.elevation, dem.geometry)
+    return FuelCanvas(grid, ground, cameras, bounds, site.origin, 1200, site.crs).classes(classes, labels, changed)
 
 
 def fuel_sheets(
@@ -105,26 +136,28 @@ def fuel_sheets(
 ) -> dict[str, Sheet]:
     """Draw images of the fuel map, its confidence, its changes and its coverage, by file name."""
     spots = {
-        f.camera_name: CameraMark(f.camera_name, float(f.pose.position[0]), float(f.pose.position[1])) for f in frames
+        f.camera_name: MapCamera(f.camera_name, None, (float(f.pose.position[0]), float(f.pose.position[1])))
+        for f in frames
     }
     places, seen = list(spots.values()), coverage.count() > 0
+    heading = provenance_of(site, after, FuelSystem.FBFM40).heading(site.crs)
     whole = canvas_of(site, dem, coverage.geometry, places)
     part = canvas_of(site, dem, coverage.geometry, places, seen_window(coverage.geometry, seen, places))
     changed = int((before.code != after.code).sum())
     return {
         "fuel_layers": Sheet(
             "Confidence of the map",
-            fuel_sheet(whole, after, palette),
+            fuel_sheet(whole, after, palette, heading),
             "Life forms and fuel models of all cells, remaining uncertainty, and number of cameras that see each cell.",
         ),
         "fuel_change": Sheet(
             "Before and after",
-            change_sheet(part, before, after, palette, ("prior map", "with evidence from cameras")),
-            f"Fuel map at the start and at the end of the run; {changed:,} cells have changed.",
+            change_sheet(part, before, after, palette, ("prior map", "with evidence from cameras"), heading),
+            f"Fuel map at the start and at the end of the run: {counted(changed, 'changed cell')}.",
         ),
         "fuel_coverage": Sheet(
             "Coverage",
-            coverage_sheet(part, coverage),
+            coverage_sheet(part, coverage, heading),
             "Number of frames in which each camera saw a cell, and the smallest ground footprint of one pixel.",
         ),
     }
@@ -143,16 +176,21 @@ def write_pictures(
     (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
     deepest = max(frames, key=_depth_span)
     for frame in frames:
-        sheet = [
-            ("photo", frame.photo),
-            ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth, scale)),
-            *([] if frame.fused is None else [("fused depth", overlay_depth(frame.photo, frame.fused, scale))]),
-            ("labels", overlay_labels(frame.photo, frame.labels, labels)),
-        ]
-        name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
-        (folder / name).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
+        sheet = [("Photo", frame.photo)]
+        for name, metres in (("Depth traced to the terrain", frame.depth), ("Fused depth", frame.fused)):
+            if metres is not None:
+                depth = overlay_depth(frame.photo, metres, scale)
+                sheet.append((name, _over(depth, range_legend(800, scale, sky=False))))
+        named = label_legend(800, labels, np.unique(frame.labels).tolist())
+        sheet.append(("Labels", _over(overlay_labels(frame.photo, frame.labels, labels), named)))
+        file = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
+        (folder / file).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
         if frame is deepest:
             (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map, title)))
+
+
+def _over(picture: RgbImage, legend: RgbImage) -> RgbImage:
+    return with_legend(fit(picture, legend.shape[1]), legend)
 
 
 def _depth_span(frame: RecordedFrame) -> float:
@@ -179,25 +217,10 @@ def _padded(picture: RgbImage, height: int) -> RgbImage:
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
 
 
-LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
-
-
-def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
-    """Return the conditions of the run, for the report."""
-    return [
-        ("site", f"{site.name}: {len(site.cameras)} camera{'s' * (len(site.cameras) != 1)}, {site.crs}"),
-        ("frames", str(frames)),
-        ("network", site.model),
-        ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
-        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
-        ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
-    ]
-
-
 PHONE = Assumptions(height_above_ground=1.6)
 """Height of the phone above ground, which its sensors lack."""
 _WIDTH = 1000
-_COLORS = ((205, 40, 40), (0, 130, 220), (25, 25, 25), (240, 150, 0))
+_COLORS = ((240, 150, 0), (0, 130, 220), (25, 25, 25), (150, 40, 120))
 _SHARE = 0.11
 """Length of an arrow as a share of the map's width."""
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
@@ -257,7 +280,7 @@ def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Wal
         maps.append(_map(title, errors, Recorded(out / f"{name}_map", site_path, site, walk.parent / "demo")))
         directions[title] = _directions(bag, site)
     accepted = sum(refinement.verdict == "accepted" for _, refinement in found.refined)
-    return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions))
+    return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions, site))
 
 
 def walk_sheet(walk: Walk) -> Sheet:
@@ -293,7 +316,7 @@ def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
     return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)
 
 
-def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
+def walk_map(dem: Dem, directions: Mapping[str, Float64Array], site: Site) -> RgbImage:
     """Draw arrows over relief, (H, W, 3). `directions`: by the name of their kind (at most four), (N, 3): x, y in the
     map frame (m) and azimuth (degrees)."""
     view = _view(np.concatenate(list(directions.values())))
@@ -305,8 +328,8 @@ def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
         for begin, end in zip(_pixels(view, poses[:, :2]), _pixels(view, tips), strict=True):
             cv2.arrowedLine(picture, begin, end, color, 2, cv2.LINE_AA, _SHIFT, 0.12)
     kinds = Palette(tuple(directions), _COLORS[: len(directions)])
-    furniture = furnished(picture, view, [], None)
-    return with_legend(furniture, scale_bar(view), label_legend(_WIDTH, kinds, range(len(kinds.names))))
+    framed = with_axes(furnished(picture, view, []), view, site.origin)
+    return finished(framed, view, label_legend(_WIDTH, kinds), note=site.crs)
 
 
 def _view(poses: Float64Array) -> GridGeometry:

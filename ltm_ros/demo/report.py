@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,19 +13,22 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.base.number_text import counted, percent
 from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
+from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
 from ltm_core.pictures.legend import ClassPalette
 from ltm_core.scoring.depth import DepthScore
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
-from ltm_ros.demo.score import SHARED, RunScore
-from ltm_ros.pages.render import render_page
+from ltm_core.site.site import Site
+from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
+from ltm_ros.pages.render import render_page, shown
+from ltm_ros.recordings.recorded_run import Recorded
 from ltm_ros.runtime.health import NodeRow
 
-MAX_WIDTH = 1280
+MAX_WIDTH = 1700
 """Maximum width of embedded images in pixels."""
-NOTHING = "\N{EN DASH}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +80,9 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it. `label_set`, `scale`: for
-    the legends of the images. `recording`: the .rrd file's name. `files`: (name, description).
+    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as
+    `DepthTally.scores` returns it. `label_set`, `scale`: for the legends of the images. `recording`: the .rrd file's
+    name. `files`: (name, description).
     """
 
     title: str
@@ -94,6 +100,7 @@ class ReportData:
     tables: Sequence[Table] = ()
     recording: str | None = None
     files: Sequence[tuple[str, str]] = field(default_factory=tuple)
+    facts: str = ""
 
 
 def write_report(path: Path | str, data: ReportData) -> Path:
@@ -110,7 +117,7 @@ def render_report(data: ReportData) -> str:
     colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
     return render_page(
         "run_report.html",
-        {"picture": _picture, "number": _number, "count": _count, "percent": percent},
+        {"picture": _picture},
         data=data,
         classes=list(zip(names, colors, strict=True)),
         range_legend=range_legend(900, data.scale),
@@ -126,21 +133,22 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
     """Return the main figures: (name, value, remark)."""
     dropped = sum(node.dropped for node in data.nodes)
     lost = "nothing lost" if dropped == 0 else "see the table"
-    tiles = [("Messages dropped", _count(dropped), lost)] if data.nodes else []
+    tiles = [("Messages dropped", shown(dropped), lost)] if data.nodes else []
     latencies = [node for node in data.nodes if math.isfinite(node.latency_p95_ms)]
     if latencies:
         slowest = max(latencies, key=lambda node: node.latency_p95_ms)
         node = "/".join(slowest.node.split("/")[-2:])
-        tiles.append(("Slowest p95", f"{_number(slowest.latency_p95_ms, 0)} ms", node))
+        seconds = shown(slowest.latency_p95_ms / 1000, 1)
+        tiles.append(("Latency of 95 % of frames", f"{seconds} s", f"slowest node: {node}; without its first frames"))
     if data.depth and data.depth[-1].pixels:
         overall = data.depth[-1]
-        tiles.append(("Depth error", f"{_number(overall.median)} m", f"median of {_count(overall.pixels)} pixels"))
+        tiles.append(("Depth error", f"{shown(overall.median)} m", f"median of {shown(overall.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
         tiles.append(("Correct labels", percent(data.labels.accuracy), f"mean IoU {percent(data.labels.mean_iou)}"))
     if data.fuel is not None:
         share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
         tiles.append(
-            ("Correct fuel cells", percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
+            ("Correct fuel cells", percent(share), f"{shown(data.fuel.right)} of {shown(data.fuel.seen)} seen")
         )
     return tiles
 
@@ -151,28 +159,18 @@ def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
     names = [*names, *map(str, range(len(names), classes))]
     heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]
     true = [i for i in range(classes) if counts[i].sum() or counts[:, i].sum()]
-    shown = [*true, *[i for i in range(classes, predicted) if counts[:, i].sum()]]
+    columns = [*true, *[i for i in range(classes, predicted) if counts[:, i].sum()]]
     rows = []
     for i in true:
         total = int(counts[i].sum())
-        cells = [(int(counts[i, j]), counts[i, j] / total if total else 0.0, i == j) for j in shown]
+        cells = [(int(counts[i, j]), counts[i, j] / total if total else 0.0, i == j) for j in columns]
         rows.append((heads[i], cells, counts[i, i] / total if total else math.nan))
-    return {"heads": [heads[i] for i in shown], "rows": rows}
+    return {"heads": [heads[i] for i in columns], "rows": rows}
 
 
 def _picture(picture: RgbImage) -> str:
-    shown = fit(picture, MAX_WIDTH) if picture.shape[1] > MAX_WIDTH else picture
-    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(shown, 88)).decode("ascii")
-
-
-def _number(value: object, digits: int = 2) -> str:
-    if not isinstance(value, int | float | np.number):
-        return str(value)
-    return f"{value:,.{0 if isinstance(value, int) else digits}f}" if math.isfinite(value) else NOTHING
-
-
-def _count(value: int) -> str:
-    return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    fitted = fit(picture, MAX_WIDTH) if picture.shape[1] > MAX_WIDTH else picture
+    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(fitted, 88)).decode("ascii")
 
 
 _AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}
@@ -183,11 +181,6 @@ def bin_name(score: DepthScore) -> str:
     if score.near == 0 and math.isinf(score.far):
         return "all"
     return f"> {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f}-{score.far:,.0f} m"
-
-
-def percent(value: float) -> str:
-    """Return a share as text."""
-    return f"{100 * value:.1f} %" if math.isfinite(value) else NOTHING
 
 
 def depth_table(score: RunScore) -> Table | None:
@@ -209,7 +202,7 @@ def depth_table(score: RunScore) -> Table | None:
     if not rows:
         return None
     covered = ", ".join(
-        f"{row.source} {100 * row.coverage:.1f} %" for row in score.depth if row.against == "visible surface"
+        f"{row.source} {percent(row.coverage)}" for row in score.depth if row.against == "visible surface"
     )
     note = (
         "Metres along the optical axis, by true depth, against the visible surface (vegetation included) and bare "
@@ -217,11 +210,14 @@ def depth_table(score: RunScore) -> Table | None:
     )
     sources = {row.source for row in score.depth}
     if any(row.against == SHARED for row in score.depth):
-        note += "Shared: against the surface, on pixels where every source has a depth, to compare the sources."
+        note += " Shared: against the surface, on pixels where every source has a depth, to compare the sources."
     if "network" in sources:
-        note += "Network: its own depth, scaled by the terrain; published where the fit was sound."
+        note += " Network: its own depth, scaled by the terrain; published where the fit was sound."
     return Table(
-        "depth", ("source, against", "true depth", "pixels", "RMSE m", "MAE m", "median m", "bias m"), rows, note
+        "Depth errors by source",
+        ("source, against", "true depth", "pixels", "RMSE, m", "mean, m", "median, m", "bias, m"),
+        rows,
+        note,
     )
 
 
@@ -238,4 +234,30 @@ def fuel_maps_table(score: RunScore) -> Table | None:
             f" Of {found.of:,} cells whose true life form is not the prior's, the map detected {found.count:,}; of "
             f"{false.of:,} others it changed {false.count:,}."
         )
-    return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)
+    return Table("Fuel maps", ("map", "cells seen", "right", "share"), rows, note)
+
+
+def recording_facts(site: Site, recorded: Recorded) -> str:
+    """Return the place of a site and the time of its recorded frames in words."""
+    poses = recorded_poses(recorded.bag, site)
+    x, y = np.mean([pose.position[:2] for pose, _ in poses.values()], axis=0)
+    lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))
+    stamps = [stamp_ns for _, stamp_ns in poses]
+    first, last = (f"{moment_of_stamp(edge(stamps)):%Y-%m-%d %H:%M:%S}" for edge in (min, max))
+    place = f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude)"
+    return f"{place}. Frames of {first} to {last} UTC."
+
+
+LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
+
+
+def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
+    """Return the conditions of the run, for the report."""
+    return [
+        ("site", f"{site.name}: {counted(len(site.cameras), 'camera')}, {site.crs}"),
+        ("frames", str(frames)),
+        ("network", site.model),
+        ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
+        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
+        ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
+    ]

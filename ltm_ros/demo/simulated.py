@@ -19,7 +19,6 @@ from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import (
     Walk,
     camera_pictures,
-    conditions,
     fuel_sheets,
     headings,
     map_picture,
@@ -28,7 +27,14 @@ from ltm_ros.demo.outcome import (
     walk_sheet,
     write_pictures,
 )
-from ltm_ros.demo.report import ReportData, depth_table, fuel_maps_table, write_report
+from ltm_ros.demo.report import (
+    ReportData,
+    conditions,
+    depth_table,
+    fuel_maps_table,
+    recording_facts,
+    write_report,
+)
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
 from ltm_ros.fuel_map.layers import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
@@ -110,6 +116,7 @@ def run_demo(
             "vegetation). Labels come from the default network. The fuel map combines the evidence of all frames "
             "and cameras."
         ),
+        facts=recording_facts(site, recorded),
         conditions=conditions(site, seconds, score.frames),
         nodes=result.nodes,
         cameras=camera_pictures(shown, labels, scale),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.number_text import counted, difference, number
 from ltm_core.fire.effect import (
     CellDoubt,
     FireEffect,
@@ -159,9 +160,9 @@ def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: Fire
     """Write all `FILES` into a folder. Raises ConfigError if it cannot be written."""
     out.mkdir(parents=True, exist_ok=True)
     effect, geometry = result.effect, pair.after.geometry
-    start = scenario.row, scenario.col
-    (out / "fire.png").write_bytes(to_png(fire_sheet(effect, pair.after, start)))
     told = facts(pair, scenario, result)
+    heading = f"Simulated fire on the map of {pair.name}. " + "; ".join(f"{key}: {told[key]}" for key in _FIRST) + "."
+    (out / "fire.png").write_bytes(to_png(fire_sheet(effect, pair.after, scenario, heading)))
     tags = {} if pair.made is None else {f"map_{k}": v for k, v in pair.made.tags().items() if "TIFFTAG" not in k}
     tags |= {name.replace(" ", "_"): value for name, value in told.items()} | {"note": NO_FORECAST}
     write_fire(out / "fire.tif", effect, geometry, tags)
@@ -176,7 +177,8 @@ def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: Fire
         warning=NO_FORECAST,
         said=sentences(pair, result),
         areas=effect.areas(),
-        facts=told,
+        first={key: told[key] for key in _FIRST},
+        facts={key: text for key, text in told.items() if key not in _FIRST},
         made="" if pair.made is None else pair.made.line(),
         files=FILES[1:],
         was=pair.was,
@@ -184,16 +186,22 @@ def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: Fire
     (out / "index.html").write_text(page, encoding="utf-8")
 
 
+_FIRST = ("ignition", "wind", "fuel moisture", "duration", "map as of")
+"""Facts that the first screen and the picture show."""
+
+
 def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str, str]:
     x, y = (float(v) for v in pair.after.geometry.to_map(scenario.row, scenario.col))
+    made = pair.made and pair.made.moment()
     told = {
-        "ignition": f"{x:.0f}, {y:.0f}",
+        "ignition": f"{x:.0f} m E, {y:.0f} m N in {pair.after.geometry.crs}",
         "wind": scenario.wind.described(),
-        "moisture": scenario.moisture.described(),
-        "hours": f"{scenario.hours:g}",
+        "fuel moisture": scenario.moisture.described(),
+        "duration": f"{scenario.hours:g} h",
+        "map as of": f"{made:%Y-%m-%d %H:%M} UTC" if made else pair.made.as_of if pair.made else "date not known",
         "fire model": f"{result.model}, surface and crown fire (Rothermel; Cruz, Alexander and Wakimoto), no spotting",
         "fuel models": pair.after.system.value.upper(),
-        "cells with changed fuel or canopy": f"{int(result.effect.changed.sum()):,}".replace(",", " "),
+        "cells with changed fuel or canopy": number(int(result.effect.changed.sum())),
         "previous map": pair.was,
     }
     if result.effect.members:
@@ -225,11 +233,11 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
     elif contact is None:
         said.append("The fire does not reach changed fuel or canopy, so the update has no effect on it.")
     else:
-        more = last.after - last.before
-        word, now = "more" if more > 0 else "less", f"{last.after:.0f} ha on the updated map"
+        more = difference(last.before, last.after)
+        word = "as much as" if more == "0" else f"{more.lstrip('+-')} ha {'less' if more < '0' else 'more'} than"
         said.append(
             f"The fire reaches changed fuel or canopy after {contact:.1f} h. After {last.hours:g} h it has burned "
-            f"{now}, {abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
+            f"{number(last.after)} ha on the updated map, {word} on the earlier map ({number(last.before)} ha)."
         )
     if edge is not None:
         said.append(
@@ -238,7 +246,7 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
     if last.ensemble is not None:
         low, middle, high = last.ensemble
         said.append(
-            f"Of {len(effect.members)} landscapes drawn from the fuel probabilities, 80 % burn {low:.0f} to "
-            f"{high:.0f} ha (median {middle:.0f}): this is the effect of the uncertain fuel on this fire."
+            f"{counted(len(effect.members), 'landscape')} drawn from the fuel probabilities: 80 % burn {number(low)} "
+            f"to {number(high)} ha (median {number(middle)}). This is the effect of the uncertain fuel on this fire."
         )
     return said

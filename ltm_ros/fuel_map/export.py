@@ -109,12 +109,14 @@ def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str 
         touched = (map_.layers.last_seen > 0) | map_.layers.changed
         bounds = seen_window(grid, touched, places) if touched.any() else None
     canvas = canvas_of(map_.site, dem, grid, places, bounds)
+    heading = map_.provenance(layers, None, as_of).heading(map_.site.crs)
     if kind == "png":
-        sheet = fuel_sheet(canvas, layers, palette)
+        sheet = fuel_sheet(canvas, layers, palette, heading)
     elif kind == "change":
         names = (since or "prior map", as_of or "now")
-        sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
+        sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names, heading)
+    elif (coverage := map_.coverage()) is None:
+        sheet = seen_sheet(canvas, map_.seen_by(), heading)
     else:
-        coverage = map_.coverage()
-        sheet = seen_sheet(canvas, map_.seen_by()) if coverage is None else coverage_sheet(canvas, coverage)
+        sheet = coverage_sheet(canvas, coverage, heading)
     out.write_bytes(to_png(sheet))

@@ -17,7 +17,8 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas
+from ltm_core.pictures.fuel_maps import FuelCanvas
+from ltm_core.pictures.maps import MapCamera
 from ltm_core.pipeline.stored_fuel import JOURNALED
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
@@ -104,7 +105,7 @@ def _merged(windows: Sequence[Window]) -> list[Window]:
     return list(windows)
 
 
-def places_of(site: Site, dem: Dem) -> list[CameraMark]:
+def places_of(site: Site, dem: Dem) -> list[MapCamera]:
     """Return the cameras with positions in the site file, in the map frame."""
     found = []
     for name, camera in site.cameras.items():
@@ -113,7 +114,7 @@ def places_of(site: Site, dem: Dem) -> list[CameraMark]:
                 x, y, _ = camera.pose.pose(dem, site.frame).position
             except PoseError:
                 continue
-            found.append(CameraMark(name, float(x), float(y)))
+            found.append(MapCamera(name, None, (float(x), float(y))))
     return found
 
 
@@ -121,13 +122,13 @@ def canvas_of(
     site: Site,
     dem: Dem,
     geometry: GridGeometry,
-    places: Sequence[CameraMark] | None = None,
+    places: Sequence[MapCamera] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
 ) -> FuelCanvas:
     """Return a canvas for layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's
     CRS."""
     shown = places_of(site, dem) if places is None else places
-    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin)
+    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin, about=site.crs)
 
 
 def when(text: str) -> int:
@@ -150,7 +151,7 @@ def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLaye
 
 
 def seen_window(
-    geometry: GridGeometry, cells: BoolArray, places: Sequence[CameraMark]
+    geometry: GridGeometry, cells: BoolArray, places: Sequence[MapCamera]
 ) -> tuple[float, float, float, float]:
     """Return the bounds of the marked cells (H, W) and the cameras, with a margin of five cells; of all cells if none
     is marked. Raises RasterError if shapes differ."""
@@ -158,7 +159,7 @@ def seen_window(
         raise RasterError(f"cells of {cells.shape} do not fit a fuel grid of {geometry.shape}")
     rows, cols = np.nonzero(cells)
     x, y = geometry.to_map(rows, cols)
-    xs, ys = [*x.tolist(), *(p.x for p in places)], [*y.tolist(), *(p.y for p in places)]
+    xs, ys = [*x.tolist(), *(p.position[0] for p in places)], [*y.tolist(), *(p.position[1] for p in places)]
     if not xs:
         return geometry.bounds
     margin = 5 * geometry.resolution

@@ -61,6 +61,7 @@ class FuelPublisher:
     def send_map(self) -> None:
         self._map_due, self._since_map = False, 0.0
         shown = self._persistence.shown
+        self._health.gauge("cells.all", shown.life_form.size)
         self._health.gauge("cells.seen", shown.seen_cells)
         self._health.gauge("cells.changed", shown.changed_cells)
         self._outlet.publish(FUEL_MAP, classes_to_msg(shown.life_form, self._geometry, self._persistence.map.newest_ns))

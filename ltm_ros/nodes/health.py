@@ -72,11 +72,11 @@ class HealthNode(Node):  # type: ignore[misc]
             "GET /readyz": lambda _: _verdict(self.status(), "ready"),
             "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
             "GET /page.json": lambda _: WebResponse.json(self._page()),
-            "GET /map.png": partial(_picture, self._pictures.map_png, "image/png"),
+            "GET /map.png": partial(_picture, self._map_png, "image/png"),
             "GET /live": lambda _: WebResponse(b"", "application/octet-stream", stream=live.stream()),
         }
         for camera in cameras:
-            for kind in KINDS:
+            for kind in (*KINDS, "full"):
                 draw = partial(self._pictures.jpeg, camera, kind)
                 routes[f"GET /picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
         self._marks = None
@@ -105,9 +105,13 @@ class HealthNode(Node):  # type: ignore[misc]
         """Return the data that an open status page requests repeatedly."""
         self._pictures.look()
         said = self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": None}
+        said["legends"] = self._pictures.legends
         if self._marks is not None:
             said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
         return said
+
+    def _map_png(self) -> bytes | None:
+        return self._pictures.map_png([] if self._marks is None else self._marks.on_map())
 
     def status(self, with_memory: bool = True) -> TowerStatus:
         """Return the current status; thread-safe. Without the memory of processes, it costs next to nothing."""

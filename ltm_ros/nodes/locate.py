@@ -240,6 +240,7 @@ class LocateHandler(Handler[LocateConfig]):
                 "first_ns": track.first_ns,
                 "last_ns": track.last_ns,
                 "disagrees": track.wrong,
+                "marks": [_mark_data(seen.sighting) for seen in track.sightings],
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
         turned = turned_data(self._tracks.fires.verdict)
@@ -250,6 +251,19 @@ class LocateHandler(Handler[LocateConfig]):
 def _apart(one: Float64Array, other: Float64Array) -> float:
     """Return the angle between two rotation vectors in radians."""
     return float(np.linalg.norm(vector_of_matrix(matrix_of_vector(one) @ matrix_of_vector(other).T)))
+
+
+def _mark_data(sighting: Sighting) -> dict[str, Any]:
+    """Return the camera, its viewing direction, and the middle of a mark in its image."""
+    u, v = sighting.mark.weights @ sighting.mark.pixels
+    azimuth, pitch, _ = sighting.pose.angles_deg
+    return {
+        "camera": sighting.name,
+        "u": round(float(u), 1),
+        "v": round(float(v), 1),
+        "azimuth_deg": round(azimuth, 3),
+        "pitch_deg": round(pitch, 3),
+    }
 
 
 def _place_msg(said: LocateResult, stamp: int) -> Any:

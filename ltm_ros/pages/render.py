@@ -11,6 +11,8 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from ltm_core.base.number_text import difference, number, percent
+
 
 def write_figures(path: Path, figures: Any) -> None:
     """Write `figures` as JSON, with NumPy's floats; creates folders."""
@@ -29,10 +31,17 @@ def without_nan(value: Any) -> Any:
     return value
 
 
+def shown(value: object, digits: int = 2) -> str:
+    """Return a table's value as text: whole numbers without decimals, others with `digits`."""
+    if not isinstance(value, int | float | np.number):
+        return str(value)
+    return number(float(value), 0 if isinstance(value, int | np.integer) else digits)
+
+
 def render_page(
     template: str, filters: Mapping[str, Callable[..., Any]], package: str = "ltm_ros.pages", **values: Any
 ) -> str:
-    """Return the HTML of `templates/<template>` of a package, with `filters` added to Jinja's own.
+    """Return the HTML of `templates/<template>` of a package, with `filters` and those of numbers added to Jinja's own.
 
     The templates of this package can be included. A value that is missing is an error.
     """
@@ -42,6 +51,6 @@ def render_page(
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
     )
-    environment.filters |= filters
+    environment.filters |= {"number": shown, "percent": percent, "difference": difference} | dict(filters)
     environment.tests["numeric"] = lambda value: isinstance(value, int | float) and not isinstance(value, bool)
     return environment.get_template(template).render(**values)

@@ -37,6 +37,8 @@ class Health:
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
         self._ages = _LastValues()
+        self._warm_ns = 0
+        """Time of the first result, by the clock that stamps frames."""
         self._work = _LastValues()
         self._cpu_s: float | None = None
         self._published_at = _LastValues()
@@ -49,13 +51,19 @@ class Health:
         with self._lock:
             self._received[topic] += 1
 
-    def published(self, topic: str, age: float | None = None) -> None:
-        """Count a published result, `age` seconds after capture (None: unknown)."""
+    def published(self, topic: str, stamp_ns: int | None = None, now_ns: int = 0) -> None:
+        """Count a published result of a frame with this stamp; 0 or None: a time is not known.
+
+        The latency counts frames that were captured after the first result, because earlier ones wait for networks and
+        code that are used for the first time.
+        """
         with self._lock:
             self._published[topic] += 1
             self._published_at.append(time.monotonic())
-            if age is not None:
-                self._ages.append(age)
+            if stamp_ns is not None and now_ns:
+                self._warm_ns = min(self._warm_ns or now_ns, now_ns)  # a replay may start again
+                if stamp_ns >= self._warm_ns:
+                    self._ages.append((now_ns - stamp_ns) / 1e9)
 
     def worked(self, seconds: float) -> None:
         """Count a message that was handled in `seconds`."""

@@ -188,9 +188,7 @@ class OutletNode(Node):  # type: ignore[misc]
         self.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _count(self, topic: Topic, stamp_ns: int) -> None:
-        now = self.now_ns()
-        # 0: simulated time has not begun for this node, so the age is unknown.
-        self.health.published(topic.name, (now - stamp_ns) / 1e9 if now else None)
+        self.health.published(topic.name, stamp_ns, self.now_ns())  # 0: simulated time has not begun for this node
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:

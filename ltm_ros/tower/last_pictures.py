@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,12 +21,22 @@ from rclpy.node import Node
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
+from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, to_jpeg, to_png
-from ltm_core.pictures.maps import MapCamera, furnished, interesting_bounds, nearest, view_of
+from ltm_core.pictures.legend import (
+    UNLABELLED,
+    ClassPalette,
+    Palette,
+    depth_colors,
+    label_legend,
+    metres,
+    to_jpeg,
+    to_png,
+)
+from ltm_core.pictures.maps import MapCamera, finished, furnished, interesting_bounds, nearest, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
@@ -51,16 +62,18 @@ from ltm_ros.runtime.topics import (
 from ltm_ros.tower.live_stream import KINDS
 
 WIDTH = 800
-"""Maximum width of an image in pixels."""
+"""Maximum width of an image in pixels, without the photo in full size."""
 SMALL_QUALITY = 60
 """JPEG quality for slow connections."""
-REACH = 3000.0
-"""Radius of a camera's sector on the map in metres."""
+RECENT = 12
+"""Number of images of a camera, the newest, in which a user can still set a mark."""
+_GREY = (205, 208, 212)
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """One frame with its results: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres."""
+    """One frame with its results: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres; `full`: JPEG of the photo
+    in full size."""
 
     name: str
     stamp_ns: int
@@ -69,6 +82,7 @@ class CameraPicture:
     depth: Float32Array
     camera: Camera
     pose: Pose
+    full: bytes = b""
 
     def small(self) -> CameraPicture:
         """Return every n-th pixel of all arrays, at most `WIDTH` wide, as copies."""
@@ -77,9 +91,14 @@ class CameraPicture:
         def thin(values: NDArray[Any]) -> NDArray[Any]:
             return values[::step, ::step].copy()
 
-        return CameraPicture(
-            self.name, self.stamp_ns, thin(self.photo), thin(self.labels), thin(self.depth), self.camera, self.pose
-        )
+        small = replace(self, photo=thin(self.photo), labels=thin(self.labels), depth=thin(self.depth))
+        return replace(small, full=to_jpeg(self.photo)) if step > 1 else small
+
+    def without_pixels(self) -> CameraPicture:
+        """Return the same without the memory of its images, for marks alone."""
+        empty = np.zeros(1, np.uint8)
+        photo = np.broadcast_to(empty, self.photo.shape)
+        return replace(self, photo=photo, labels=photo[..., 0], depth=np.zeros((0, 0), np.float32), full=b"")
 
     def pixel(self, across: float, down: float) -> tuple[float, float]:
         """Return (u, v) in the camera's full image; `across` and `down` are shares of this one's width and height."""
@@ -99,7 +118,9 @@ class CameraPicture:
         return replace(self, photo=photo, labels=np.asarray(labels, np.uint8), depth=np.asarray(depth, np.float32))
 
     def jpeg(self, kind: str, palette: ClassPalette, quality: int = 85) -> bytes:
-        """Return a JPEG of `kind`: photo, labels or depth. Raises ImageError if sizes differ."""
+        """Return a JPEG of `kind`: photo, full (its full size), labels or depth. Raises ImageError if sizes differ."""
+        if kind == "full" and self.full:
+            return self.full
         if kind == "labels":
             return to_jpeg(overlay_labels(self.photo, self.labels, palette), quality)
         if kind == "depth":
@@ -108,23 +129,49 @@ class CameraPicture:
 
     @property
     def on_map(self) -> MapCamera:
+        """Return the camera with a sector as long as 95 % of its depths are."""
         x, y, _ = self.pose.position
-        return MapCamera(self.name, self.camera, (float(x), float(y)), self.pose.angles_deg[0], REACH)
+        known = self.depth[np.isfinite(self.depth)]
+        reach = float(np.percentile(known, 95)) if known.size else 1000.0
+        return MapCamera(self.name, self.camera, (float(x), float(y)), self.pose.angles_deg[0], reach)
 
 
 def map_image(
-    classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, cameras: Sequence[MapCamera]
+    classes: UInt8Array,
+    geometry: GridGeometry,
+    palette: ClassPalette,
+    cameras: Sequence[MapCamera],
+    places: Sequence[MapCamera] = (),
+    note: str = "",
 ) -> RgbImage:
-    """Return the known part of the life form map, with the cameras; `classes` (H, W), 255 unknown, north up."""
-    bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, geometry)
+    """Return the part of the life form map that the cameras see, or all that is known without cameras, with the places
+    a scale bar with a note, and a legend; `classes` (H, W), 255 unknown, north up."""
+    known = (classes != UNLABELLED) & (not cameras)
+    seen = np.concatenate([camera.sector() for camera in cameras]).tolist() if cameras else ()
+    bounds = interesting_bounds(known, geometry, seen, geometry)
     view = view_of(bounds, WIDTH)
     ids = nearest(classes, geometry, view, UNLABELLED)
-    picture = label_colors(ids, palette, unlabelled=(205, 208, 212))
+    picture = label_colors(ids, palette, unlabelled=_GREY)
     lines = np.zeros(ids.shape, np.bool_)
     lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
     lines[1:] |= ids[1:] != ids[:-1]
     picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
-    return np.asarray(cv2.GaussianBlur(furnished(picture, view, cameras, None), (0, 0), 0.4), np.uint8)
+    shown = Palette((*palette.names, "not known"), (*palette.colors, _GREY))
+    found = [len(shown.names) - 1 if label == UNLABELLED else label for label in np.unique(ids).tolist()]
+    legend = label_legend(WIDTH, shown, found)
+    return finished(furnished(picture, view, [*cameras, *places]), view, legend, note=note)
+
+
+def legends(labels: ClassPalette) -> dict[str, list[tuple[str, list[int]]]]:
+    """Return names and colours of what the page lays over photos."""
+    ranges = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
+    shades = depth_colors(np.array(ranges)).tolist()
+    return {
+        "labels": [
+            (str(name), [int(c) for c in color]) for name, color in zip(labels.names, labels.colors, strict=True)
+        ],
+        "depth": [(metres(value), color) for value, color in zip(ranges, shades, strict=True)],
+    }
 
 
 WATCHED_S = 60.0
@@ -141,6 +188,8 @@ class LastPictures:
         self._map_palette = life_form_labels(self._labels)
         self._cameras = {name: _CameraFrames(node, site, name, health, self._keep) for name in cameras}
         self._kept: dict[str, CameraPicture] = {}
+        self._recent: dict[str, deque[CameraPicture]] = {name: deque(maxlen=RECENT) for name in cameras}
+        self.legends = legends(self._labels)
         self._map: Any = None
         self._looked_s = -float("inf")
         self._lock = threading.Lock()
@@ -162,10 +211,13 @@ class LastPictures:
         with self._lock:
             return {name: picture.stamp_ns / 1e9 for name, picture in self._kept.items()}
 
-    def shown(self, camera: str) -> CameraPicture | None:
-        """Return the frame; None if none has come."""
+    def shown(self, camera: str, stamp_s: float | None = None) -> CameraPicture | None:
+        """Return the newest frame, or one of the last of this stamp, without pixels; None if there is none."""
         with self._lock:
-            return self._kept.get(camera)
+            if stamp_s is None:
+                return self._kept.get(camera)
+            # A browser's numbers hold microseconds.
+            return next((one for one in self._recent[camera] if abs(one.stamp_ns / 1e9 - stamp_s) < 1e-3), None)
 
     def jpeg(self, camera: str, kind: str) -> bytes | None:
         """Return a JPEG; None if no frame has come. Raises ImageError."""
@@ -177,23 +229,31 @@ class LastPictures:
         small = picture.resized(width)
         return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
 
-    def map_image(self) -> RgbImage | None:
-        """Return the map (H, W, 3); None if none has come. Raises MessageError."""
+    def map_image(self, places: Sequence[tuple[int, float, float]] = ()) -> RgbImage | None:
+        """Return the map (H, W, 3) with places (number, longitude, latitude); None if no map has come. Raises
+        MessageError."""
         with self._lock:
             message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
         if message is None:
             return None
         classes, geometry = msg_to_classes(message)
-        return map_image(classes, geometry, self._map_palette, cameras)
+        marks = []
+        for number, lon, lat in places:
+            x, y = self._site.frame.from_lonlat(lon, lat)
+            marks.append(MapCamera(f"place {number}", None, (float(x), float(y))))
+        stamp = stamp_of(message)
+        dated = f"as of {moment_of_stamp(stamp):%Y-%m-%d %H:%M} UTC" if stamp else "prior map, nothing seen"
+        return map_image(classes, geometry, self._map_palette, cameras, marks, f"{self._site.crs}, {dated}")
 
-    def map_png(self) -> bytes | None:
-        """Return a PNG of the map. Raises as `map_image`."""
-        image = self.map_image()
+    def map_png(self, places: Sequence[tuple[int, float, float]] = ()) -> bytes | None:
+        """Return a PNG of `map_image`. Raises MessageError."""
+        image = self.map_image(places)
         return None if image is None else to_png(image)
 
     def _keep(self, picture: CameraPicture) -> None:
         with self._lock:
             self._kept[picture.name] = picture
+            self._recent[picture.name].append(picture.without_pixels())
 
     def _keep_map(self, message: Any) -> None:
         with self._lock:

@@ -11,6 +11,7 @@ from geometry_msgs.msg import PointStamped
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rclpy.node import Node
 
+from ltm_core.base.number_text import counted
 from ltm_core.base.strict_model import StrictModel
 from ltm_msgs_py.json_topics import LocateTracks, Turned
 from ltm_msgs_py.stamp import make_header
@@ -20,8 +21,8 @@ from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, si
 from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower.last_pictures import CameraPicture
 
-SAME_S = 1e-3
-"""Tolerance of stamps in seconds: a browser's numbers hold microseconds."""
+SAME_DEG = 0.1
+"""Largest change of a viewing direction in degrees at which an earlier mark is drawn on a camera's image."""
 
 
 class PageMark(StrictModel):
@@ -54,8 +55,17 @@ class _Ellipse(_Told):
     semi_minor: float | None
 
 
+class _Mark(_Told):
+    camera: str
+    u: float
+    v: float
+    azimuth_deg: float
+    pitch_deg: float
+
+
 class _Place(_Told):
     track: int
+    marks: list[_Mark]
     last_ns: int
     place: _Name
     ellipses: list[_Ellipse]
@@ -65,7 +75,7 @@ class _Place(_Told):
 
 
 def _in_words(turned: Turned) -> str:
-    marks = f"the marks of {turned.fires} {'fire' if turned.fires == 1 else 'fires'}"
+    marks = f"the marks of {counted(turned.fires, 'fire')}"
     evidence = " and ".join({"marks": marks, "pictures": "its images"}[what] for what in turned.by)
     by = ""
     if turned.turned_deg is not None:
@@ -79,7 +89,7 @@ def _in_words(turned: Turned) -> str:
 class Marks:
     """`take`, `places` and `wrong` may be called from any thread.
 
-    `shown`: the image of a camera on the page; None: there is none.
+    `shown`: the image of a camera of a stamp in seconds, by default the newest; None: the page has not shown it lately.
     """
 
     def __init__(
@@ -87,7 +97,7 @@ class Marks:
         node: Node,
         site: str,
         cameras: Sequence[str],
-        shown: Callable[[str], CameraPicture | None],
+        shown: Callable[[str, float | None], CameraPicture | None],
         health: Health,
     ) -> None:
         self._shown, self._health = shown, health
@@ -95,7 +105,7 @@ class Marks:
             name: node.create_publisher(LOCATE_POINT.type, camera_topic(site, name, LOCATE_POINT), stream_qos())
             for name in cameras
         }
-        self._places: list[dict[str, Any]] = []
+        self._places: list[_Place] = []
         self._wrong: list[str] = []
         self._lock = threading.Lock()
         node.create_subscription(
@@ -109,11 +119,9 @@ class Marks:
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
             return WebResponse.error(HTTPStatus.BAD_REQUEST, f"invalid mark: {wrong}")
-        picture = self._shown(mark.camera) if mark.camera in self._publishers else None
+        picture = self._shown(mark.camera, mark.stamp) if mark.camera in self._publishers else None
         if picture is None:
-            return WebResponse.error(HTTPStatus.NOT_FOUND, "no image of this camera")
-        if abs(picture.stamp_ns / 1e9 - mark.stamp) > SAME_S:
-            return WebResponse.error(HTTPStatus.CONFLICT, "a newer image has come: set the mark there")
+            return WebResponse.error(HTTPStatus.NOT_FOUND, "the page has no image of this camera and time: reload it")
         u, v = picture.pixel(mark.across, mark.down)
         point = PointStamped(header=make_header(picture.stamp_ns, f"{mark.camera}_optical"))
         point.point.x, point.point.y = u, v
@@ -121,9 +129,30 @@ class Marks:
         return WebResponse.json({"u": round(u, 1), "v": round(v, 1)})
 
     def places(self) -> list[dict[str, Any]]:
-        """Return the site's tracks, newest first, as `locate` published them."""
+        """Return the site's tracks, newest first, as `locate` published them; `marks` are those that lie on the images
+        of the page, as shares of their width and height.
+        """
         with self._lock:
-            return self._places
+            places = list(self._places)
+        return [place.model_dump() | {"marks": self._drawn(place), "mark_count": len(place.marks)} for place in places]
+
+    def on_map(self) -> list[tuple[int, float, float]]:
+        """Return number, longitude and latitude of each track."""
+        with self._lock:
+            return [(place.track, place.place.lon, place.place.lat) for place in self._places]
+
+    def _drawn(self, place: _Place) -> list[dict[str, Any]]:
+        drawn = []
+        for mark in place.marks:
+            picture = self._shown(mark.camera, None)
+            if picture is None:
+                continue
+            azimuth, pitch, _ = picture.pose.angles_deg
+            turned = (azimuth - mark.azimuth_deg + 180) % 360 - 180
+            if max(abs(turned), abs(pitch - mark.pitch_deg)) < SAME_DEG:
+                across, down = (mark.u + 0.5) / picture.camera.width, (mark.v + 0.5) / picture.camera.height
+                drawn.append({"camera": mark.camera, "across": across, "down": down})
+        return drawn
 
     def wrong(self) -> list[str]:
         """Return sentences about misaligned cameras, if any."""
@@ -141,5 +170,5 @@ class Marks:
             )
             return
         with self._lock:
-            self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]
+            self._places = sorted(found, key=lambda place: -place.last_ns)
             self._wrong = [] if told.turned is None else [_in_words(told.turned)]

@@ -136,7 +136,7 @@ class TowerMirror:
                 if len(self._images) >= MOST_CAMERAS and record.camera not in self._images:
                     raise StreamError(f"the tower sends images of more than {MOST_CAMERAS} cameras")
                 self._images[record.camera] = record.stamp_s, images
-            for number, kind in enumerate(KINDS):
+            for kind, number in {**{kind: number for number, kind in enumerate(KINDS)}, "full": 0}.items():
                 self._routes[f"GET /picture/{record.camera}/{kind}.jpg"] = self._picture(record.camera, number)
 
     def _paint(self, record: _Record, content: bytes) -> None:

@@ -42,7 +42,11 @@ def site_blueprint(
     """
     tabs = tabs or Tabs()
     overview = rrb.Vertical(
-        rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
+        rrb.Horizontal(
+            _terrain(cameras, eye),
+            rrb.Vertical(_fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]),
+            column_shares=[5, 3],
+        ),
         rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
         row_shares=[5, 3],
         name="Site",
@@ -94,7 +98,7 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
 def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="/fuel_map",
-        name="Fuel map",
+        name="Fuel map, north up",
         visual_bounds=_bounds(window),
     )
 

@@ -16,9 +16,10 @@ from ltm_core.base.types import BoolArray, Float32Array, Int32Array, RgbImage, U
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, CameraMark, FuelCanvas
-from ltm_core.pictures.legend import PAPER, UNLABELLED, ClassPalette, error_colors, error_legend
+from ltm_core.pictures import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FuelCanvas
+from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, draw_texts, error_colors, error_legend
+from ltm_core.pictures.maps import MapCamera
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
@@ -100,6 +101,13 @@ def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
     return rr.AnnotationContext([*classes, (UNLABELLED, "unlabelled", (0, 0, 0, 0))])
 
 
+def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
+    """Return the names and colours of the fuel map's classes, and the size of its cells in metres."""
+    names = label_legend(560, palette, range(1, len(palette.names)))
+    text = draw_texts(np.full((24, 560, 3), PAPER, np.uint8), [(f"Fuel cells of {cell:g} m", 11, 14, "lm")], 13, INK)
+    return rr.EncodedImage(contents=to_png(with_legend(names, text)), media_type="image/png")
+
+
 def distinct_color(index: int) -> tuple[int, int, int]:
     """Return the index-th of a series of bright colours: each hue is in the widest gap of the previous ones."""
     golden = (5**0.5 - 1) / 2
@@ -135,7 +143,7 @@ class FuelMaps:
     window, with the cameras' first positions.
     """
 
-    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[CameraMark]) -> None:
+    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[MapCamera]) -> None:
         self.geometry = geometry
         self._dem, self._palette, self._places = dem, palette, places
         self._canvas = FuelCanvas(geometry, dem, places)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -120,10 +121,20 @@ class FuelLayer:
         part = self._shown[row : row + TILE, col : col + TILE]
         rows, cols = part.shape
         window = self._geometry.window(row, col, rows, cols)
-        x = window.x_min + np.arange(cols + 1) * window.resolution
-        y = window.y_max - np.arange(rows + 1) * window.resolution
-        z = self._surface.elevation_at(*np.meshgrid(x, y)) + self._lift
-        corners = np.stack([*np.meshgrid(x, y), z], axis=-1).astype(np.float32)
+        # A margin of one cell, so that neighbouring tiles meet.
+        x = window.x_min + np.arange(-1, cols + 2) * window.resolution
+        y = window.y_max - np.arange(-1, rows + 2) * window.resolution
+        corners = np.stack([*np.meshgrid(x, y), self._surface.elevation_at(*np.meshgrid(x, y))], axis=-1)
+        # Flat triangles cut through curved ground: raise their corners until no ground in a cell is above them.
+        nw, sw, ne, se = corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]
+        under = np.zeros(nw.shape[:2])
+        for east, south in itertools.product(np.linspace(0, 1, 5), repeat=2):
+            upper = nw + east * (ne - nw) + south * (sw - nw)
+            at = upper if east + south <= 1 else se + (1 - east) * (sw - se) + (1 - south) * (ne - se)
+            under = np.fmax(under, self._surface.elevation_at(at[..., 0], at[..., 1]) - at[..., 2])
+        corners = corners[1:-1, 1:-1].astype(np.float32)
+        raised = np.max([under[:-1, :-1], under[1:, :-1], under[:-1, 1:], under[1:, 1:]], axis=0)
+        corners[..., 2] += (self._lift + raised).astype(np.float32)
         quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=2)
         seen = (part != UNLABELLED) & np.isfinite(quads[..., 2]).all(axis=2)
         first = 4 * np.arange(np.count_nonzero(seen), dtype=np.uint32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -18,9 +18,9 @@ from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
-from ltm_core.pictures.fuel_maps import CameraMark
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.pictures import MapCamera, RangeScale, to_jpeg
+from ltm_core.pictures.legend import ClassPalette
+from ltm_core.pictures.maps import relief
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_ros.viewer import fuel_maps as archetypes
@@ -67,6 +67,8 @@ class RerunView:
         self._shown: set[str] = set()
         self._node_colors: dict[str, tuple[int, int, int]] = {}
         self._plotted: set[str] = set()
+        self._undated: dict[str, Callable[[int], None]] = {}
+        """What waits for the first stamp of the time line."""
         self._live = serve
         self._server = RerunProcess.serve(web_port, grpc_port, memory_limit=LIVE_MEMORY) if serve else None
         self.url = web_url(web_port, grpc_port) if serve else None
@@ -164,7 +166,12 @@ class RerunView:
             )
 
     def log_fuel_map(self, stamp_ns: int, classes: UInt8Array, geometry: GridGeometry) -> None:
-        """Log the fuel map (H, W) of class ids, 255 not seen, map frame. Raises RasterError if shapes differ."""
+        """Log the fuel map (H, W) of class ids, 255 not seen, map frame. Without evidence it has stamp 0, and is shown
+        from the first frame on. Raises RasterError if shapes differ.
+        """
+        if not stamp_ns:
+            self._undated["map"] = lambda first_ns: self.log_fuel_map(first_ns, classes, geometry)
+            return
         with self._at(stamp_ns):
             if geometry != self._fuel_geometry:
                 self._fuel_geometry = geometry
@@ -180,10 +187,13 @@ class RerunView:
                 self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
     def log_fuel_layers(self, stamp_ns: int, rasters: Mapping[str, NDArray[Any]]) -> None:
-        """Log the fuel map's layers besides the life form, as in `FuelMaps.draw`."""
+        """Log the fuel map's layers besides the life form, as in `FuelMaps.draw`; stamp 0 as in `log_fuel_map`."""
+        if not stamp_ns:
+            self._undated["layers"] = lambda first_ns: self.log_fuel_layers(first_ns, rasters)
+            return
         with self._at(stamp_ns):
             if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
-                places = [CameraMark(name, *camera.position) for name, camera in self._cameras.items()]
+                places = [MapCamera(name, None, camera.position) for name, camera in self._cameras.items()]
                 self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
             for name, picture in self._fuel_maps.draw(rasters).items():
                 self._recording.log(f"fuel_layers/{name}", picture)
@@ -202,7 +212,12 @@ class RerunView:
             self._recording.log("map/change", self._change.update(cells, points, kinds))
 
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
-        """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ..."""
+        """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ...
+
+        A recording begins with its first frame: earlier measures would open it at a time without images.
+        """
+        if not stamp_ns or not (self._live or self._shown):
+            return
         with self._at(stamp_ns):
             node = node_name.strip("/")
             color = self._node_colors.setdefault(node, archetypes.distinct_color(len(self._node_colors)))
@@ -220,6 +235,9 @@ class RerunView:
 
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
+        if self._undated:  # no frame has come, but the map is known
+            with self._at(1):
+                pass
         with self._lock:
             self._recording.flush()
             self._recording.disconnect()
@@ -228,6 +246,9 @@ class RerunView:
 
     @contextlib.contextmanager
     def _at(self, stamp_ns: int) -> Iterator[None]:
+        undated, self._undated = self._undated, {}
+        for log in undated.values():
+            log(stamp_ns)
         with self._lock:
             self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
             yield
@@ -266,6 +287,7 @@ class RerunView:
             log.log("/", archetypes.annotation_context(self._palette), static=True)
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             log.log("map/terrain", archetypes.mesh(scene_geometry.terrain_mesh(self._dem)), static=True)
+            log.log("legend", archetypes.legend(self._palette, self._fuel_geometry.resolution), static=True)
             self._log_relief()
             if self._site.terrain is not None:
                 log.log("terrain", change_classes(), static=True)
@@ -275,8 +297,7 @@ class RerunView:
         g = self._fuel_geometry
         finer = max(1, RELIEF_PIXELS // max(g.shape))
         view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
-        none = np.full(g.shape, UNLABELLED, np.uint8)
-        picture = labelled_shade(none, g, self._palette, self._dem, view)
+        picture = relief(self._dem, view)
         longest = max(picture.shape[:2])
         if longest > RELIEF_PIXELS:
             shrink = RELIEF_PIXELS / longest

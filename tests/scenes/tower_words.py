@@ -24,7 +24,8 @@ def healths() -> dict[str, Health]:
             health.received("image" if name.count("/") > 2 else "/ridge/north/fuel/votes")
             health.worked(0.001 * frame * number)
             if frame % 2:
-                health.published("posed/image", 0.25 * number)
+                stamp = (1 + frame) * 10**11
+                health.published("posed/image", stamp, stamp + number * 10**9 // 4)
         health.used(1.25 * number)
     for camera, age_s, shed in (("north", 4.5, 3), ("east", 700.25, 11)):
         capture, judge = made[f"/ridge/{camera}/capture"], made[f"/ridge/{camera}/topodepth"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
+from ltm_core.base.number_text import percent
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS
 from ltm_core.surface.confirmed_surface import SurfaceVersion
@@ -77,6 +78,13 @@ class Provenance:
             self.software,
         ]
         return "; ".join(filter(None, [*parts, self.terrain, self.surface]))
+
+    def heading(self, crs: str) -> str:
+        """Return the heading of a picture: site, CRS, date, and the share of the cells that cameras have seen."""
+        moment = self.moment()
+        dated = self.as_of if moment is None else f"as of {moment:%Y-%m-%d %H:%M} UTC"
+        seen = "" if self.seen is None else f" Cameras have seen {percent(self.seen)} of the cells."
+        return f"Fuel map of {self.site} ({crs}), {dated}.{seen}"
 
     def moment(self) -> datetime | None:
         """Return the time; None if no frame contributed, or none has a date."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -32,6 +32,7 @@ from ltm_ros.recordings.replay import LONGEST_PAUSE
 from ltm_ros.recordings.replay.offline import RECORDING, Selection, replay_offline
 from ltm_ros.runtime.delivery_checks import unmatched
 from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
+from ltm_ros.runtime.topics import CAMERA_TRUTH
 
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
@@ -39,6 +40,8 @@ WAITING = 5
 """Frames of a camera that wait for admission, above which the recording's time is paused."""
 SILENT = 5.0
 """Seconds without diagnostics after which a node is no longer waited for."""
+WARM_UP = 60.0
+"""Maximum number of seconds to wait for the first frames."""
 QUIET = 2.5
 """Seconds without any change in the graph's diagnostics after which it is idle."""
 
@@ -101,9 +104,13 @@ class LivePlayer:
         """
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
         known, loose = 0, list[str]()
+        truth = tuple(f"/{topic.name}" for topic in CAMERA_TRUTH)  # only a recorder takes it
+        wanted = [
+            name for name, topic in self._selection.topics.items() if is_image(topic) and not name.endswith(truth)
+        ]
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
-            images = [count for name, count in counts.items() if is_image(self._selection.topics[name])]
+            images = [counts[name] for name in wanted]
             summaries = dict(self.summaries)
             known = min(self._clock.get_subscription_count(), len(summaries))
             loose = unmatched(self._node, summaries)
@@ -112,7 +119,7 @@ class LivePlayer:
             if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
-        topics = ", ".join(name for name, topic in self._selection.topics.items() if is_image(topic))
+        topics = ", ".join(wanted)
         raise RecordingError(
             f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
             f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
@@ -127,14 +134,19 @@ class LivePlayer:
     ) -> int:
         """Publish every message at its time; return the number published. `stopped` ends it early.
 
-        The recording's time is paused while the graph is behind. With `loop`, stamps of later rounds are moved on with
-        the clock, so that each stays unique.
+        The recording's time is paused while the graph is behind, and before the second frame of a camera until the
+        first ones are finished, because those wait for networks and code that are used for the first time. With `loop`,
+        stamps of later rounds are moved on with the clock, so that each stays unique.
         """
         round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
-        published, shift = 0, 0
+        published, shift, begun, warm = 0, 0, set[str](), False
         while True:
             for message, content in self._selection.decoded(shift):
+                if not warm and is_image(self._selection.topics[message.topic]):
+                    if warm := message.topic in begun:
+                        self._pause_until(self._first_frames_done(), stopped)
+                    begun.add(message.topic)
                 self._sleep_until(message.log_time_ns + shift, stopped)
                 self._wait_for_room(stopped)
                 if stopped():
@@ -167,11 +179,22 @@ class LivePlayer:
         """Wait for the graph: a live camera's frames are shed if it is behind, but all recorded frames are
         processed.
         """
+        self._pause_until(lambda: not self._behind(), stopped)
+
+    def _pause_until(self, done: Callable[[], bool], stopped: Callable[[], bool]) -> None:
         at = self.now_ns()
-        while self._behind() and not stopped():
+        while not done() and not stopped():
             self._epoch = (time.monotonic() + 1.0, at)  # time is paused until it continues in a second
             time.sleep(0.05)
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
+
+    def _first_frames_done(self) -> Callable[[], bool]:
+        """Return a check whether the graph has finished what it can, because a frame may wait for a later message. It
+        ends after `WARM_UP` seconds.
+        """
+        self._changed = time.monotonic()
+        deadline = self._changed + WARM_UP
+        return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue", "in_flight"))
 
     def _behind(self) -> bool:
         recent = time.monotonic() - SILENT
@@ -189,11 +212,12 @@ class LivePlayer:
                 return
             time.sleep(min(wait, 0.1))
 
-    def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
+    def _idle(
+        self, summaries: Iterable[dict[str, str] | None], busy: Sequence[str] = ("queue", "waiting", "in_flight")
+    ) -> bool:
         """Return whether nothing has changed for a while, and nothing is queued or in flight (a large frame may take
         longer).
         """
-        busy = ("queue", "waiting", "in_flight")
         empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 

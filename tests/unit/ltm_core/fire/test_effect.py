@@ -10,6 +10,7 @@ import rasterio
 
 from ltm_core.fire.effect import BANDS, FireEffect, burn_probability, changed_fuel, write_fire
 from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, arrival_scale, difference_classes, fire_sheet
@@ -104,7 +105,7 @@ def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
     np.testing.assert_array_equal(bands[0], BEFORE.arrival)
     np.testing.assert_allclose(bands[2][1, 3], 1.5)
     assert np.isnan(bands[2][1, 4])
-    sheet = fire_sheet(made, landscape(), (1, 1))
+    sheet = fire_sheet(made, landscape(), FireScenario(1, 1, Wind(8.0, 45.0), Moisture.parse("D2L2"), 6.0))
     assert (sheet.shape[0] > 1.5 * sheet.shape[1]) == drawn
     picture, legend = arrival_overlay(made, landscape())
     assert picture.shape == (16, 24, 3)

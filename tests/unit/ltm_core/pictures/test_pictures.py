@@ -19,11 +19,9 @@ from ltm_core.pictures import (
     RangeScale,
     depth_colors,
     fit,
-    fuel_map_picture,
     hillshade,
     label_colors,
     label_legend,
-    labelled_shade,
     overlay_depth,
     overlay_labels,
     panel,
@@ -34,7 +32,8 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, error_colors, error_legend, scale_colors
+from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, error_legend, scale_colors
 from ltm_core.pictures.maps import draw_north
 from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.raster.dem import Dem
@@ -90,8 +89,7 @@ def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
     np.testing.assert_array_equal(colors[0, 1], scale_colors()[255])
     np.testing.assert_array_equal(colors[0, 2], SKY_COLOR)
     np.testing.assert_array_equal(colors[1, :2], [UNKNOWN_COLOR, UNKNOWN_COLOR])
-    assert colors[0, 0, 0] > colors[0, 0, 2], "near is warm"
-    assert colors[0, 1, 2] > colors[0, 1, 1], "far is cold"
+    assert colors[0, 0].sum() > 2 * colors[0, 1].sum(), "near is bright"
 
 
 def test_range_legend_shows_the_colours_of_its_ranges() -> None:
@@ -187,31 +185,13 @@ def test_north_west_slopes_are_lit_and_unknown_heights_stay_unknown() -> None:
     assert terrain_colors(Dem(elevation, dem.geometry)).shape == (9, 14, 3)
 
 
-def test_map_shows_each_class_where_its_cell_lies() -> None:
-    dem = plane(60, 90, 0.05, 0.02)
-    geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
-    classes = np.full((8, 12), 255, np.uint8)
-    classes[1, 9] = 3
-    view = GridGeometry(100.0, 900.0, 2.0, 450, 300)
-    picture = labelled_shade(classes, geometry, LABELS, dem, view)
-    bare = labelled_shade(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, view)
-    rows, cols = np.nonzero((picture != bare).any(axis=-1))
-    x, y = view.to_map([rows.min(), rows.max()], [cols.min(), cols.max()])
-    np.testing.assert_allclose(x, [220 + 9 * 30, 220 + 10 * 30], atol=2.0)
-    np.testing.assert_allclose(y, [800 - 30, 800 - 60], atol=2.0)
-    patch = picture[rows.min() : rows.max(), cols.min() : cols.max()].reshape(-1, 3).mean(axis=0)
-    nearest = np.linalg.norm(np.array(LABELS.colors) - patch, axis=1).argmin()
-    assert LABELS.names[nearest] == "tree"
-
-
 def test_map_refuses_rasters_that_do_not_fit() -> None:
     dem = plane(20, 30, 0.0, 0.0)
-    with pytest.raises(RasterError, match=r"\(4, 5\)"):
-        fuel_map_picture(np.zeros((4, 5), np.uint8), GridGeometry(100.0, 900.0, 30.0, 6, 4), LABELS, dem)
     geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
-    elsewhere = Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832"))
+    with pytest.raises(RasterError, match=r"\(4, 5\)"):
+        FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
     with pytest.raises(RasterError, match="one CRS"):
-        fuel_map_picture(np.zeros((4, 6), np.uint8), geometry, LABELS, elsewhere)
+        FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
     with pytest.raises(RasterError, match="seen cells"):
         terrain_map_picture(dem, np.zeros((20, 29), bool))
 
@@ -224,37 +204,30 @@ def test_camera_sector_spans_its_field_of_view() -> None:
     np.testing.assert_allclose(outline[1], (400 + 200 * np.sin(np.pi / 3), 600))
 
 
-@pytest.mark.parametrize("width", [300, 640])
-def test_whole_maps_have_their_width_and_a_legend(width: int) -> None:
-    dem = plane(60, 90, 0.05, 0.02)
-    camera = MapCamera("north", Camera.from_fov(640, 480, 60.0), (400.0, 500.0), 200.0, reach=200.0)
-    geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
-    classes = np.full((8, 12), 255, np.uint8)
-    classes[2:5, 3:9] = 2
-    picture = fuel_map_picture(classes, geometry, LABELS, dem, [camera], width=width, title="Fuel")
-    assert picture.shape[1] == width
-    swatch = (picture[-40:] == np.array(LABELS.colors[2])).all(axis=-1)
-    assert swatch.any(), "the legend names the class that occurs"
-    seen = np.zeros(dem.elevation.shape, bool)
-    seen[10:30, 20:60] = True
-    assert terrain_map_picture(dem, seen, [camera], width=width).shape[1] == width
-    assert fuel_map_picture(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, width=width).shape[1] == width
-
-
-def test_marked_cells_are_outlined_and_nothing_else() -> None:
+def test_a_legend_names_the_classes_of_the_shown_part() -> None:
     dem = plane(60, 90, 0.05, 0.02)
     geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
-    classes, marked = np.full((8, 12), 2, np.uint8), np.zeros((8, 12), bool)
-    marked[2:5, 3:9] = True
-    bounds = geometry.bounds
-    plain, outlined = (
-        fuel_map_picture(classes, geometry, LABELS, dem, (), bounds, 720, outlined=cells) for cells in (None, marked)
-    )
-    differs = (plain != outlined).any(axis=-1)  # 60 pixels a cell
-    assert differs[121:299, 181:185].all()
-    assert not differs[150:270, 220:500].any(), "only the edge is drawn"
-    differs[118:302, 178:542] = False
-    assert not differs.any()
+    classes = np.full(geometry.shape, 2, np.uint8)
+    classes[:, 9:] = 3
+    west = (220.0, 560.0, 220.0 + 8 * 30.0, 800.0)
+    for bounds, trees in ((west, False), (geometry.bounds, True)):
+        legend = FuelCanvas(geometry, dem, (), bounds, width=400).classes(classes, LABELS)[-40:]
+        assert (legend == np.array(LABELS.colors[2])).all(axis=-1).any()
+        assert (legend == np.array(LABELS.colors[3])).all(axis=-1).any() == trees
+        values = FuelCanvas(geometry, dem, (), bounds, width=400).scaled(classes, classes > 0, CAMERAS)[-40:]
+        assert [bool((values == np.array(color)).all(axis=-1).any()) for color in CAMERAS.colors] == [
+            False, True, trees, False, False
+        ]  # fmt: skip
+
+
+def test_names_do_not_cover_each_other() -> None:
+    """Two cameras on one mast, and a third just below it."""
+    texts: list[Text] = [("north", 100.0, 50.0, "lm"), ("east", 100.0, 50.0, "lm"), ("far", 110.0, 58.0, "lm")]
+    placed = apart([*texts, ("alone", 300.0, 50.0, "lm")], 14, 200)
+    assert placed[0] == texts[0]
+    rows = sorted(y for _, x, y, _ in placed if x < 200)
+    assert min(np.diff(rows)) >= 14
+    assert placed[3] == ("alone", 300.0, 50.0, "lm")
 
 
 def test_the_north_arrow_makes_way_for_a_name() -> None:
@@ -372,10 +345,10 @@ def test_no_skyline_where_the_ground_is_unknown() -> None:
 def test_the_map_marks_what_is_seen() -> None:
     image = traced()
     counts = cell_counts(image)
-    seen = map_picture(image, DEM, counts)
-    unseen = map_picture(image, DEM, np.zeros_like(counts))
+    seen = map_picture(image, DEM, counts, "seen")
+    unseen = map_picture(image, DEM, np.zeros_like(counts), "seen")
     assert seen.ndim == 3
-    assert seen.shape[1] == 1200
+    assert seen.shape[1] > 1200, "with axes"
     # Seen cells are orange: more red over blue than the bare terrain anywhere has.
     orange = (seen[..., 0].astype(int) - seen[..., 2]) > 110
     assert orange.mean() > 0.02
@@ -387,5 +360,5 @@ def test_a_map_is_drawn_even_when_nothing_is_seen() -> None:
         CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0)
     )
     assert np.isposinf(up.range).all()
-    assert map_picture(up, DEM, cell_counts(up)).shape[2] == 3
+    assert map_picture(up, DEM, cell_counts(up), "nothing").shape[2] == 3
     assert depth_picture(up, DEM).shape[1] == 330

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scenes.depth_score import score_depth
 
+from ltm_core.base.number_text import NOTHING
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.report import (
-    NOTHING,
     CameraPictures,
     ReportData,
     Table,
@@ -116,7 +116,7 @@ def test_report_shows_the_figures_it_was_given() -> None:
     html = render_report(full())
     rows = {row[0]: row[1:] for row in Page(html).rows if row}
     assert rows["/ridge/north/depth"] == ["61", "20", "3(pose 1, overload 2)", "64.2", "89.9", "40.0"]
-    assert rows["/ridge/fuel_map"] == ["40", "12\u202f345", "0", NOTHING, NOTHING, NOTHING]
+    assert rows["/ridge/fuel_map"] == ["40", "12,345", "0", NOTHING, NOTHING, NOTHING]
     assert rows["gcp 1"] == ["3.25"]
     assert rows["gcp 2"] == [NOTHING]
     depth = score_depth([np.float32([[52.0]])], [np.float32([[50.0]])])
@@ -128,7 +128,7 @@ def test_report_shows_the_figures_it_was_given() -> None:
         "> 1,000 m",
         "all",
     ]
-    assert rows["all"][0] == "14\u202f400"
+    assert rows["all"][0] == "14,400"
     assert rows["all"][1] == "2.00"
     assert "90.0 %" in html, "correct fuel cells"
     assert "64.2" in html
@@ -166,4 +166,4 @@ def test_wide_pictures_are_embedded_smaller() -> None:
     wide = np.zeros((20, 4000, 3), np.uint8)
     page = Page(render_report(ReportData("Small", "", [], [], fuel_map=wide)))
     data = np.frombuffer(base64.b64decode(page.sources[0].split(",")[1]), np.uint8)
-    assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape[1] == 1280
+    assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape[1] == 1700

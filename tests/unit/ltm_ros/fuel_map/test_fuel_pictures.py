@@ -38,7 +38,6 @@ from ltm_core.pictures.fuel_maps import (
     DOUBT,
     FOOTPRINT,
     FRAMES,
-    CameraMark,
     FuelCanvas,
     Scale,
     change_sheet,
@@ -47,6 +46,7 @@ from ltm_core.pictures.fuel_maps import (
     overlay_picture,
     seen_sheet,
 )
+from ltm_core.pictures.maps import MapCamera
 from ltm_core.pictures.sheets import round_step, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
@@ -124,7 +124,7 @@ def test_ticks_stand_where_they_say() -> None:
 
 
 def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
-    canvas = FuelCanvas(GRID, flat(), [CameraMark("north", 400.0, 500.0)], GRID.bounds, width=720)
+    canvas = FuelCanvas(GRID, flat(), [MapCamera("north", None, (400.0, 500.0))], GRID.bounds, width=720)
     classes = np.full(GRID.shape, 255, np.uint8)
     classes[3:9, 10:20] = LifeForm.TREE
     classes[5:7, 12:15] = LifeForm.BURNED
@@ -247,7 +247,7 @@ def test_the_shown_part_holds_what_is_seen_and_the_cameras() -> None:
     cells = np.zeros(GRID.shape, bool)
     assert seen_window(GRID, cells, []) == GRID.bounds
     cells[8, 10] = True
-    west, south, east, north = seen_window(GRID, cells, [CameraMark("a", 500.0, 600.0)])
+    west, south, east, north = seen_window(GRID, cells, [MapCamera("a", None, (500.0, 600.0))])
     assert (west, east, south, north) == (265.0, 650.0, 450.0, 795.0)
 
 

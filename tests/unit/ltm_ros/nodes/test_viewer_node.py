@@ -23,6 +23,7 @@ from ltm_core.surface.change import Changed, ChangeKind
 from ltm_msgs_py.cells import changed_to_msg, fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
+from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -123,8 +124,11 @@ def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tm
     message = changed_to_msg(changed, np.array([300.0]), GridGeometry(0.0, 40.0, 10.0, 7, 4), STAMP)
     with pytest.raises(MessageError, match="change is 97; valid kinds are 0 to 3"):
         take[site_topic(small.site.name, TERRAIN_UPDATE)](message)
+    (frame,) = [frame for frame in small.frames(1) if frame.camera_name == "tower"]
+    node._view.log_pose("tower", STAMP, frame.pose, frame.camera)  # a recording begins with a frame
     rate = [KeyValue(key="frames_hz", value="unknown"), KeyValue(key="queue", value="3")]
-    take["/diagnostics"](DiagnosticArray(status=[DiagnosticStatus(name="a driver", level=b"\0", values=rate)]))
+    status = DiagnosticStatus(name="a driver", level=b"\0", values=rate)
+    take["/diagnostics"](DiagnosticArray(header=make_header(STAMP, ""), status=[status]))
     node.finish()
     paths = {str(chunk.entity_path) for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
     assert any("queue" in path for path in paths)

@@ -87,15 +87,32 @@ def test_a_lasting_problem_is_stated_until_it_ends() -> None:
 
 def test_latencies_in_milliseconds_of_the_last_messages() -> None:
     health = Health()
-    for _ in range(50):
-        health.published("depth/image", 5.0)
-    for i in range(module.WINDOW):
-        health.published("depth/image", 0.010 if i < 150 else 0.250)
+    health.published("depth/image", 1, 1)
+    for number in range(50 + module.WINDOW):
+        stamp = 10**10 * (number + 1)
+        age_ms = 5000 if number < 50 else 10 if number < 200 else 250
+        health.published("depth/image", stamp, stamp + age_ms * 10**6)
     health.published("depth/camera_info", None)
     health.worked(0.004)
     summary = health.summary()
     assert (summary["latency_p50_ms"], summary["latency_p95_ms"]) == ("10.0", "250.0")
     assert (summary["work_p50_ms"], summary["work_p95_ms"]) == ("4.0", "4.0")
+
+
+def test_latency_counts_frames_captured_after_the_first_result() -> None:
+    """The first frame waits for networks and code, and those behind it wait for it."""
+    health = Health()
+    second = 10**9
+    for captured, now in ((100, 112), (101, 113), (111, 114)):
+        health.published("depth/image", captured * second, now * second)
+    assert "latency_p95_ms" not in health.summary()
+    for captured in range(115, 125):
+        health.published("depth/image", captured * second, (captured + 3) * second)
+    assert health.summary()["latency_p95_ms"] == "3000.0"
+    # A replay that starts again sets the clock back.
+    health.published("depth/image", 50 * second, 51 * second)
+    health.published("depth/image", 52 * second, 152 * second)
+    assert health.summary()["latency_p95_ms"] != "3000.0"
 
 
 def test_rate_is_of_the_last_seconds(monkeypatch: pytest.MonkeyPatch) -> None:

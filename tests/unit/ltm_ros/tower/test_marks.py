@@ -59,8 +59,13 @@ def health() -> Health:
 
 @pytest.fixture
 def marks(graph: Graph, health: Health) -> Marks:
-    shown = {"north": picture().small()}
-    return Marks(graph, "ridge", ["north", "east"], shown.get, health)
+    small = picture().small()
+
+    def shown(camera: str, stamp_s: float | None) -> CameraPicture | None:
+        known = camera == "north" and (stamp_s is None or abs(stamp_s - STAMP / 1e9) < 1e-3)
+        return small if known else None
+
+    return Marks(graph, "ridge", ["north", "east"], shown, health)
 
 
 def body(**keys: Any) -> bytes:
@@ -106,7 +111,7 @@ def test_the_border_is_within_the_picture() -> None:
         (body(more=1), 400, "more"),
         (body(camera="../../etc"), 404, "no image"),
         (body(camera="east"), 404, "no image"),
-        (body(stamp=STAMP / 1e9 - 5), 409, "a newer image"),
+        (body(stamp=STAMP / 1e9 - 5), 404, "no image"),
     ],
 )
 def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: bytes, status: int, said: str) -> None:
@@ -119,6 +124,9 @@ def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: 
 TURNED = {"camera": "east", "probability": 0.9712, "turned_deg": -2.04, "sigma_deg": 0.06, "fires": 3, "by": ["marks"]}
 
 
+MARK = {"camera": "north", "u": 959.5, "v": 269.5, "azimuth_deg": 359.95, "pitch_deg": 0.0}
+
+
 def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
     """As `locate` tells of them, numbered from 1 on, each with an ellipse as a feature of its own."""
     features: list[Any] = []
@@ -126,7 +134,13 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
         place = {"mgrs": "11S MB 80574 50576", "lon": lon, "lat": 37.5, "elevation": None, "crs": "EPSG:32611"}
         ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
-        about |= {"seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
+        about |= {
+            "marks": [MARK, MARK | {"azimuth_deg": 7.0}, MARK | {"camera": "east"}],
+            "seen_by": ["north"],
+            "sources": ["person"],
+            "disagrees": None,
+            "smoke": True,
+        }
         point = {"type": "Point", "coordinates": [lon, 37.5]}
         for properties in (about, {"role": "ellipse", "share": 0.95}):
             features.append({"type": "Feature", "geometry": point, "properties": properties})
@@ -136,7 +150,11 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
 def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
     assert marks.places() == []
     graph.heard["/ridge/locate/tracks"](tracks(5, 9))
-    assert [place["track"] for place in marks.places()] == [2, 1]
+    newest, oldest = marks.places()
+    assert (newest["track"], oldest["track"]) == (2, 1)
+    assert newest["mark_count"] == 3
+    assert newest["marks"] == [{"camera": "north", "across": 0.5, "down": 0.25}], "in the direction that is shown"
+    assert marks.on_map() == [(2, -117.2, 37.5), (1, -117.2, 37.5)]
 
 
 def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: Graph, marks: Marks) -> None:

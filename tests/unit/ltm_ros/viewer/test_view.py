@@ -12,7 +12,9 @@ import pytest
 from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
 
 from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
@@ -163,6 +165,28 @@ def test_a_grid_with_other_edges_replaces_the_layer(tmp_path: Path) -> None:
     rows = chunks(tmp_path / "a.rrd")
     west = [min(v[0] for v in row["Mesh3D:vertex_positions"]) for row in rows["/map/fuel/r000_c000"]]
     assert west == [-480.0, -180.0]
+
+
+def test_the_time_line_begins_with_the_first_frame_and_the_map_of_then(tmp_path: Path) -> None:
+    """The map without evidence and the diagnostics of a graph without time have stamp 0, which is 1970."""
+    where, dem = site(north={}), hills()
+    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
+    grid = where.fuel_geometry(dem)
+    view.log_fuel_map(0, np.ones(grid.shape, np.uint8), grid)
+    rasters = {name: np.ones(grid.shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
+    view.log_fuel_layers(0, {**rasters, "code": np.full(grid.shape, 102, np.int16)})
+    for stamp in (0, STAMP - 9):
+        view.log_diagnostics(stamp, "/ridge/north/depth", {"rate_hz": 2.0})
+    view.log_pose("north", STAMP, Pose.from_angles((300.0, 400.0, 600.0), 10.0, 0.0), Camera.from_fov(64, 36, 50.0))
+    view.log_diagnostics(STAMP + 5, "/ridge/north/depth", {"rate_hz": 3.0})
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    first = {name: min(row["stamp"] for row in found if "stamp" in row) for name, found in rows.items()
+             if any("stamp" in row for row in found)}  # fmt: skip
+    assert min(first.values()) == STAMP
+    for name in ("/fuel_map/classes", "/map/fuel/r000_c000", "/fuel_layers/code", "/map/cameras/north"):
+        assert first[name] == STAMP, name
+    assert first["/health/rate_hz/ridge/north/depth"] == STAMP + 5
 
 
 def test_an_unchanged_fuel_map_is_not_written_again(tmp_path: Path) -> None:

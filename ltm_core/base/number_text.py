@@ -1,0 +1,33 @@
+"""Write numbers for people: one style for pages, pictures and tables."""
+
+from __future__ import annotations
+
+import math
+
+NOTHING = "\N{EN DASH}"
+
+
+def number(value: float, digits: int = 0, sign: bool = False) -> str:
+    """Return `12,180` or `-0.5`: rounded to `digits` decimals, never a negative zero; a dash if it is not finite.
+
+    `sign`: write a plus sign before positive numbers.
+    """
+    if not math.isfinite(value):
+        return NOTHING
+    rounded = round(float(value), digits) + 0.0  # turns -0.0 into 0.0
+    return f"{rounded:{'+' if sign and rounded else ''},.{digits}f}"
+
+
+def difference(before: float, after: float, digits: int = 0) -> str:
+    """Return the signed difference of two numbers as they are shown, so that a reader can check it: 446, 323: -123."""
+    return number(round(after, digits) - round(before, digits), digits, sign=True)
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """Return a share between 0 and 1 as `23.4 %`."""
+    return f"{number(100 * share, digits)} %" if math.isfinite(share) else NOTHING
+
+
+def counted(count: int, thing: str) -> str:
+    """Return `1 camera` or `2,000 cameras`; `thing` is a singular whose plural ends in s."""
+    return f"{count:,} {thing}{'' if count == 1 else 's'}"
