@@ -140,12 +140,14 @@ _HEAD: Final = """\
 class ReliabilityRecord(StrictModel):
     """Reliability record of a network's labels. `source`: what was measured, for people. `labels`: digest of the labels
     (`labels_digest`); empty in a file that a site names. `site`: site on whose recording it was measured. `photos`:
-    number of real photos used; None: unknown. `ece`: calibration error of the confidence by set."""
+    number of real photos used; None: unknown. `live`: date and frames of a measurement by the running fuel map. `ece`:
+    calibration error of the confidence by set."""
 
     source: str = Field(min_length=1)
     network: str = ""
     labels: str = Field("", pattern=r"^([0-9a-f]{64})?$")
     site: str = ""
+    live: str = ""
     photos: int | None = Field(None, ge=0)
     ece: dict[str, float] = Field(default_factory=dict)
     correlation: LabelCorrelation | None = None
@@ -167,7 +169,7 @@ class ReliabilityRecord(StrictModel):
     def state(self) -> str:
         """Return what the labels were measured on."""
         if self.site:
-            return f"measured on site {self.site}"
+            return f"measured on site {self.site}" + (f", live ({self.live})" if self.live else "")
         return "measured on renderings only" if self.photos == 0 else "measured on photos"
 
     def errors(self) -> LabelErrors:
@@ -180,9 +182,11 @@ class ReliabilityRecord(StrictModel):
 
 
 def stated_errors(path: Path) -> LabelErrors:
-    """Load label errors that a site file names. Raises ConfigError on invalid names and values."""
-    errors = load_yaml(path, ReliabilityRecord).errors()
-    return replace(errors, state=f"stated in {path.name}") if errors.measured else errors
+    """Load label errors that a site file names, or those of a live record. Raises ConfigError on invalid names and
+    values."""
+    record = load_yaml(path, ReliabilityRecord)
+    errors = record.errors()
+    return replace(errors, state=f"stated in {path.name}") if errors.measured and not record.live else errors
 
 
 def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None) -> LabelErrors:
@@ -234,11 +238,16 @@ def find_record(manifest: NetworkManifest, head: Path | None = None) -> Reliabil
     """Return the record of the labels of a network with a label head: the user's own, else one beside the manifest or
     a shipped one; None if there is none. Raises ConfigError for an invalid record."""
     labels = labels_digest(manifest, head)
-    for folder in dict.fromkeys((added_folder(), manifest.folder, models_folder())):
-        for path in sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml")):
-            if (record := load_yaml(path, ReliabilityRecord)).labels == labels:
-                return record
-    return None
+    folders = dict.fromkeys((added_folder(), manifest.folder, models_folder()))
+    found = next(filter(None, (record_file(labels, folder) for folder in folders)), None)
+    return None if found is None else load_yaml(found, ReliabilityRecord)
+
+
+def record_file(labels: str, folder: Path) -> Path | None:
+    """Return the file with the record of labels of this digest in a folder of models; None if there is none. Raises
+    ConfigError for an invalid record."""
+    files = sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml"))
+    return next((path for path in files if load_yaml(path, ReliabilityRecord).labels == labels), None)
 
 
 def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
@@ -254,6 +263,13 @@ def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); check the folder's permissions") from error
     return path
+
+
+def record_of(errors: LabelErrors, source: str, **about: Any) -> ReliabilityRecord:
+    """Return a record of label errors; `about`: its further fields."""
+    look = None if errors.appearance is None else errors.appearance.as_file()
+    shares = rows_of(errors.shares)
+    return ReliabilityRecord(source=source, shares=shares, correlation=errors.correlation, appearance=look, **about)
 
 
 def shares_of(classes: tuple[str, ...], confusion: Float64Array) -> dict[str, dict[str, float]]:

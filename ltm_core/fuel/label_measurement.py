@@ -238,7 +238,6 @@ def measure_labels(
     changes: Callable[[LabelErrors], UInt8Array],
     known: UInt8Array | None,
     source: str,
-    state: str,
 ) -> LabelErrors:
     """Return the label errors of a network by its votes for the cells of a prior map with `codes` (H, W).
 
@@ -277,7 +276,7 @@ def measure_labels(
         for form in np.flatnonzero(count >= LEAST_CELLS):
             row = cells.seen[cells.true == form, 1 : 1 + FORMS].sum(axis=0)
             shares[form] = row / row.sum()
-        errors = LabelErrors(shares, correlation, source, appearance, state)
+        errors = LabelErrors(shares, correlation, source, appearance)
         before, changed = changed, changes(errors) if known is None else known
         if np.array_equal(before, changed):
             break

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.label_errors import LabelErrors, known_errors, stated_errors
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.fuel.label_errors import LabelErrors, known_errors, labels_digest, record_file, stated_errors
 from ltm_core.site.site import Site
-from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
+from ltm_core.vision.label_head import find_label_head
+from ltm_core.vision.manifest import RECORDS, SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.masks import ViewMasks
 from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
@@ -36,6 +38,30 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
     known = {head: known_errors(label_model(site), head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
+
+
+def unmeasured_labels(site: Site) -> str | None:
+    """Return the digest of the labels of all cameras if they are the same and unmeasured; None otherwise, and for a
+    network or label head that is not installed here. Raises ConfigError for an invalid record."""
+    heads = {camera.label_head for camera in site.cameras.values()}
+    if len(heads) != 1 or site.fuel.label_errors is not None:
+        return None
+    model, head = label_model(site), heads.pop()
+    with suppress(ModelError):
+        if not known_errors(model, head, site.label_heads).measured:
+            manifest = NetworkManifest.find(model).serving(head)
+            return labels_digest(manifest, find_label_head(head, manifest, site.label_heads))
+    return None
+
+
+def with_live_record(site: Site, folder: Path | None) -> Site:
+    """Return the site with the label errors that its fuel map, which is kept in `folder`, has measured itself; the same
+    site if there are none or if better ones are known. Raises as `unmeasured_labels`."""
+    if folder is None or not (folder / RECORDS).is_dir() or (labels := unmeasured_labels(site)) is None:
+        return site
+    path = record_file(labels, folder)
+    fuel = site.fuel if path is None else site.fuel.model_copy(update={"label_errors": str(path)})
+    return site.model_copy(update={"fuel": fuel})
 
 
 def labels_state(site: Site) -> str:

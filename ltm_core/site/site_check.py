@@ -153,8 +153,8 @@ def _reliability(site: Site) -> SiteFinding:
     if not never:
         return SiteFinding("fuel", "label errors", SiteVerdict.OK, network.state)
     found = (
-        f"{', '.join(never)}: unmeasured, so that these labels change no cell of the prior map; measure them with "
-        f"`ltm models measure {label_model(site)} RECORDING --site SITE`"
+        f"{', '.join(never)}: unmeasured; these labels change no cell until the fuel map has measured them by its "
+        f"first views, or you do: `ltm models measure {label_model(site)} RECORDING --site SITE`"
     )
     return SiteFinding("fuel", "label errors", SiteVerdict.DOUBTFUL, found)
 

@@ -200,7 +200,7 @@ def measured(frames: list[CellVotes], codes: np.ndarray, known: np.ndarray | Non
         layers = mapped(frames, codes, errors)
         return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
 
-    return measure_labels(frames, codes, label_forms(LABELS), 2.0, changes, known, "drawn", "measured on site drawn")
+    return measure_labels(frames, codes, label_forms(LABELS), 2.0, changes, known, "drawn")
 
 
 def mapped(frames: list[CellVotes], codes: np.ndarray, errors: LabelErrors) -> Any:
