@@ -189,8 +189,10 @@ def stated_errors(path: Path) -> LabelErrors:
     return replace(errors, state=f"stated in {path.name}") if errors.measured and not record.live else errors
 
 
-def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None) -> LabelErrors:
-    """Return the errors of the labels of a network, by its manifest's name or path, with a label head.
+def known_errors(
+    model: str | NetworkManifest, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None
+) -> LabelErrors:
+    """Return the errors of the labels of a network, by its manifest or its name or path, with a label head.
 
     They are those of the record of these labels; without one, those on the photos that did not train the label head;
     else UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError
@@ -218,7 +220,7 @@ def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
     content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
     files = [] if head is None else [head]
     if manifest.text is not None:
-        content["text"].pop("file")
+        content["text"].pop("file", None)
         with suppress(ModelError):
             files.append(manifest.text_file())
     content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]

@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.label_errors import LabelErrors, known_errors, labels_digest, record_file, stated_errors
 from ltm_core.site.site import Site
 from ltm_core.vision.label_head import find_label_head
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import RECORDS, SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.masks import ViewMasks
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
 
@@ -22,10 +25,21 @@ def label_model(site: Site) -> str:
     return str(site.nodes.get("segmentation", {}).get("model") or site.model)
 
 
+def label_network(site: Site, model: str = "", shown: str = "") -> str | NetworkManifest:
+    """Return the network that labels, or `model`: its name, or its manifest with the site's vocabulary.
+
+    `shown`: a prompt of an operator, which becomes a class of its own. Raises ModelError, ConfigError as `prompted`.
+    """
+    name = model or label_model(site)
+    if not (site.vocabulary or shown):
+        return name
+    return prompted(NetworkManifest.find(name), site.vocabulary, LabelSet.load(config_path(site.labels)), shown)
+
+
 def site_label_errors(site: Site) -> LabelErrors:
     """Return the known label errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
-    return known_errors(label_model(site)) if given is None else stated_errors(Path(given))
+    return known_errors(label_network(site)) if given is None else stated_errors(Path(given))
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
@@ -36,7 +50,7 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     if site.fuel.label_errors is not None:
         return {}
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
-    known = {head: known_errors(label_model(site), head, site.label_heads) for head in heads}
+    known = {head: known_errors(label_network(site), head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
 
 
@@ -46,8 +60,9 @@ def unmeasured_labels(site: Site) -> str | None:
     heads = {camera.label_head for camera in site.cameras.values()}
     if len(heads) != 1 or site.fuel.label_errors is not None:
         return None
-    model, head = label_model(site), heads.pop()
+    head = heads.pop()
     with suppress(ModelError):
+        model = label_network(site)
         if not known_errors(model, head, site.label_heads).measured:
             manifest = NetworkManifest.find(model).serving(head)
             return labels_digest(manifest, find_label_head(head, manifest, site.label_heads))
@@ -79,7 +94,15 @@ def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -
 
     Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`.
     """
-    return Segmenter.open(model or site.model, threads, head=site.camera(camera).label_head, heads=site.label_heads)
+    network = label_network(site, model or site.model)
+    return Segmenter.open(network, threads, head=site.camera(camera).label_head, heads=site.label_heads)
+
+
+def prompt_segmenter(site: Site, model: str, prompt: str, threads: int = 1) -> Segmenter:
+    """Open the network of a site, or `model`, with a prompt as a class beside those of the site. Raises ConfigError,
+    ModelError as `label_network`."""
+    manifest = NetworkManifest.find(label_network(site, model or site.model, prompt))
+    return Segmenter(manifest, threads, LabelSet.load(config_path(site.labels)))
 
 
 def site_scene_filter(site: Site, camera: str) -> SceneFilter:

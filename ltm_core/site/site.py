@@ -92,6 +92,9 @@ class Site(StrictModel):
     """Label set, a file in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
+    vocabulary: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    """Prompts by label for a network that takes text; `other`: prompts whose pixels stay unlabelled. Empty: the
+    network's own classes."""
     label_heads: Path | None = None
     """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
     comes second."""

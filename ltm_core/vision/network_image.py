@@ -233,3 +233,16 @@ def token_planes(tokens: Float32Array, size: tuple[int, int]) -> Float32Array:
         if (rows * side, cols * side) == size and 0 <= len(tokens) - rows * cols <= _LEADING:
             return np.ascontiguousarray(tokens[len(tokens) - rows * cols :].T.reshape(-1, rows, cols))
     raise ModelError(f"{len(tokens)} tokens do not cover an image of {size[1]} x {size[0]} pixels in square patches")
+
+
+def image_outputs(found: Mapping[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
+    """Return the outputs that are images, channels first: those of four and more axes if there are any."""
+    last = [np.moveaxis(v, -1, -3) if v.ndim >= 4 and v.shape[-1] <= 4 else v for v in found.values()]
+    images = [value for value in last if value.ndim >= 3 and min(value.shape[-2:]) > 4]
+    return [value for value in images if value.ndim >= 4] or images
+
+
+def covers(spec: InputSpec, rows: int, cols: int) -> bool:
+    """Return whether an output of this size covers the image of a network edge to edge."""
+    down, across = spec.height / rows, spec.width / cols
+    return abs(down - across) < 1e-9 and (down.is_integer() or (1.0 / down).is_integer())

@@ -24,6 +24,7 @@ from ltm_core.vision.manifest import (
 )
 from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, with_distant_tiles
 from ltm_core.vision.vocabulary import QueryMatch, Vocabulary, load_text, read_queries
 
@@ -63,8 +64,10 @@ class Segmenter:
         words: Sequence[str] | None = None,
         head: LabelHead | None = None,
     ) -> None:
-        self.manifest = manifest.require(depth=False)
         self.labels = LabelSet.load() if labels is None else labels
+        if manifest.text is not None and manifest.text.file is None:
+            manifest = prompted(manifest, {}, self.labels)
+        self.manifest = manifest.require(depth=False)
         self._text = None if manifest.text is None else load_text(manifest).only(words)
         self.classes = manifest.classes if self._text is None else self._text.names
         class_labels = _class_labels(manifest, self.classes, self.labels)
@@ -83,7 +86,7 @@ class Segmenter:
     @classmethod
     def open(
         cls,
-        path_or_name: str | Path = DEFAULT_MODEL,
+        path_or_name: str | Path | NetworkManifest = DEFAULT_MODEL,
         threads: int = 1,
         labels: LabelSet | None = None,
         head: str = SHIPPED_LABEL_HEAD,

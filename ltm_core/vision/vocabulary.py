@@ -179,7 +179,12 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
     unknown = sorted(set(manifest.mapping) - set(names))
     if unknown:
         raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
+    return TextEmbeddings(names, unit_vectors(vectors, str(path)), spec.scale)
+
+
+def unit_vectors(vectors: Float32Array, place: str) -> Float32Array:
+    """Return embeddings (N, D) with length 1. Raises ModelError for one that is zero, NaN or infinite."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
-        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; generate the file again")
-    return TextEmbeddings(names, vectors / length, spec.scale)
+        raise ModelError(f"{place}: an embedding is zero, NaN or infinite; generate the file again")
+    return np.asarray(vectors / length, np.float32)
