@@ -121,9 +121,7 @@ def _by_input(
 def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
     """Return the embeddings (N, D) of length 1 of texts, by the text encoder of a manifest. Raises ModelError."""
     if manifest.prompts is None or manifest.prompts.encoder is None:
-        raise ModelError(
-            f"model {manifest.name!r} has no text encoder; state `prompts: {{encoder: ..., tokenizer: ...}}`"
-        )
+        raise ModelError(f"model {manifest.name!r} has no text encoder; name it as prompts.encoder in its manifest")
     path = manifest.file_of(manifest.prompts.encoder)
     session = open_session(NetworkFile.read(path), path)
     nodes = {node.name: node for node in session.get_inputs()}
@@ -134,9 +132,8 @@ def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
     feed = {name: _typed(values, nodes[name].type) for name, values in feed.items()}
     outputs = [node.name for node in session.get_outputs()]
     try:
-        rows = [
-            session.run(outputs, {name: values[i : i + 1] for name, values in feed.items()}) for i in range(len(texts))
-        ]
+        each = ({name: values[i : i + 1] for name, values in feed.items()} for i in range(len(texts)))
+        rows = [session.run(outputs, one) for one in each]
     except Exception as reason:  # the runtime's errors have no common base
         raise ModelError(f"{path}: cannot encode text ({reason}); give the text encoder of {manifest.name}") from reason
     flat = [place for place, value in enumerate(rows[0]) if np.ndim(value) == 2 and np.shape(value)[0] == 1]

@@ -26,9 +26,8 @@ from ltm_core.vision.network_image import (
     as_tensor,
     camera_feed,
     constant_tensor,
-    covers,
+    covered,
     image_feed,
-    image_outputs,
 )
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
@@ -75,9 +74,8 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
         content["text"] = {"dimensions": dimensions, **text}
     elif not any(_TEXT.search(constant) for constant in content["input"].get("constants", {})):
         content.pop("prompts", None)
-    for files, key in ((f, k) for f in (content.get("text", {}), content.get("prompts", {})) for k in f):
-        if key in ("file", "tokenizer", "encoder"):
-            files[key] = str(Path(str(files[key])).resolve())
+    for files in (content.get("text", {}), content.get("prompts", {})):
+        files |= {k: str(Path(str(v)).resolve()) for k, v in files.items() if k in ("file", "tokenizer", "encoder")}
     content |= {"name": name or known.get("name") or source.name, "file": str(source.file.absolute())}
     manifest = NetworkManifest.of(content | {"sha256": file.digest}, str(source.file))
     return prompted(manifest, {}, LabelSet.load()) if network.takes_prompts else manifest
@@ -177,7 +175,7 @@ class _Recognition:
         for name, node in self.inputs.items():
             if name in constants or name == self.image.name or name == known.get("intrinsics"):
                 continue
-            if _CAMERA.search(name) or node.shape[-2:] == [3, 3] or _same_planes(node, self.image):
+            if _CAMERA.search(name) or node.shape[-2:] == [3, 3] or node.shape[1:] == self.image.shape[1:]:
                 known["intrinsics"] = name
             elif name == "num_tokens":
                 patches = known["width"] * known["height"] // 14**2  # MoGe-2 takes 1200 to 3600
@@ -239,7 +237,7 @@ class _Recognition:
                 found = self._run(trial)
             except ModelError:
                 continue
-            if all(covers(trial, *value.shape[-2:]) for value in image_outputs(found)):
+            if covered(trial, found.values()):
                 return multiple
         return 0
 
@@ -349,11 +347,6 @@ class _Recognition:
                 f"{self.path}: cannot be determined: {'; '.join(self.missing)}; or --like RECIPE for a network of a "
                 "known kind (`ltm models` lists recipes)"
             )
-
-
-def _same_planes(node: Node, image: Node) -> bool:
-    """Return whether an input has the shape of the image, as rays have."""
-    return len(node.shape) == len(image.shape) and node.shape[1:] == image.shape[1:]
 
 
 def _listed(nodes: Mapping[str, Node]) -> str:
