@@ -81,13 +81,15 @@ class LabelErrors:
     """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
     form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
     `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
-    residual errors. `state`: what they were measured on, NEVER for nothing."""
+    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: whether frames of one view can
+    make a cell certain; else it takes two, because the network may err alike over a whole slope."""
 
     shares: Float64Array
     correlation: LabelCorrelation
     source: str = ""
     appearance: CellAppearanceModel | None = None
     state: str = "measured"
+    one_view: bool = True
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -141,7 +143,7 @@ class ReliabilityRecord(StrictModel):
     """Reliability record of a network's labels. `source`: what was measured, for people. `labels`: digest of the labels
     (`labels_digest`); empty in a file that a site names. `site`: site on whose recording it was measured. `photos`:
     number of real photos used; None: unknown. `live`: date and frames of a measurement by the running fuel map. `ece`:
-    calibration error of the confidence by set."""
+    calibration error of the confidence by set. `one_view`: as in `LabelErrors`."""
 
     source: str = Field(min_length=1)
     network: str = ""
@@ -150,6 +152,7 @@ class ReliabilityRecord(StrictModel):
     live: str = ""
     photos: int | None = Field(None, ge=0)
     ece: dict[str, float] = Field(default_factory=dict)
+    one_view: bool = True
     correlation: LabelCorrelation | None = None
     shares: dict[str, dict[str, float]] | None = None
     appearance: CellAppearanceFile | None = None
@@ -178,7 +181,7 @@ class ReliabilityRecord(StrictModel):
         if self.shares is None and appearance is None and self.correlation is None:
             return UNMEASURED
         shares = UNMEASURED.shares if self.shares is None else _table(self.shares)
-        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state)
+        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state, self.one_view)
 
 
 def stated_errors(path: Path) -> LabelErrors:
@@ -270,8 +273,8 @@ def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
 def record_of(errors: LabelErrors, source: str, **about: Any) -> ReliabilityRecord:
     """Return a record of label errors; `about`: its further fields."""
     look = None if errors.appearance is None else errors.appearance.as_file()
-    shares = rows_of(errors.shares)
-    return ReliabilityRecord(source=source, shares=shares, correlation=errors.correlation, appearance=look, **about)
+    about |= {"shares": rows_of(errors.shares), "correlation": errors.correlation, "one_view": errors.one_view}
+    return ReliabilityRecord(source=source, appearance=look, **about)
 
 
 def shares_of(classes: tuple[str, ...], confusion: Float64Array) -> dict[str, dict[str, float]]:

@@ -25,6 +25,7 @@ from ltm_core.label_heads.labelled_frames import evenly, read_frames
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep
 from ltm_core.pipeline.site_fuel import measured_errors
 from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.site.networks import label_network
 from ltm_core.site.site import Site
 from ltm_core.vision.label_head import find_label_head
 from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest
@@ -62,7 +63,7 @@ def measure_network(
     posed images, ImageError for too few cells, and as the steps of a frame do.
     """
     heads = None if site is None else site.label_heads
-    manifest = NetworkManifest.find(model).serving(head)
+    manifest = NetworkManifest.find(model if site is None else label_network(site, model)).serving(head)
     file = find_label_head(head, manifest, heads)
     about: dict[str, Any] = {}
     sources: list[str] = []
@@ -71,7 +72,7 @@ def measure_network(
         about |= dict(record_of(errors, errors.source, site=site.name))
         sources.append(about.pop("source"))
     if photos is not None:
-        segmenter = Segmenter.open(model, head=head, heads=heads)
+        segmenter = Segmenter.open(manifest, head=head, heads=heads)
         frames = read_frames(photos, len(segmenter.labels))
         score = SegmentationScore.empty(len(segmenter.labels))
         for frame in frames:
@@ -92,7 +93,7 @@ def _on_recordings(
     networks = {"own": model} if _is_default(model, head) else {"own": model, "known": DEFAULT_MODEL}
     votes, steps = _votes(site, bags, networks, head, progress)
     reference = known_errors(DEFAULT_MODEL)
-    given = (reference, votes["known"]) if "known" in votes and reference.measured else None
+    given = (reference, votes.get("known", votes["own"])) if reference.measured else None
     source = f"{len(votes['own'])} frames of site {site.name} against its prior map"
     source += "" if given is None else f" and the changes that {DEFAULT_MODEL} finds"
     return measured_errors(site, steps.geometry, steps.labels, votes["own"], source, given)
@@ -153,11 +154,11 @@ def _votes(
 
 
 def _with_head(site: Site, role: str) -> Site:
-    """Return the site for a network's labels; the known network labels without label heads."""
+    """Return the site for a network's labels; the known network labels without label heads and vocabulary."""
     if role == "own":
         return site
     cameras = {n: c.model_copy(update={"label_head": SHIPPED_LABEL_HEAD}) for n, c in site.cameras.items()}
-    return site.model_copy(update={"cameras": cameras})
+    return site.model_copy(update={"cameras": cameras, "vocabulary": {}})
 
 
 def _parts() -> dict[str, Any]:
