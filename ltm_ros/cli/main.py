@@ -128,6 +128,7 @@ EXTRAS = {
     "matplotlib": "ltm[report]",
     "jinja2": "ltm[report]",
     "laspy": "ltm[export]",
+    "tokenizers": "ltm[text]",
     "pyarrow": "ltm[archive]",
     "fsspec": "ltm[archive]",
     "dask": "ltm[archive]",
