@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.disk_io import written_whole
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
@@ -31,14 +31,28 @@ _MOST_TOKENS: Final = 77
 """Length of CLIP's texts, for graphs that take any length."""
 _LONGEST: Final = 200
 
+_COLORS = (
+    (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),
+    (90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (135, 190, 235),
+)  # fmt: skip
+
 Prompts = Mapping[str, Sequence[str]]
 
 
+def labels_of_prompts(text: str) -> LabelSet:
+    """Return a label set of comma-separated prompts, each of which is a label. Raises ConfigError for none."""
+    words = tuple(dict.fromkeys(" ".join(part.lower().split()) for part in text.split(",") if part.strip()))
+    if not 0 < len(words) < UNLABELLED:
+        raise ConfigError(f'classes {text!r}: expected words separated by commas, such as "dry grass, chaparral, oak"')
+    colors = tuple(_COLORS[place % len(_COLORS)] for place in range(len(words)))
+    return LabelSet(words, colors, tuple(word != "sky" for word in words))
+
+
 def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, shown: str = "") -> NetworkManifest:
-    """Return the manifest of a network that labels by prompts.
+    """Return the manifest of a network that labels by prompts; only these compete.
 
     Args:
-        prompts: for each label (or OTHER) its prompts.
+        prompts: for each label (or OTHER) its prompts; empty: the names of the labels.
         shown: a prompt that is a class of its own, unlabelled, for a heat map; empty: none.
 
     Raises ConfigError for a key that is no label, and prompts that are empty or repeated; ModelError for a network

@@ -69,9 +69,9 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
         content = network.content()
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
-    text, dimensions = content.get("text", {}), content.pop("dimensions", 0)
+    dimensions = content.pop("dimensions", 0)
     if content["output"]["kind"] == "embeddings":
-        content["text"] = {"dimensions": dimensions, **text}
+        content["text"] = {"dimensions": dimensions, **content.get("text", {})}
     elif not any(_TEXT.search(constant) for constant in content["input"].get("constants", {})):
         content.pop("prompts", None)
     for files in (content.get("text", {}), content.get("prompts", {})):
@@ -187,14 +187,11 @@ class _Recognition:
                     rows = np.atleast_2d(ids)
                     constants[name] = (np.arange(rows.shape[1]) <= rows.argmax(axis=1)[:, None]).astype(int).tolist()
             elif _TEXT.search(name) and "prompts" in self.known:
-                labels = LabelSet.load().names
                 constants[name], self.takes_prompts = [[0]], True
-                self.known |= {"classes": list(labels), "mapping": dict(zip(labels, labels, strict=True))}
+                self.known |= {"classes": list(LabelSet.load().names), "mapping": {"sky": "sky"}}
             else:
-                what = "the token ids of your prompts, one row per class, as" if _TEXT.search(name) else "its value as"
-                self.missing.append(
-                    f"input {name} {node.type} {node.shape}: state {what} --set input.constants.{name}=..."
-                )
+                how = "prompts.tokenizer=tokenizer.json" if _TEXT.search(name) else f"input.constants.{name}=..."
+                self.missing.append(f"input {name} {node.type} {node.shape}: --set {how}")
                 self.unknown_inputs = True
         if constants:
             known["constants"] = constants
