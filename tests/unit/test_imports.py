@@ -32,6 +32,7 @@ TOWER = {
 ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
+    "tokenizers": "prompts for networks of text",
     "prometheus_client": "the health node",
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
@@ -44,7 +45,7 @@ ON_DEMAND = {
     "jinja2": "reports of the demo and of fires",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "jinja2", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
+NOT_ON_A_TOWER = {"rerun", "jinja2", "laspy", "tokenizers", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 
