@@ -135,7 +135,8 @@ _HEAD: Final = """\
 # shares: of the labels in cells of each life form. correlation: of the errors of two pixels of a cell, of two cells of
 # a stand, of two frames of a view, and of two views. appearance: weights of a constant, of the label shares of the cell
 # (grass, shrub, tree, bare, water, built, burned), of these times the confidence over 0.7, and of the shares of the
-# cells in front and behind; one row for each incidence. What is absent was not measured.
+# cells in front and behind; one row for each incidence. one_view: false if it takes two views to make a cell certain.
+# What is absent was not measured.
 """
 
 

@@ -42,7 +42,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Maximum distance in metres from the DEM to the origin; beyond it, float32 coordinates lose centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink", "prompt")
 """Names of nodes and topics in `/<site>/`, which no camera may have."""
 
 
