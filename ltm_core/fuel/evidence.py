@@ -103,6 +103,7 @@ class EvidenceMap:
         self._errors_of = dict(errors_of or {})
         all_measured = all(known.measured for known in (self._errors, *self._errors_of.values()))
         self._correlation = self._errors.correlation if all_measured else ALIKE
+        self._one_view = all(known.one_view for known in (self._errors, *self._errors_of.values()))
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
@@ -219,6 +220,10 @@ class EvidenceMap:
             self.rules.frame_cap * UNIT,
             FLOOR,
         )
+        if not self._one_view:
+            lone = (state["best"][touched].max(axis=-1) > 0).sum(axis=-1) < 2
+            unsure = 0.99 * np.log(self.rules.sure_odds)
+            log_likelihood[lone] = np.maximum(log_likelihood[lone], log_likelihood[lone].max(axis=1)[:, None] - unsure)
         cells = CellEvidence(
             evidence=worth / UNIT,
             log_likelihood=log_likelihood,

@@ -81,13 +81,15 @@ class LabelErrors:
     """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
     form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
     `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
-    residual errors. `state`: what they were measured on, NEVER for nothing."""
+    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: whether frames of one view can
+    make a cell certain; else it takes two, because the network may err alike over a whole slope."""
 
     shares: Float64Array
     correlation: LabelCorrelation
     source: str = ""
     appearance: CellAppearanceModel | None = None
     state: str = "measured"
+    one_view: bool = True
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -133,21 +135,25 @@ _HEAD: Final = """\
 # shares: of the labels in cells of each life form. correlation: of the errors of two pixels of a cell, of two cells of
 # a stand, of two frames of a view, and of two views. appearance: weights of a constant, of the label shares of the cell
 # (grass, shrub, tree, bare, water, built, burned), of these times the confidence over 0.7, and of the shares of the
-# cells in front and behind; one row for each incidence. What is absent was not measured.
+# cells in front and behind; one row for each incidence. one_view: false if it takes two views to make a cell certain.
+# What is absent was not measured.
 """
 
 
 class ReliabilityRecord(StrictModel):
     """Reliability record of a network's labels. `source`: what was measured, for people. `labels`: digest of the labels
     (`labels_digest`); empty in a file that a site names. `site`: site on whose recording it was measured. `photos`:
-    number of real photos used; None: unknown. `ece`: calibration error of the confidence by set."""
+    number of real photos used; None: unknown. `live`: date and frames of a measurement by the running fuel map. `ece`:
+    calibration error of the confidence by set. `one_view`: as in `LabelErrors`."""
 
     source: str = Field(min_length=1)
     network: str = ""
     labels: str = Field("", pattern=r"^([0-9a-f]{64})?$")
     site: str = ""
+    live: str = ""
     photos: int | None = Field(None, ge=0)
     ece: dict[str, float] = Field(default_factory=dict)
+    one_view: bool = True
     correlation: LabelCorrelation | None = None
     shares: dict[str, dict[str, float]] | None = None
     appearance: CellAppearanceFile | None = None
@@ -167,7 +173,7 @@ class ReliabilityRecord(StrictModel):
     def state(self) -> str:
         """Return what the labels were measured on."""
         if self.site:
-            return f"measured on site {self.site}"
+            return f"measured on site {self.site}" + (f", live ({self.live})" if self.live else "")
         return "measured on renderings only" if self.photos == 0 else "measured on photos"
 
     def errors(self) -> LabelErrors:
@@ -176,17 +182,21 @@ class ReliabilityRecord(StrictModel):
         if self.shares is None and appearance is None and self.correlation is None:
             return UNMEASURED
         shares = UNMEASURED.shares if self.shares is None else _table(self.shares)
-        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state)
+        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state, self.one_view)
 
 
 def stated_errors(path: Path) -> LabelErrors:
-    """Load label errors that a site file names. Raises ConfigError on invalid names and values."""
-    errors = load_yaml(path, ReliabilityRecord).errors()
-    return replace(errors, state=f"stated in {path.name}") if errors.measured else errors
+    """Load label errors that a site file names, or those of a live record. Raises ConfigError on invalid names and
+    values."""
+    record = load_yaml(path, ReliabilityRecord)
+    errors = record.errors()
+    return replace(errors, state=f"stated in {path.name}") if errors.measured and not record.live else errors
 
 
-def known_errors(model: str, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None) -> LabelErrors:
-    """Return the errors of the labels of a network, by its manifest's name or path, with a label head.
+def known_errors(
+    model: str | NetworkManifest, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None
+) -> LabelErrors:
+    """Return the errors of the labels of a network, by its manifest or its name or path, with a label head.
 
     They are those of the record of these labels; without one, those on the photos that did not train the label head;
     else UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError
@@ -214,7 +224,7 @@ def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
     content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
     files = [] if head is None else [head]
     if manifest.text is not None:
-        content["text"].pop("file")
+        content["text"].pop("file", None)
         with suppress(ModelError):
             files.append(manifest.text_file())
     content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
@@ -234,11 +244,16 @@ def find_record(manifest: NetworkManifest, head: Path | None = None) -> Reliabil
     """Return the record of the labels of a network with a label head: the user's own, else one beside the manifest or
     a shipped one; None if there is none. Raises ConfigError for an invalid record."""
     labels = labels_digest(manifest, head)
-    for folder in dict.fromkeys((added_folder(), manifest.folder, models_folder())):
-        for path in sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml")):
-            if (record := load_yaml(path, ReliabilityRecord)).labels == labels:
-                return record
-    return None
+    folders = dict.fromkeys((added_folder(), manifest.folder, models_folder()))
+    found = next(filter(None, (record_file(labels, folder) for folder in folders)), None)
+    return None if found is None else load_yaml(found, ReliabilityRecord)
+
+
+def record_file(labels: str, folder: Path) -> Path | None:
+    """Return the file with the record of labels of this digest in a folder of models; None if there is none. Raises
+    ConfigError for an invalid record."""
+    files = sorted((folder / RECORDS).glob(f"*_{labels[:12]}.yaml"))
+    return next((path for path in files if load_yaml(path, ReliabilityRecord).labels == labels), None)
 
 
 def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
@@ -254,6 +269,13 @@ def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); check the folder's permissions") from error
     return path
+
+
+def record_of(errors: LabelErrors, source: str, **about: Any) -> ReliabilityRecord:
+    """Return a record of label errors; `about`: its further fields."""
+    look = None if errors.appearance is None else errors.appearance.as_file()
+    about |= {"shares": rows_of(errors.shares), "correlation": errors.correlation, "one_view": errors.one_view}
+    return ReliabilityRecord(source=source, appearance=look, **about)
 
 
 def shares_of(classes: tuple[str, ...], confusion: Float64Array) -> dict[str, dict[str, float]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from pydantic import Field
 
@@ -24,7 +25,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pipeline.site_surface import given_terrain
-from ltm_core.site.networks import site_scene_filter, site_segmenter
+from ltm_core.site.networks import label_network, prompt_segmenter, site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
@@ -34,7 +35,7 @@ from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import NetworkManifest, Withdrawal
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
-from ltm_core.vision.segmenter import Segmentation
+from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.smoke import SmokeMemory
 
 
@@ -153,8 +154,11 @@ class LabellingStep:
         own = site.camera(camera)
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
         self._zoom = config.zoom
+        self._site, self._config = site, config
+        self._prompt: tuple[str, Segmenter] | None = None
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
-        self._reliability = known_errors(config.model or site.model, own.label_head, site.label_heads).state
+        network = label_network(site, config.model or site.model)
+        self._reliability = known_errors(network, own.label_head, site.label_heads).state
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
         given = {name: value for name, value in chosen.items() if value is not None}
         self._segmenter.withdraw_otherwise = given
@@ -212,6 +216,25 @@ class LabellingStep:
         gone = smoke & (found.labels != Label.SKY) & (found.labels != UNLABELLED)
         found.labels[gone], found.confidence[gone] = UNLABELLED, 0
         return found, replace(view, smoke=float(gone.mean()))
+
+    def show(self, prompt: str) -> None:
+        """Compute `heat` for a prompt from now on; empty: for none. Raises ConfigError, ModelError as
+        `prompt_segmenter`; the previous prompt then remains."""
+        words = " ".join(prompt.split())
+        made = prompt_segmenter(self._site, self._config.model, words, self._config.threads) if words else None
+        self._prompt = None if made is None else (words, made)
+
+    def heat(self, photo: UInt8Array, view: SceneView) -> UInt8Array | None:
+        """Return (H, W) probability of the prompt x 255 among the classes of the site; None without a prompt. It never
+        votes."""
+        if self._prompt is None:
+            return None
+        words, segmenter = self._prompt
+        height, width = photo.shape[:2]
+        chance = segmenter.class_probabilities(view.scene(photo))[words]
+        found = np.asarray(np.rint(255 * cv2.resize(chance, (width, height))), np.uint8)
+        view.unlabelled(np.zeros((height, width), np.uint8), found)
+        return found
 
 
 class VotingStep:

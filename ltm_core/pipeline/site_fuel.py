@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, RasterError, StoreError
-from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, stand_heights
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
@@ -25,11 +25,12 @@ from ltm_core.fuel.export.provenance import (
     software,
     surface_note,
 )
-from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
+from ltm_core.fuel.label_errors import UNMEASURED, LabelErrors
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, open_stored_surface
 from ltm_core.site.networks import camera_label_errors, labels_state, site_label_errors
@@ -58,6 +59,37 @@ def empty_maps(
     known = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
     errors, of_cameras = known
     return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
+
+
+def measured_errors(
+    site: Site,
+    geometry: GridGeometry,
+    labels: LabelSet,
+    votes: Sequence[CellVotes],
+    source: str,
+    reference: tuple[LabelErrors, Sequence[CellVotes]] | None = None,
+) -> LabelErrors:
+    """Return the label errors of a network by its votes and the site's prior map (`measure_labels`).
+
+    `reference`: another network's errors and its votes for the same frames. Raises ConfigError without a prior map, and
+    as `measure_labels` and `site_evidence_map`.
+    """
+    from ltm_core.fuel.label_measurement import measure_labels
+
+    prior = empty_maps(site, geometry, labels, UNMEASURED)().prior
+    if prior is None:
+        raise ConfigError(f"site {site.name} has no prior map (fuel.prior); labels are measured against one")
+
+    def changes(errors: LabelErrors, of: Sequence[CellVotes] = votes) -> UInt8Array:
+        evidence = empty_maps(site, geometry, labels, errors)()
+        for frame in of:
+            evidence.add(frame)
+        layers = evidence.layers()
+        return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
+
+    known = None if reference is None else changes(*reference)
+    reach = site.fuel.fusion.context_cells
+    return measure_labels(votes, prior.codes, label_forms(labels), reach, changes, known, source)
 
 
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.label_errors import LabelErrors, known_errors, stated_errors
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
+from ltm_core.fuel.label_errors import LabelErrors, known_errors, labels_digest, record_file, stated_errors
 from ltm_core.site.site import Site
-from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
+from ltm_core.vision.label_head import find_label_head
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import RECORDS, SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.masks import ViewMasks
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
 
@@ -20,10 +25,21 @@ def label_model(site: Site) -> str:
     return str(site.nodes.get("segmentation", {}).get("model") or site.model)
 
 
+def label_network(site: Site, model: str = "", shown: str = "") -> str | NetworkManifest:
+    """Return the network that labels, or `model`: its name, or its manifest with the site's vocabulary.
+
+    `shown`: a prompt of an operator, which becomes a class of its own. Raises ModelError, ConfigError as `prompted`.
+    """
+    name = model or label_model(site)
+    if not (site.vocabulary or shown):
+        return name
+    return prompted(NetworkManifest.find(name), site.vocabulary, LabelSet.load(config_path(site.labels)), shown)
+
+
 def site_label_errors(site: Site) -> LabelErrors:
     """Return the known label errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
-    return known_errors(label_model(site)) if given is None else stated_errors(Path(given))
+    return known_errors(label_network(site)) if given is None else stated_errors(Path(given))
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
@@ -34,8 +50,33 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     if site.fuel.label_errors is not None:
         return {}
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
-    known = {head: known_errors(label_model(site), head, site.label_heads) for head in heads}
+    known = {head: known_errors(label_network(site), head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
+
+
+def unmeasured_labels(site: Site) -> str | None:
+    """Return the digest of the labels of all cameras if they are the same and unmeasured; None otherwise, and for a
+    network or label head that is not installed here. Raises ConfigError for an invalid record."""
+    heads = {camera.label_head for camera in site.cameras.values()}
+    if len(heads) != 1 or site.fuel.label_errors is not None:
+        return None
+    head = heads.pop()
+    with suppress(ModelError):
+        model = label_network(site)
+        if not known_errors(model, head, site.label_heads).measured:
+            manifest = NetworkManifest.find(model).serving(head)
+            return labels_digest(manifest, find_label_head(head, manifest, site.label_heads))
+    return None
+
+
+def with_live_record(site: Site, folder: Path | None) -> Site:
+    """Return the site with the label errors that its fuel map, which is kept in `folder`, has measured itself; the same
+    site if there are none or if better ones are known. Raises as `unmeasured_labels`."""
+    if folder is None or not (folder / RECORDS).is_dir() or (labels := unmeasured_labels(site)) is None:
+        return site
+    path = record_file(labels, folder)
+    fuel = site.fuel if path is None else site.fuel.model_copy(update={"label_errors": str(path)})
+    return site.model_copy(update={"fuel": fuel})
 
 
 def labels_state(site: Site) -> str:
@@ -53,7 +94,15 @@ def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -
 
     Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`.
     """
-    return Segmenter.open(model or site.model, threads, head=site.camera(camera).label_head, heads=site.label_heads)
+    network = label_network(site, model or site.model)
+    return Segmenter.open(network, threads, head=site.camera(camera).label_head, heads=site.label_heads)
+
+
+def prompt_segmenter(site: Site, model: str, prompt: str, threads: int = 1) -> Segmenter:
+    """Open the network of a site, or `model`, with a prompt as a class beside those of the site. Raises ConfigError,
+    ModelError as `label_network`."""
+    manifest = NetworkManifest.find(label_network(site, model or site.model, prompt))
+    return Segmenter(manifest, threads, LabelSet.load(config_path(site.labels)))
 
 
 def site_scene_filter(site: Site, camera: str) -> SceneFilter:

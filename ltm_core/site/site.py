@@ -43,7 +43,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Maximum distance in metres from the DEM to the origin; beyond it, float32 coordinates lose centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink", "prompt")
 """Names of nodes and topics in `/<site>/`, which no camera may have."""
 
 
@@ -108,6 +108,9 @@ class Site(StrictModel):
     """Label set, a file in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
+    vocabulary: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    """Prompts by label for a network that takes text; `other`: prompts whose pixels stay unlabelled. Empty: the
+    network's own classes."""
     label_heads: Path | None = None
     """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
     comes second."""

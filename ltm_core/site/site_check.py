@@ -24,7 +24,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import sampled
 from ltm_core.raster.heights_check import doubt_of_heights
 from ltm_core.site.camera_check import check_angles, check_camera, check_mask
-from ltm_core.site.networks import camera_label_errors, label_model, site_label_errors
+from ltm_core.site.networks import camera_label_errors, label_model, label_network, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.viewshed import PosedCamera
@@ -153,8 +153,8 @@ def _reliability(site: Site) -> SiteFinding:
     if not never:
         return SiteFinding("fuel", "label errors", SiteVerdict.OK, network.state)
     found = (
-        f"{', '.join(never)}: unmeasured, so that these labels change no cell of the prior map; measure them with "
-        f"`ltm models measure {label_model(site)} RECORDING --site SITE`"
+        f"{', '.join(never)}: unmeasured; these labels change no cell until the fuel map has measured them by its "
+        f"first views, or you do: `ltm models measure {label_model(site)} RECORDING --site SITE`"
     )
     return SiteFinding("fuel", "label errors", SiteVerdict.DOUBTFUL, found)
 
@@ -190,7 +190,8 @@ def _networks(site: Site) -> Iterator[SiteFinding]:
         if not name:
             continue
         try:
-            model = OnnxModel(NetworkManifest.find(name).require(depth=key == "depth_model"))
+            network = label_network(site, name) if key == "model" else name
+            model = OnnxModel(NetworkManifest.find(network).require(depth=key == "depth_model"))
         except LtmError as error:
             yield SiteFinding.of("networks", key, error)
         else:

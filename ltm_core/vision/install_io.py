@@ -32,7 +32,7 @@ from ltm_core.vision.manifest import (
     find_file,
     shipped_names,
 )
-from ltm_core.vision.onnx_file import NetworkFile, file_digest
+from ltm_core.vision.onnx_file import NetworkFile, file_digest, network_in, prompt_files
 
 _LARGEST_SIDE_FILE: Final = 4 << 20
 _GENERIC: Final = re.compile(r"^(model|onnx|end2end|network|[0-9a-f]{16,})([_-].*)?$|^(snapshots|resolve|main)$")
@@ -156,7 +156,7 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
         with _of_manifest(path, fetch, progress) as found:
             yield found
     elif is_folder(path):
-        yield _of_file(_file_in(path))
+        yield _of_file(network_in(path))
     elif is_file(path):
         yield _of_file(path)
     elif path.suffix or "/" in given:
@@ -201,9 +201,13 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
         for weights in network.weights:  # the graph refers to them by these names
             (stage / weights).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(manifest.model_file().parent / weights, stage / weights)
-        if manifest.text is not None:
-            shutil.copyfile(manifest.text_file(), stage / manifest.text_file().name)
-            content["text"] |= {"file": f"{name}/{manifest.text_file().name}"}
+        for section in ("text", "prompts"):
+            for key in {"file", "tokenizer", "encoder"} & set(content.get(section, {})):
+                path = manifest.file_of(Path(content[section][key]))
+                for part in (path.name, *(NetworkFile.read(path).weights if key == "encoder" else ())):
+                    (stage / part).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(path.parent / part, stage / part)
+                content[section][key] = f"{name}/{path.name}"
         if is_file(manifest.folder / manifest.card):
             shutil.copyfile(manifest.folder / manifest.card, stage / "card.md")
             content["card"] = f"{name}/card.md"
@@ -307,17 +311,8 @@ def _of_file(path: Path) -> Source:
     names = [path.stem, *(parent.name for parent in path.absolute().parents)]
     telling = next((each for each in names if each and not _GENERIC.match(each.lower())), "model")
     name = re.sub(r"[^a-z0-9]+", "_", telling.lower()).strip("_") or "model"
-    return Source(path, name, {}, found["config"], found["preprocessor_config"], licence)
-
-
-def _file_in(folder: Path) -> Path:
-    """Return the ONNX file of a folder as hubs have it. Raises ModelError for none, or several without `model.onnx`."""
-    files = sorted([*folder.glob("*.onnx"), *folder.glob("onnx/*.onnx")])
-    usual = [file for file in files if file.name == "model.onnx"] or files
-    if len(usual) != 1:
-        found = ", ".join(str(file.relative_to(folder)) for file in usual) or "none"
-        raise ModelError(f"{folder}: expected one ONNX file, found {found}; give the file")
-    return usual[0]
+    stated = {"prompts": files} if (files := prompt_files(hub)) else {}
+    return Source(path, name, stated, found["config"], found["preprocessor_config"], licence)
 
 
 @contextmanager
@@ -328,8 +323,10 @@ def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source
     folder, url = path.resolve().parent, content.get("url")
     stated = {key: value for key, value in content.items() if key != "file"}
     name = str(content.get("name", path.stem))
-    if isinstance(text := content.get("text"), dict) and isinstance(text.get("file"), str):
-        stated["text"] = {**text, "file": str(find_file(Path(text["file"]), folder, str(path)))}
+    for section in ("text", "prompts"):
+        if isinstance(files := content.get(section), dict):
+            named = {k: v for k, v in files.items() if k in ("file", "tokenizer", "encoder") and isinstance(v, str)}
+            stated[section] = files | {k: str(find_file(Path(v), folder, str(path))) for k, v in named.items()}
     if isinstance(card := content.get("card"), str) and is_file(folder / card):
         stated["card"] = str(folder / card)
     made = added_folder() / ".downloads" / re.sub(r"\W", "_", name)

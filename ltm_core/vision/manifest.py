@@ -125,15 +125,24 @@ class OutputSpec(StrictModel):
 
 
 class TextSpec(StrictModel):
-    """Embeddings of words, computed once, offline, with the text tower that belongs to a network of kind `embeddings`.
+    """Words of a network of kind `embeddings`.
 
-    `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float. The score of a word at a
-    pixel is `scale` times the cosine between the two vectors (LSeg 14.3, CLIP 100).
+    `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float; None: all come from the text
+    encoder in `prompts`. The score of a word at a pixel is `scale` times the cosine between the two vectors (LSeg 14.3,
+    CLIP 100).
     """
 
-    file: Path
+    file: Path | None = None
     dimensions: int = Field(gt=0)
     scale: float = Field(default=100.0, gt=0)
+
+
+class PromptSpec(StrictModel):
+    """Files that turn prompts into the network's words or input. `tokenizer`: `tokenizer.json` of the text encoder.
+    `encoder`: ONNX file from token ids to one vector per text; None: the network takes token ids itself (CLIPSeg)."""
+
+    tokenizer: Path
+    encoder: Path | None = None
 
 
 class NetworkManifest(StrictModel):
@@ -156,6 +165,7 @@ class NetworkManifest(StrictModel):
     source: str = ""  # where the file can be had, for the message when it is absent
     url: str | None = Field(default=None, pattern=r"^(https|file)://")  # fetched by `ltm models add --fetch` alone
     text: TextSpec | None = None
+    prompts: PromptSpec | None = None
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
     maps: dict[str, int] = Field(default_factory=dict)
     coarse_look: CoarseLook | None = None
@@ -173,6 +183,8 @@ class NetworkManifest(StrictModel):
             raise ValueError(f"output.redness names {', '.join(strangers)}, not among classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
+        if self.text is not None and self.text.file is None and (self.prompts is None or not self.prompts.encoder):
+            raise ValueError("text needs file, or prompts with the text encoder")
         if self.maps and self.output.kind != "logits":
             raise ValueError(
                 f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
@@ -221,8 +233,11 @@ class NetworkManifest(StrictModel):
             raise ModelError(str(reason)) from reason
 
     @classmethod
-    def find(cls, path_or_name: str | Path) -> NetworkManifest:
-        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
+    def find(cls, path_or_name: str | Path | NetworkManifest) -> NetworkManifest:
+        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added; a
+        manifest is returned as it is."""
+        if isinstance(path_or_name, NetworkManifest):
+            return path_or_name
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
             return cls.load(Path(path_or_name))
@@ -264,14 +279,18 @@ class NetworkManifest(StrictModel):
 
     def model_file(self) -> Path:
         """Return the path of the network, as `find_file` finds it. Raises ModelError."""
-        return find_file(self.file, self.folder, f"model {self.name!r}", self.source)
+        return self.file_of(self.file)
 
     def text_file(self) -> Path:
         """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
         none."""
-        if self.text is None:
-            raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
-        return find_file(self.text.file, self.folder, f"model {self.name!r}", self.source)
+        if self.text is None or self.text.file is None:
+            raise ModelError(f"model {self.name!r} has no file of text embeddings; its output is {self.output.kind}")
+        return self.file_of(self.text.file)
+
+    def file_of(self, file: Path) -> Path:
+        """Return the path of a file that the manifest names, found as the network is. Raises ModelError."""
+        return find_file(file, self.folder, f"model {self.name!r}", self.source)
 
 
 def find_file(file: Path, folder: Path, what: str, source: str = "") -> Path:

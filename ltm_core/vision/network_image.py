@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -233,3 +233,15 @@ def token_planes(tokens: Float32Array, size: tuple[int, int]) -> Float32Array:
         if (rows * side, cols * side) == size and 0 <= len(tokens) - rows * cols <= _LEADING:
             return np.ascontiguousarray(tokens[len(tokens) - rows * cols :].T.reshape(-1, rows, cols))
     raise ModelError(f"{len(tokens)} tokens do not cover an image of {size[1]} x {size[0]} pixels in square patches")
+
+
+def covered(spec: InputSpec, outputs: Iterable[npt.NDArray[Any]]) -> bool:
+    """Return whether the outputs that are images (those of four and more axes if there are any) cover the network's
+    image edge to edge."""
+    last = [np.moveaxis(v, -1, -3) if v.ndim >= 4 and v.shape[-1] <= 4 else v for v in outputs]
+    images = [value for value in last if value.ndim >= 3 and min(value.shape[-2:]) > 4]
+    shapes = [value.shape for value in images if value.ndim >= 4] or [value.shape for value in images]
+    scales = [(spec.height / shape[-2], spec.width / shape[-1]) for shape in shapes]
+    return all(
+        abs(down - across) < 1e-9 and (down.is_integer() or (1.0 / down).is_integer()) for down, across in scales
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -118,3 +118,29 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
             return value, at
         if shift > 63:
             raise ValueError("number too long")
+
+
+_TEXT_ENCODERS = ("text_model.onnx", "text_encoder.onnx", "textual.onnx")
+"""Names under which hubs keep the text encoder of a network."""
+
+
+def network_in(folder: Path) -> Path:
+    """Return the ONNX file of a folder as hubs have it. Raises ModelError for none, or several without `model.onnx`."""
+    files = [f for f in sorted([*folder.glob("*.onnx"), *folder.glob("onnx/*.onnx")]) if f.name not in _TEXT_ENCODERS]
+    usual = [file for file in files if file.name == "model.onnx"] or files
+    if len(usual) != 1:
+        found = ", ".join(str(file.relative_to(folder)) for file in usual) or "none"
+        raise ModelError(f"{folder}: expected one ONNX file, found {found}; give the file")
+    return usual[0]
+
+
+def prompt_files(folders: Iterable[Path]) -> dict[str, str]:
+    """Return the `prompts` of a manifest (`PromptSpec`) from the files in these folders; empty without a tokenizer."""
+    places = [folder.resolve() for folder in folders]
+    names = {"tokenizer": ("tokenizer.json",), "encoder": _TEXT_ENCODERS}
+    found = {
+        key: str(file)
+        for key, options in names.items()
+        if (file := next((f for folder in places for name in options if is_file(f := folder / name)), None))
+    }
+    return found if "tokenizer" in found else {}

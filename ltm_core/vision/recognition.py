@@ -18,10 +18,20 @@ import onnxruntime as ort
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.storage.config_io import checked
 from ltm_core.vision.install_io import RecipeFile, Source, merged
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
-from ltm_core.vision.network_image import DTYPES, InputSpec, as_tensor, camera_feed, constant_tensor, image_feed
+from ltm_core.vision.network_image import (
+    DTYPES,
+    InputSpec,
+    as_tensor,
+    camera_feed,
+    constant_tensor,
+    covered,
+    image_feed,
+)
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.vocabulary import labels_of_classes
 
 _CAMERA: Final = re.compile(r"^k$|^rays?$|intrinsic|camera|cam_|^focal|^fov|^f_?px", re.IGNORECASE)
@@ -55,14 +65,20 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
             "checksum if you changed the network"
         )
     try:
-        content = _Recognition(source, file, known, recipe or source.recipe).content()
+        network = _Recognition(source, file, known, recipe or source.recipe)
+        content = network.content()
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
-    if isinstance(text := content.get("text"), dict) and "file" in text:
-        text = {"dimensions": content.pop("dimensions", 0), **text, "file": str(Path(str(text["file"])).resolve())}
-        content["text"] = text
+    dimensions = content.pop("dimensions", 0)
+    if content["output"]["kind"] == "embeddings":
+        content["text"] = {"dimensions": dimensions, **content.get("text", {})}
+    elif not any(_TEXT.search(constant) for constant in content["input"].get("constants", {})):
+        content.pop("prompts", None)
+    for files in (content.get("text", {}), content.get("prompts", {})):
+        files |= {k: str(Path(str(v)).resolve()) for k, v in files.items() if k in ("file", "tokenizer", "encoder")}
     content |= {"name": name or known.get("name") or source.name, "file": str(source.file.absolute())}
-    return NetworkManifest.of(content | {"sha256": file.digest}, str(source.file))
+    manifest = NetworkManifest.of(content | {"sha256": file.digest}, str(source.file))
+    return prompted(manifest, {}, LabelSet.load()) if network.takes_prompts else manifest
 
 
 class _Recognition:
@@ -75,7 +91,7 @@ class _Recognition:
         self.quiet.log_severity_level = 4  # failures at some sizes are expected
         self.missing: list[str] = []
         """What cannot be determined: each as a clause with the option to state it."""
-        self.unknown_inputs = False
+        self.unknown_inputs = self.takes_prompts = False
         self.source, self.shape = source, self._image_shape(stated)
         sides = self.shape[1:3] if self._layout(stated) == "NHWC" else self.shape[2:]
         self.sides, graph = sides, (set(self.inputs), set(self.outputs), tuple(sides))
@@ -159,7 +175,7 @@ class _Recognition:
         for name, node in self.inputs.items():
             if name in constants or name == self.image.name or name == known.get("intrinsics"):
                 continue
-            if _CAMERA.search(name) or node.shape[-2:] == [3, 3] or _same_planes(node, self.image):
+            if _CAMERA.search(name) or node.shape[-2:] == [3, 3] or node.shape[1:] == self.image.shape[1:]:
                 known["intrinsics"] = name
             elif name == "num_tokens":
                 patches = known["width"] * known["height"] // 14**2  # MoGe-2 takes 1200 to 3600
@@ -170,11 +186,12 @@ class _Recognition:
                 if ids := constants.get("input_ids"):  # up to the end of text, the largest id of CLIP's tokenizer
                     rows = np.atleast_2d(ids)
                     constants[name] = (np.arange(rows.shape[1]) <= rows.argmax(axis=1)[:, None]).astype(int).tolist()
+            elif _TEXT.search(name) and "prompts" in self.known:
+                constants[name], self.takes_prompts = [[0]], True
+                self.known |= {"classes": list(LabelSet.load().names), "mapping": {"sky": "sky"}}
             else:
-                what = "the token ids of your prompts, one row per class, as" if _TEXT.search(name) else "its value as"
-                self.missing.append(
-                    f"input {name} {node.type} {node.shape}: state {what} --set input.constants.{name}=..."
-                )
+                how = "prompts.tokenizer=tokenizer.json" if _TEXT.search(name) else f"input.constants.{name}=..."
+                self.missing.append(f"input {name} {node.type} {node.shape}: --set {how}")
                 self.unknown_inputs = True
         if constants:
             known["constants"] = constants
@@ -217,7 +234,7 @@ class _Recognition:
                 found = self._run(trial)
             except ModelError:
                 continue
-            if all(_covers(trial, *value.shape[-2:]) for value in _images(found)):
+            if covered(trial, found.values()):
                 return multiple
         return 0
 
@@ -235,8 +252,9 @@ class _Recognition:
         elif known["kind"] == "embeddings":
             length = values.shape[-1 if values.ndim == 3 or known.get("layout") == "NHWC" else 1]
             self.known["dimensions"] = length
-            if "text" not in self.known:
-                self.missing.append(f"the embeddings of the words, {length} numbers each: --set text.file=words.npz")
+            if "text" not in self.known and "encoder" not in self.known.get("prompts", {}):
+                files = "text.file=words.npz, or prompts.tokenizer=tokenizer.json and prompts.encoder=text_model.onnx"
+                self.missing.append(f"the embeddings of the words, {length} numbers each: --set {files}")
         elif known["kind"] in ("logits", "probabilities", "ids", "masks"):
             self._classes(known, values, found)
         return known
@@ -326,24 +344,6 @@ class _Recognition:
                 f"{self.path}: cannot be determined: {'; '.join(self.missing)}; or --like RECIPE for a network of a "
                 "known kind (`ltm models` lists recipes)"
             )
-
-
-def _same_planes(node: Node, image: Node) -> bool:
-    """Return whether an input has the shape of the image, as rays have."""
-    return len(node.shape) == len(image.shape) and node.shape[1:] == image.shape[1:]
-
-
-def _images(found: Mapping[str, Values]) -> list[Values]:
-    """Return the outputs that are images, channels first: those of four and more axes if there are any."""
-    last = [np.moveaxis(v, -1, -3) if v.ndim >= 4 and v.shape[-1] <= 4 else v for v in found.values()]
-    images = [value for value in last if value.ndim >= 3 and min(value.shape[-2:]) > 4]
-    return [value for value in images if value.ndim >= 4] or images
-
-
-def _covers(spec: InputSpec, rows: int, cols: int) -> bool:
-    """Return whether an output of this size covers the image of a network edge to edge."""
-    down, across = spec.height / rows, spec.width / cols
-    return abs(down - across) < 1e-9 and (down.is_integer() or (1.0 / down).is_integer())
 
 
 def _listed(nodes: Mapping[str, Node]) -> str:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.base.errors import ConfigError, ImageError, ModelError
+from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
 from ltm_core.vision.label_rules import against_green, agreed, withdraw
@@ -24,14 +24,9 @@ from ltm_core.vision.manifest import (
 )
 from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, with_distant_tiles
-from ltm_core.vision.vocabulary import QueryMatch, Vocabulary, load_text, read_queries
-
-_COLORS = (
-    *((250, 235, 95), (196, 128, 25), (30, 90, 45), (152, 150, 148), (50, 120, 225), (125, 45, 105), (190, 230, 255)),
-    *((90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (205, 50, 60)),
-)
-"""Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
+from ltm_core.vision.vocabulary import load_text
 
 
 @dataclass(frozen=True)
@@ -51,9 +46,9 @@ class Segmenter:
     """Runs the network of a manifest on RGB photos of any size.
 
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
-    halves of one label (`grass` and `field`, say) are not beaten by a third class. `words`: of a text network, those
-    that compete (None: all). `head`: what corrects the network's scores (None: nothing does). `threads` is the number
-    of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
+    halves of one label (`grass` and `field`, say) are not beaten by a third class. `head`: what corrects the network's
+    scores (None: nothing does). `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see
+    OnnxModel, and for a mapping to a label that does not exist.
     """
 
     def __init__(
@@ -61,12 +56,13 @@ class Segmenter:
         manifest: NetworkManifest,
         threads: int = 1,
         labels: LabelSet | None = None,
-        words: Sequence[str] | None = None,
         head: LabelHead | None = None,
     ) -> None:
-        self.manifest = manifest.require(depth=False)
         self.labels = LabelSet.load() if labels is None else labels
-        self._text = None if manifest.text is None else load_text(manifest).only(words)
+        if manifest.text is not None and manifest.text.file is None:
+            manifest = prompted(manifest, {}, self.labels)
+        self.manifest = manifest.require(depth=False)
+        self._text = None if manifest.text is None else load_text(manifest)
         self.classes = manifest.classes if self._text is None else self._text.names
         class_labels = _class_labels(manifest, self.classes, self.labels)
         # group of each network class, and the label of each group
@@ -84,7 +80,7 @@ class Segmenter:
     @classmethod
     def open(
         cls,
-        path_or_name: str | Path = DEFAULT_MODEL,
+        path_or_name: str | Path | NetworkManifest = DEFAULT_MODEL,
         threads: int = 1,
         labels: LabelSet | None = None,
         head: str = SHIPPED_LABEL_HEAD,
@@ -279,27 +275,6 @@ class Segmenter:
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score
         return grouped
-
-
-def open_vocabulary(
-    manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
-) -> tuple[Segmenter, list[QueryMatch]]:
-    """Return a segmenter whose labels are the queries, in their order, and the match of each.
-
-    Among a text network's words only the queries compete; another network's classes that answer no query stay
-    unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
-    """
-    if len(queries) > UNLABELLED:
-        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
-    readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
-    labels = LabelSet(
-        names=tuple(queries),
-        colors=tuple(_COLORS[i % len(_COLORS)] for i in range(len(queries))),
-        ground_cover=tuple(query != "sky" for query in queries),
-    )
-    mapping = {name: reading.query for reading in readings for name in reading.classes}
-    words = queries if manifest.text is not None else None
-    return Segmenter(manifest.model_copy(update={"mapping": mapping}), threads, labels, words), readings
 
 
 def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float32Array:

@@ -1,12 +1,7 @@
-"""Map words of a user to classes of a network: the open-vocabulary query of the paper.
-
-A network of kind `embeddings` answers words that its text file holds. Any other network knows a few classes; a word is
-then read as one of them through `config/vocabulary.yaml`, and the reading says so.
-"""
+"""Read words: the labels that names of classes stand for (`config/vocabulary.yaml`), and embeddings of words."""
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,65 +49,6 @@ class Vocabulary:
         return words | {label: label for label in self.synonyms}
 
 
-@dataclass(frozen=True)
-class QueryMatch:
-    """Match of one query: the network's classes for it, and the way it was found."""
-
-    query: str
-    classes: tuple[str, ...]
-    how: str
-
-
-def parse_queries(text: str) -> list[str]:
-    """Return the comma-separated queries, trimmed, in lower case. Raises ConfigError for none, or one twice."""
-    queries = [" ".join(part.lower().split()) for part in text.split(",")]
-    queries = [query for query in queries if query]
-    if not queries or len(set(queries)) != len(queries):
-        raise ConfigError(
-            f'classes {text!r}: expected words separated by commas, each once: "dry grass, chaparral, oak"'
-        )
-    return queries
-
-
-def read_queries(queries: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> list[QueryMatch]:
-    """Match each query to classes of a network. Raises ConfigError for a word unknown to both network and
-    vocabulary."""
-    words = load_text(manifest).names if manifest.text is not None else manifest.classes
-    readings: list[QueryMatch] = []
-    taken: dict[str, str] = {}
-    for query in queries:
-        reading = _read(query, words, manifest, vocabulary)
-        free = tuple(name for name in reading.classes if name not in taken)
-        how = reading.how
-        if not free:
-            rival = taken[reading.classes[0]]
-            how += f"; so is {rival!r}, and all of it is reported as {rival!r}"
-        taken.update(dict.fromkeys(free, query))
-        readings.append(QueryMatch(query, free, how))
-    return readings
-
-
-def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> QueryMatch:
-    if query in words:
-        return QueryMatch(query, (query,), f"is a word of {manifest.name}")
-    if manifest.text is not None:
-        close = ", ".join(difflib.get_close_matches(query, words, 4, 0.4)) or ", ".join(list(words)[:12])
-        raise ConfigError(
-            f"{query!r} is not among the {len(words)} words whose embeddings {manifest.name} has (similar: {close}); "
-            "add its embedding to the text file"
-        )
-    for phrase, how in ((query, ""), (query.rpartition(" ")[2], " by its last word")):
-        label = vocabulary.label_of.get(phrase)
-        classes = tuple(name for name in manifest.classes if label is not None and manifest.mapping.get(name) == label)
-        if classes:
-            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} has no finer word")
-        if label is not None:
-            raise ConfigError(f"{query!r} means {label}, for which {manifest.name} has no class")
-    known = sorted(vocabulary.label_of)
-    close = ", ".join(difflib.get_close_matches(query, known, 4, 0.5)) or ", ".join(vocabulary.synonyms)
-    raise ConfigError(f"unknown word {query!r}; similar words: {close} (see config/vocabulary.yaml)")
-
-
 def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
     """Return the label of each class of a network whose name is in the vocabulary: `earth, ground` by its first known
     part, and COCO's `tree-merged` as `tree`. Other classes are missing."""
@@ -142,15 +78,6 @@ class TextEmbeddings:
     vectors: Float32Array
     scale: float
 
-    def only(self, words: Sequence[str] | None) -> TextEmbeddings:
-        """Return these words only, in order; all for None. Raises ModelError for a missing word."""
-        if words is None:
-            return self
-        absent = sorted(set(words) - set(self.names))
-        if absent:
-            raise ModelError(f"no embedding of {', '.join(absent)}; words: {', '.join(self.names[:40])}")
-        return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
-
     def scores(self, dense: Float32Array) -> Float32Array:
         """Return `scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
         length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
@@ -179,7 +106,12 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
     unknown = sorted(set(manifest.mapping) - set(names))
     if unknown:
         raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
+    return TextEmbeddings(names, unit_vectors(vectors, str(path)), spec.scale)
+
+
+def unit_vectors(vectors: Float32Array, place: str) -> Float32Array:
+    """Return embeddings (N, D) with length 1. Raises ModelError for one that is zero, NaN or infinite."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
-        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; generate the file again")
-    return TextEmbeddings(names, vectors / length, spec.scale)
+        raise ModelError(f"{place}: an embedding is zero, NaN or infinite; generate the file again")
+    return np.asarray(vectors / length, np.float32)

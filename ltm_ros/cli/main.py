@@ -261,6 +261,7 @@ EXTRAS = {
     "jinja2": "ltm[report]",
     "ruamel": "ltm[init]",
     "laspy": "ltm[export]",
+    "tokenizers": "ltm[text]",
     "pyarrow": "ltm[archive]",
     "fsspec": "ltm[archive]",
     "dask": "ltm[archive]",

@@ -48,7 +48,7 @@ def models(
     photos: Annotated[Path | None, typer.Option(help="Folder of labelled photos (measure).")] = None,
     images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check, add).")] = None,
     classes: Annotated[
-        str | None, typer.Option(help='Classes given as words: "dry grass, chaparral, oak, road" (check).')
+        str | None, typer.Option(help='Prompts for a network of text: "dry grass, chaparral, oak" (check).')
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for images (check, add).")] = Path("out/models"),
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
@@ -205,7 +205,7 @@ def _check(
 ) -> None:
     """Print the model's input, output and running time; write images.
 
-    With `classes`, comma-separated words replace the model's classes. Without `images`, a drawn scene is used.
+    With `classes`, comma-separated prompts replace the model's classes. Without `images`, a drawn scene is used.
     """
     from ltm_core.storage.image_io import photos_in, read_rgb
     from ltm_core.vision.overlays import scene_of
@@ -232,15 +232,11 @@ def _check_labels(
 ) -> None:
     import numpy as np
 
-    from ltm_core.vision.segmenter import Segmenter, open_vocabulary
-    from ltm_core.vision.vocabulary import parse_queries
+    from ltm_core.vision.prompts import labels_of_prompts, prompted
+    from ltm_core.vision.segmenter import Segmenter
 
-    if classes is None:
-        segmenter = Segmenter(manifest, threads)
-    else:
-        segmenter, readings = open_vocabulary(manifest, parse_queries(classes), threads)
-        for reading in readings:
-            console.print(f"{reading.query!r} {reading.how}", markup=False)
+    labels = None if classes is None else labels_of_prompts(classes)
+    segmenter = Segmenter(manifest if labels is None else prompted(manifest, {}, labels), threads, labels)
     noise = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
     times = _milliseconds(segmenter, noise)
     console.print(

@@ -14,6 +14,7 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import to_png
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.networks import with_live_record
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import (
@@ -88,6 +89,7 @@ def run_demo(
         raise RecordingError(f"the fuel_map node wrote no {out / 'fuel_map.tif'}; its messages are above")
 
     dem = site.open_dem()
+    site = with_live_record(site, state)
     evidence = site_evidence_map(site, site.fuel_geometry(dem), labels)
     before = evidence.layers()
     with open_stored_map(state / STORE_FILE, site, evidence):

@@ -56,6 +56,11 @@ class ShownLayers:
         """Recompute these parts of the map; return what has changed."""
         return [change for window in _merged(windows) for change in self._refresh(window)]
 
+    def follow(self, evidence: EvidenceMap) -> list[CellChanges]:
+        """Show another map of the same grid from now on; return what has changed."""
+        self._evidence = evidence
+        return self.refresh_all()
+
     def refresh_all(self) -> list[CellChanges]:
         """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows back on
         burns."""

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+import numpy as np
+
 from ltm_core.base.errors import LtmError, StoreError
 from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import LivingFuelMap
@@ -153,6 +155,24 @@ class FuelMapPersistence:
         if before is None:
             reached = None if window is None else self.map.reached_from(window)
             self._take(CountedFrame(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
+
+    def restart(self, frames: Sequence[CellVotes]) -> None:
+        """Start again from the map that `make_map` returns now, and count these frames into it. Of the evidence until
+        now, only burns and changes of the surface remain; all frames stay known as counted."""
+        before, self.map = self.map, self._make_map()
+        self.map.recall(before.surface_changes)
+        for key in before.tiles_of((0, 0, *before.geometry.shape)):
+            tile = before.tile_state(key)
+            if tile["last_seen"].any() or tile["burned_at"].any():
+                self._dirty.add(key)
+                kept = {name: array if name == "burned_at" else np.zeros_like(array) for name, array in tile.items()}
+                self.map.load_tile(key, kept)
+        for votes in frames:
+            if (window := self.map.add(votes)) is not None:
+                self._dirty.update(self.map.tiles_of(window))
+        self._unshown = []
+        self._changes += self.shown.follow(self.map)
+        self._logged = LOGGED_FRAMES + 1  # no payload could restore this state
 
     def wait(self, seconds: float) -> None:
         """Advance time: retry a failed store periodically."""

@@ -25,6 +25,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import SiteCanopy, provenance_of, site_canopy, site_evidence_map
 from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
+from ltm_core.site.networks import with_live_record
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_surface import SurfaceVersion
@@ -53,6 +54,7 @@ class FuelSource:
         """Open a source. Raises LtmError for a file without a fuel map of this site."""
         labels = LabelSet.load(config_path(site.labels))
         if path.suffix == ".ltm":
+            site = with_live_record(site, path.parent)
             geometry = site.fuel_geometry(site.open_dem())
             evidence = site_evidence_map(site, geometry, labels)
             prior, empty = evidence.prior, evidence.layers()

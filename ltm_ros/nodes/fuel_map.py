@@ -11,11 +11,12 @@ from typing import Any
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import write_fuel_map
+from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
-from ltm_core.site.networks import labels_state
+from ltm_core.site.networks import labels_state, with_live_record
 from ltm_core.site.site import SITE_NAMES
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
@@ -27,6 +28,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.config import FuelMapConfig, compile_kernels
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
+from ltm_ros.fuel_map.self_measurement import SelfMeasurement
 from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
@@ -60,14 +62,16 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        self._site = load_site(config.site)
+        self._folder = _folder(config)
+        self._site = with_live_record(load_site(config.site), self._folder)
         self._labels = LabelSet.load(config_path(self._site.labels))
         self._classes = life_form_labels(self._labels)
         dem = self._site.open_dem()
         self._geometry = self._site.fuel_geometry(dem)
-        self._folder = _folder(config)
+        self._measuring = SelfMeasurement(self._site, self._geometry, self._labels, self._folder)
+        self._measured: LabelErrors | None = None
         self.persistence = FuelMapPersistence(
-            lambda: site_evidence_map(self._site, self._geometry, self._labels),
+            lambda: empty_maps(self._site, self._geometry, self._labels, self._measured)(),
             self._open_store,
             health,
             durable=self._folder is not None,
@@ -116,8 +120,17 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         }
 
     def start(self) -> None:
-        geometry = self._site.in_crs(self._geometry)
-        state = labels_state(self._site)
+        self._send_info()
+        self._publisher.send_map()
+        self._publisher.announce([])
+        compile_kernels(self._site, self._labels)
+
+    @property
+    def _reliability(self) -> str:
+        return labels_state(self._site) if self._measured is None else self._measured.state
+
+    def _send_info(self) -> None:
+        geometry, state = self._site.in_crs(self._geometry), self._reliability
         info = FuelMapInfo(
             **self._classes.info(),
             crs=geometry.crs or "",
@@ -129,9 +142,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         )
         self.health.gauge("labels", state)
         self.outlet.publish(FUEL_MAP_INFO, info.to_msg())
-        self._publisher.send_map()
-        self._publisher.announce([])
-        compile_kernels(self._site, self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
@@ -141,6 +151,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         if counting is None:
             votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
             counting = self.persistence.count(votes, self._models.get(camera, ""))
+            if counting is Counting.COUNTED and camera in self._site.cameras:
+                self._measuring.take(votes)
         if counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"duplicate votes of {camera} of stamp {stamp} ns; counted once")
         elif counting is Counting.TOO_OLD:
@@ -180,6 +192,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     def idle(self) -> None:
         if not self._paced:
+            self._measure(at_once=True)
             self._settle()
 
     def tick(self, waited: float) -> None:
@@ -187,11 +200,13 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self.persistence.wait(waited)
         if self._surface is not None:
             self._surface.retry()
+        self._measure(at_once=False)
         self._settle()
         self._publisher.tick(waited)
 
     def finish(self) -> None:
         """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
+        self._measure(at_once=True)
         self._publisher.announce(self.persistence.close())
         self._publisher.send_map()
         self._publisher.send_cells()
@@ -255,13 +270,26 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         region, self._region = self._region, None
         return region
 
+    def _measure(self, at_once: bool) -> None:
+        """Measure unmeasured labels when there are enough frames, and count these again with the result."""
+        if not self._measuring.wanted or self.persistence.store is None:
+            return
+        found = self._measuring.measured(at_once)
+        if self._measuring.failure:
+            self.health.gauge("labels", f"{self._reliability} ({self._measuring.failure})")
+        if found is not None:
+            record, frames = found
+            self._site, self._measured = with_live_record(self._site, self._folder), record.errors()
+            self.persistence.restart(frames)
+            self._send_info()
+
     def _settle(self, write_tiles: bool = False) -> None:
         self._publisher.announce(self.persistence.settle(write_tiles))
 
     def _write(self) -> Path:
         name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")
         layers = self.persistence.map.layers()
-        grid, tags = self._site.in_crs(self._geometry), {"labels": labels_state(self._site)}
+        grid, tags = self._site.in_crs(self._geometry), {"labels": self._reliability}
         return write_fuel_map(name, layers.life_form, grid, self._classes, tags)
 
     def _open_store(self) -> TileStore:

@@ -16,18 +16,21 @@ from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     FINISHED,
     LABELS_CONFIDENCE,
+    LABELS_HEAT,
     LABELS_IMAGE,
     LABELS_INFO,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     POSED_POSE,
+    PROMPT,
+    site_topic,
 )
 
 
@@ -38,12 +41,12 @@ class SegmentationConfig(JoinConfig, LabellingConfig):
 class SegmentationHandler(Handler[SegmentationConfig]):
     """Labels images; uses their poses only if the camera has masks of single views."""
 
-    publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
+    publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_HEAT, LABELS_INFO)
     acknowledgements = (FINISHED,)
 
     def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        site = load_site(config.site)
+        site = self._site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
         parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE}
@@ -51,12 +54,18 @@ class SegmentationHandler(Handler[SegmentationConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return self._join.subscriptions if self._step.by_view else {POSED_IMAGE: self.on_image}
+        prompt = {Topic(site_topic(self._site.name, PROMPT), PROMPT.type): self.on_prompt}
+        return prompt | (self._join.subscriptions if self._step.by_view else {POSED_IMAGE: self.on_image})
 
     def start(self) -> None:
         step = self._step
         self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, step.described, step.reliability))
         self.health.gauge("labels", step.reliability)
+
+    def on_prompt(self, message: Any) -> None:
+        """Show where the images show a prompt, from the next one on."""
+        self._step.show(message.data)
+        self.health.gauge("prompt", message.data or "none")
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -76,6 +85,8 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         note_picture(self.health, view)
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
+        if self.outlet.wanted(LABELS_HEAT) and (heat := self._step.heat(msg_to_rgb(message), view)) is not None:
+            self.outlet.publish(LABELS_HEAT, image_to_msg(heat, "mono8", stamp, frame_id))
         self.outlet.acknowledge(FINISHED, stamp)
 
 

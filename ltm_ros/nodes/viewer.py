@@ -34,6 +34,7 @@ from ltm_ros.runtime.topics import (
     FUEL_MAP,
     FUEL_MAP_CELLS,
     FUSED_DEPTH,
+    LABELS_HEAT,
     LABELS_IMAGE,
     NETWORK_DEPTH,
     POSED_IMAGE,
@@ -128,6 +129,9 @@ class ViewerHandler(Handler[ViewerConfig]):
             )
             taken[fused] = partial(self._join_fusion, camera, "fused")
             taken[network] = partial(self._network.__setitem__, camera)
+        for camera in self._site.cameras:
+            heat = camera_topic(self._site.name, camera, LABELS_HEAT)
+            taken[Topic(heat, LABELS_HEAT.type)] = partial(self.on_heat, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
         cells = site_topic(self._site.name, FUEL_MAP_CELLS)
         taken[Topic(cells, FUEL_MAP_CELLS.type, latched=True)] = self.on_fuel_cells
@@ -136,6 +140,9 @@ class ViewerHandler(Handler[ViewerConfig]):
                 taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
         taken[DIAGNOSTICS] = self.on_diagnostics
         return taken
+
+    def on_heat(self, camera: str, message: Any) -> None:
+        self._view.log_heat(camera, stamp_of(message), msg_to_array(message, ("mono8",)))
 
     def on_fuel_map(self, message: Any) -> None:
         self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))

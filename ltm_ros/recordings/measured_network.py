@@ -7,28 +7,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.base.types import Float64Array
 from ltm_core.fuel.label_errors import (
     LabelErrors,
     ReliabilityRecord,
     known_errors,
     labels_digest,
-    rows_of,
+    record_of,
     shares_of,
     write_record,
 )
-from ltm_core.fuel.label_measurement import measure_labels
-from ltm_core.fuel.life_form import label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import evenly, read_frames
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep
-from ltm_core.pipeline.site_fuel import empty_maps
+from ltm_core.pipeline.site_fuel import measured_errors
 from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.site.networks import label_network
 from ltm_core.site.site import Site
 from ltm_core.vision.label_head import find_label_head
 from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest
@@ -66,17 +63,16 @@ def measure_network(
     posed images, ImageError for too few cells, and as the steps of a frame do.
     """
     heads = None if site is None else site.label_heads
-    manifest = NetworkManifest.find(model).serving(head)
+    manifest = NetworkManifest.find(model if site is None else label_network(site, model)).serving(head)
     file = find_label_head(head, manifest, heads)
-    about: dict[str, Any] = {"network": manifest.name, "labels": labels_digest(manifest, file)}
+    about: dict[str, Any] = {}
     sources: list[str] = []
     if site is not None and bags:
         errors = _on_recordings(model, site, bags, head, progress)
-        about |= {"site": site.name, "correlation": errors.correlation, "shares": rows_of(errors.shares)}
-        about["appearance"] = None if errors.appearance is None else errors.appearance.as_file()
-        sources.append(errors.source)
+        about |= dict(record_of(errors, errors.source, site=site.name))
+        sources.append(about.pop("source"))
     if photos is not None:
-        segmenter = Segmenter.open(model, head=head, heads=heads)
+        segmenter = Segmenter.open(manifest, head=head, heads=heads)
         frames = read_frames(photos, len(segmenter.labels))
         score = SegmentationScore.empty(len(segmenter.labels))
         for frame in frames:
@@ -86,7 +82,8 @@ def measure_network(
         sources.append(f"labels of {len(frames)} photos of {photos.resolve().name}")
     if not sources:
         raise ConfigError("nothing to measure on; give --site and a recording of it, or --photos")
-    record = ReliabilityRecord(source="; ".join(sources), **about)
+    about |= {"network": manifest.name, "labels": labels_digest(manifest, file)}
+    record = ReliabilityRecord(**about | {"source": "; ".join(sources)})
     return Measured(record, write_record(record), record.errors())
 
 
@@ -95,24 +92,11 @@ def _on_recordings(
 ) -> LabelErrors:
     networks = {"own": model} if _is_default(model, head) else {"own": model, "known": DEFAULT_MODEL}
     votes, steps = _votes(site, bags, networks, head, progress)
-    forms, empty = label_forms(steps.labels), empty_maps(site, steps.geometry, steps.labels)
-    prior = empty().prior
-    if prior is None:
-        raise ConfigError(f"site {site.name} has no prior map (fuel.prior); labels are measured against one")
-
-    def changes(errors: LabelErrors, of: Sequence[CellVotes] = votes["own"]) -> UInt8Array:
-        evidence = empty_maps(site, steps.geometry, steps.labels, errors)()
-        for frame in of:
-            evidence.add(frame)
-        layers = evidence.layers()
-        return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
-
     reference = known_errors(DEFAULT_MODEL)
-    known = changes(reference, votes["known"]) if "known" in votes and reference.measured else None
+    given = (reference, votes.get("known", votes["own"])) if reference.measured else None
     source = f"{len(votes['own'])} frames of site {site.name} against its prior map"
-    source += "" if known is None else f" and the changes that {DEFAULT_MODEL} finds"
-    reach, state = site.fuel.fusion.context_cells, f"measured on site {site.name}"
-    return measure_labels(votes["own"], prior.codes, forms, reach, changes, known, source, state)
+    source += "" if given is None else f" and the changes that {DEFAULT_MODEL} finds"
+    return measured_errors(site, steps.geometry, steps.labels, votes["own"], source, given)
 
 
 def _is_default(model: str, head: str) -> bool:
@@ -170,11 +154,11 @@ def _votes(
 
 
 def _with_head(site: Site, role: str) -> Site:
-    """Return the site for a network's labels; the known network labels without label heads."""
+    """Return the site for a network's labels; the known network labels without label heads and vocabulary."""
     if role == "own":
         return site
     cameras = {n: c.model_copy(update={"label_head": SHIPPED_LABEL_HEAD}) for n, c in site.cameras.items()}
-    return site.model_copy(update={"cameras": cameras})
+    return site.model_copy(update={"cameras": cameras, "vocabulary": {}})
 
 
 def _parts() -> dict[str, Any]:

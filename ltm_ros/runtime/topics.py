@@ -67,6 +67,11 @@ LABELS_IMAGE = Topic("labels/image", Image)
 LABELS_CONFIDENCE = Topic("labels/confidence", Image)
 LABELS_INFO = Topic("labels/info", String, latched=True)
 
+LABELS_HEAT = Topic("labels/heat", Image)
+"""Probability of the prompt on PROMPT x 255 for each pixel. It never votes."""
+PROMPT = Topic("prompt", String)
+"""Prompt of an operator, for all cameras of the site; empty: none."""
+
 FUEL_VOTES = Topic("fuel/votes", PointCloud2)
 
 FINISHED = Topic("finished", Header, depth=50, counted=False)

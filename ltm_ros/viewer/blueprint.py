@@ -26,9 +26,11 @@ class MapWindow:
 
 @dataclass(frozen=True)
 class Tabs:
-    """Optional tabs: with a depth network (`fusion`), with an updated surface (`terrain`)."""
+    """Optional tabs: with a depth network (`fusion`), with a label network that takes `prompts`, with an updated
+    surface (`terrain`)."""
 
     fusion: bool = False
+    prompts: bool = False
     terrain: bool = False
     tall: bool = False
     """Whether the fuel grid is about as high as wide, or higher: then its maps fit a wide screen best in one row."""
@@ -55,6 +57,8 @@ def site_blueprint(
     extra: list[rrb.Container] = [_fuel_layers(4 if tabs.tall else 2)]
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
+    if tabs.prompts:
+        extra.append(rrb.Grid(*(_heat(camera) for camera in cameras), name="Prompt"))
     if tabs.terrain:
         extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
     health = rrb.Vertical(
@@ -86,7 +90,10 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
         origin="/map",
         name="Terrain",
         # Labels are below their camera for the 2D view; here they would cover the photo in its frustum.
-        contents=["+ $origin/**", *(f"- $origin/cameras/{camera}/labels" for camera in cameras)],
+        contents=[
+            "+ $origin/**",
+            *(f"- $origin/cameras/{camera}/{part}" for camera in cameras for part in ("labels", "heat")),
+        ],
         background=(226, 234, 242),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
@@ -136,6 +143,12 @@ def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
     if timed:
         views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
     return rrb.Horizontal(*views, name=camera)
+
+
+def _heat(camera: str) -> rrb.Spatial2DView:
+    """Return the view of where a camera's images show the operator's prompt."""
+    origin = f"/map/cameras/{camera}"
+    return rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/heat"], name=f"{camera}: prompt")
 
 
 def _depth_row(camera: str) -> rrb.Horizontal:

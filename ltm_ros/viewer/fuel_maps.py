@@ -60,6 +60,15 @@ def label_image(labels: UInt8Array) -> rr.SegmentationImage:
     return rr.SegmentationImage(_shrunk(labels, cv2.INTER_NEAREST), opacity=0.55, draw_order=1.0)
 
 
+def heat_image(heat: UInt8Array) -> rr.Image:
+    """Return the probability of a prompt x 255 (H, W), to be drawn over the photo: transparent at 0, red at 255."""
+    shown = _shrunk(heat, cv2.INTER_AREA)
+    color = np.zeros((*shown.shape, 4), np.uint8)
+    color[..., :2] = 255, 40
+    color[..., 3] = shown // 4 * 3
+    return rr.Image(color, draw_order=2.0)
+
+
 def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
     """Return the camera for the 3D view, with its image `image_plane` metres ahead; distortion is not drawn."""
     width, height = shown_size(camera.width, camera.height)

@@ -136,6 +136,11 @@ class RerunView:
         with self._at(stamp_ns):
             self._recording.log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
 
+    def log_heat(self, camera: str, stamp_ns: int, heat: UInt8Array) -> None:
+        """Log the probability of a prompt (H, W) uint8, of the size of the image."""
+        with self._at(stamp_ns):
+            self._recording.log(f"map/cameras/{camera}/heat", archetypes.heat_image(heat))
+
     def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
         """Log the camera's pose. Without one in the site file, the first pose moves the view there."""
         with self._at(stamp_ns):
@@ -266,7 +271,8 @@ class RerunView:
         eye = scene_geometry.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
         height, width = self._fuel_geometry.shape
         fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
-        tabs = Tabs(fusion=fusion, terrain=terrain, tall=1.2 * height > width)
+        prompts, tall = bool(self._site.vocabulary), 1.2 * height > width
+        tabs = Tabs(fusion=fusion, prompts=prompts, terrain=terrain, tall=tall)
         return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:

@@ -32,6 +32,7 @@ TOWER = {
 ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
+    "tokenizers": "prompts for networks of text",
     "prometheus_client": "the health node",
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
@@ -45,7 +46,9 @@ ON_DEMAND = {
     "ruamel": "site files that keep their comments",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "jinja2", "ruamel", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
+NOT_ON_A_TOWER = {
+    *("rerun", "jinja2", "ruamel", "laspy", "tokenizers", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"),
+}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 

@@ -100,7 +100,7 @@ def measured(votes: list[CellVotes], world: World, labels: LabelSet, rules: Fusi
         return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
 
     codes, forms = world.prior.codes, label_forms(labels)
-    return measure_labels(votes, codes, forms, rules.context_cells, changes, None, "votes of the trial", "measured")
+    return measure_labels(votes, codes, forms, rules.context_cells, changes, None, "votes of the trial")
 
 
 def run_fuel_job(job: FuelJob) -> list[TrialScore]:

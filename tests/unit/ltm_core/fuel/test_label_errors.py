@@ -21,6 +21,7 @@ from ltm_core.fuel.label_errors import (
     find_record,
     known_errors,
     labels_digest,
+    record_of,
     write_record,
 )
 from ltm_core.fuel.label_measurement import measure_labels
@@ -179,6 +180,21 @@ def test_a_measured_network_finds_what_has_changed(confusion: np.ndarray) -> Non
     assert layers.changed[~new].mean() < 0.01
 
 
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_one_view_changes_a_cell_only_if_another_network_confirms_what_it_finds(confirmed: bool) -> None:
+    truth, codes = landscape(slice(10, 17))
+    new = (truth == LifeForm.TREE) & (codes == CODES[Label.SHRUB])
+    frames = [frame for frame in drawn_votes(truth, RIGHT, 5) if frame.source == "north"]
+    errors = measured(frames, codes, np.where(new, truth, 0).astype(np.uint8) if confirmed else np.zeros_like(truth))
+    assert errors.one_view == confirmed
+    found = mapped(frames, codes, errors).changed[new].mean()
+    assert found > 0.8 if confirmed else found == 0.0
+    # The record keeps it.
+    record = record_of(errors, "drawn", site="drawn", live="2026-11-29, 2 views")
+    assert record.errors().one_view == confirmed
+    assert record.state == "measured on site drawn, live (2026-11-29, 2 views)"
+
+
 def test_a_reference_that_does_not_know_the_land_is_ignored() -> None:
     truth, codes = landscape(slice(10, 17))
     known = np.where(codes == CODES[Label.GRASS], LifeForm.TREE, 0).astype(np.uint8)
@@ -200,7 +216,7 @@ def measured(frames: list[CellVotes], codes: np.ndarray, known: np.ndarray | Non
         layers = mapped(frames, codes, errors)
         return np.where(layers.changed, layers.life_form, 0).astype(np.uint8)
 
-    return measure_labels(frames, codes, label_forms(LABELS), 2.0, changes, known, "drawn", "measured on site drawn")
+    return measure_labels(frames, codes, label_forms(LABELS), 2.0, changes, known, "drawn")
 
 
 def mapped(frames: list[CellVotes], codes: np.ndarray, errors: LabelErrors) -> Any:

@@ -207,10 +207,9 @@ def test_the_name_of_a_shipped_model_cannot_be_taken(tmp_path: Path) -> None:
         add(changed(write_classifier(tmp_path), name="mosaic_r4_ade20k31"))
 
 
-def test_a_check_leaves_a_picture_of_the_words_looked_for(tmp_path: Path) -> None:
+def test_a_check_leaves_a_picture(tmp_path: Path) -> None:
     path = write_classifier(tmp_path)
-    text = ltm("check", path, "--classes", "meadow, house", "--out", tmp_path / "out")
-    assert "'meadow' is read as grass: colors has no finer word" in text
+    ltm("check", path, "--out", tmp_path / "out")
     picture = cv2.imread(str(tmp_path / "out" / "trial_scene_colors.jpg"))
     assert picture.shape[1] == 640
     assert picture.std() > 10

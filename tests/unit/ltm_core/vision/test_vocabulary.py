@@ -9,13 +9,14 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from scenes.networks import write_classifier, write_manifest
+from scenes.networks import write_manifest
 
 from ltm_core.base.errors import ConfigError, ModelError
-from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.segmenter import Segmenter, open_vocabulary
-from ltm_core.vision.vocabulary import Vocabulary, labels_of_classes, parse_queries, read_queries
+from ltm_core.vision.prompts import labels_of_prompts, prompted
+from ltm_core.vision.segmenter import Segmenter
+from ltm_core.vision.vocabulary import Vocabulary, labels_of_classes
 
 WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
 DIMENSIONS, SCALE = 6, 9.0
@@ -76,18 +77,21 @@ def test_pixels_take_the_word_whose_embedding_is_nearest(tmp_path: Path) -> None
     np.testing.assert_array_equal(result.labels, order[expected.argmax(axis=0)])
 
 
-def test_only_the_queried_words_compete(tmp_path: Path) -> None:
+def test_only_the_queried_words_compete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     manifest = NetworkManifest.load(_write_embedder(tmp_path))
-    segmenter, readings = open_vocabulary(manifest, ["oak", "dry grass"])
-    assert [reading.how for reading in readings] == ["is a word of embedder"] * 2
-    assert segmenter.labels.names == ("oak", "dry grass")
+    labels = labels_of_prompts(" Oak, dry  grass, oak")
+    assert labels.names == ("oak", "dry grass")
+    segmenter = Segmenter(prompted(manifest, {}, labels), labels=labels)
     photo = np.random.default_rng(2).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     expected = _expected(tmp_path, photo, ("oak", "dry grass"))
     result = segmenter.segment(photo)
     np.testing.assert_array_equal(result.labels, expected.argmax(axis=0))
     np.testing.assert_allclose(result.confidence, expected.max(axis=0) * 255, atol=0.6)
-    with pytest.raises(ConfigError, match=r"'chapparal' is not among the 5 words.*chaparral"):
-        open_vocabulary(manifest, ["chapparal"])
+    with pytest.raises(ModelError, match="chapparal"):
+        prompted(manifest, {}, labels_of_prompts("chapparal"))
+    with pytest.raises(ConfigError, match="commas"):
+        labels_of_prompts(" , ")
 
 
 @pytest.mark.parametrize(
@@ -117,37 +121,8 @@ def test_words_of_another_dimension_are_refused(tmp_path: Path) -> None:
         Segmenter.open(path)
 
 
-def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -> None:
-    manifest = NetworkManifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
-    segmenter, readings = open_vocabulary(manifest, parse_queries("dry grass,  Cabin house, cloud, meadow"))
-    assert [reading.classes for reading in readings] == [("lime", "olive"), ("red",), ("blue",), ()]
-    assert readings[0].how == "is read as grass by its last word: colors has no finer word"
-    assert readings[3].how.endswith("so is 'dry grass', and all of it is reported as 'dry grass'")
-    photo = np.zeros((20, 30, 3), np.uint8)
-    photo[:, :10] = (0, 255, 0)
-    photo[:, 10:20] = (255, 0, 0)
-    photo[:, 20:] = 255  # white answers no query
-    labels = segmenter.segment(photo).labels
-    assert [int(labels[10, col]) for col in (3, 15, 27)] == [0, 1, UNLABELLED]
-
-
-def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
-    manifest = NetworkManifest.load(write_classifier(tmp_path))
-    with pytest.raises(ConfigError, match=r"unknown word 'medow'; similar words: meadow"):
-        read_queries(["medow"], manifest, Vocabulary.load())
-    with pytest.raises(ConfigError, match=r"'chaparral' means shrub"):
-        read_queries(["chaparral"], manifest, Vocabulary.load())
-    with pytest.raises(ConfigError, match=r"each once"):
-        parse_queries("oak, Oak")
-
-
-def test_the_shipped_vocabulary_reads_into_labels_and_into_mosaics_classes() -> None:
-    vocabulary = Vocabulary.load()
-    assert set(vocabulary.synonyms) == set(LabelSet.load().names)
-    readings = read_queries(
-        ["dry grass", "chaparral", "oak", "road"], NetworkManifest.find("mosaic_r4_ade20k31"), vocabulary
-    )
-    assert [reading.classes for reading in readings] == [("grass", "field"), ("plant",), ("tree",), ("road",)]
+def test_the_shipped_vocabulary_has_words_for_all_labels() -> None:
+    assert set(Vocabulary.load().synonyms) == set(LabelSet.load().names)
 
 
 def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,218 @@
+"""Let a network of text and images name classes by prompts: several for each label, averaged, and negative ones.
+
+Prompts become part of the manifest, as the words of its text file or as its input, so that all that follows (labels,
+their digest, checks) is as for any other network.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.types import Float32Array
+from ltm_core.storage.disk_io import written_whole
+from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.onnx_file import NetworkFile, file_digest
+from ltm_core.vision.onnx_model import open_session
+from ltm_core.vision.vocabulary import load_text, unit_vectors
+
+OTHER: Final = "other"
+"""Key of negative prompts: pixels that show one of them are unlabelled."""
+_MOST_TOKENS: Final = 77
+"""Length of CLIP's texts, for graphs that take any length."""
+_LONGEST: Final = 200
+
+_COLORS = (
+    *((250, 235, 95), (196, 128, 25), (30, 90, 45), (152, 150, 148), (50, 120, 225), (125, 45, 105), (190, 230, 255)),
+    *((90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (205, 50, 60)),
+)
+"""Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
+
+Prompts = Mapping[str, Sequence[str]]
+
+
+def labels_of_prompts(text: str) -> LabelSet:
+    """Return a label set of comma-separated prompts, each of which is a label. Raises ConfigError for none."""
+    words = tuple(dict.fromkeys(" ".join(part.lower().split()) for part in text.split(",") if part.strip()))
+    if not 0 < len(words) < UNLABELLED:
+        raise ConfigError(f'classes {text!r}: expected words separated by commas, such as "dry grass, chaparral, oak"')
+    colors = tuple(_COLORS[place % len(_COLORS)] for place in range(len(words)))
+    return LabelSet(words, colors, tuple(word != "sky" for word in words))
+
+
+def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, shown: str = "") -> NetworkManifest:
+    """Return the manifest of a network that labels by prompts; only these compete.
+
+    Args:
+        prompts: for each label (or OTHER) its prompts; empty: the names of the labels.
+        shown: a prompt that is a class of its own, unlabelled, for a heat map; empty: none.
+
+    Raises ConfigError for a key that is no label, and prompts that are empty or repeated; ModelError for a network
+    without text, and for files that cannot be used.
+    """
+    given = dict(prompts) or {name: (name,) for name in labels.names}
+    if unknown := sorted(set(given) - set(labels.names) - {OTHER}):
+        raise ConfigError(f"vocabulary: no label {unknown[0]!r}; use {', '.join(labels.names)}, or {OTHER}")
+    texts = [text for group in (*given.values(), (shown,) if shown else ()) for text in group]
+    if bad := [text for text in texts if not text.strip() or len(text) > _LONGEST or texts.count(text) > 1]:
+        raise ConfigError(f"vocabulary: prompt {bad[0]!r} is empty, repeated, or longer than {_LONGEST} characters")
+    groups = {name: tuple(group) for name, group in given.items() if name != OTHER and group}
+    mapping = {name: name for name in groups}
+    alone = (*given.get(OTHER, ()), *((shown,) if shown else ()))
+    if clash := sorted(set(alone) & set(groups)):
+        raise ConfigError(f"vocabulary: {clash[0]!r} is a label and a prompt of its own; choose other words")
+    groups |= {text: (text,) for text in alone}
+    mapping |= dict.fromkeys(alone, "unlabelled")
+    if manifest.output.kind == "embeddings":
+        return _by_words(manifest, groups, mapping)
+    if manifest.prompts is None:
+        raise ModelError(
+            f"model {manifest.name!r} takes no prompts; remove `vocabulary`, or use a network with a text encoder"
+        )
+    return _by_input(manifest, groups, mapping)
+
+
+def _by_words(
+    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
+) -> NetworkManifest:
+    """Return the manifest with the mean embedding of each group as its words, in a file of the user's cache."""
+    assert manifest.text is not None  # nosec B101 # the manifest's own rule for embeddings
+    texts = [text for group in groups.values() for text in group]
+    known = {} if manifest.text.file is None else _known_words(manifest)
+    unknown = [text for text in texts if text not in known]
+    if unknown and manifest.prompts is None:
+        raise ModelError(
+            f"model {manifest.name!r} has no embedding of {unknown[0]!r}, and no text encoder; add it to the text file"
+        )
+    path = _cache_folder() / f"{_digest(manifest, groups)}.npz"
+    if not path.is_file():
+        if unknown:
+            known |= dict(zip(unknown, encoded(manifest, unknown), strict=True))
+        means = np.stack([np.mean([known[text] for text in group], axis=0) for group in groups.values()])
+        _write(path, tuple(groups), unit_vectors(means.astype(np.float32), str(path)))
+    words = manifest.text.model_copy(update={"file": path})
+    return manifest.model_copy(update={"text": words, "mapping": mapping})
+
+
+def _by_input(
+    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
+) -> NetworkManifest:
+    """Return the manifest with the prompts as constants of the network's input.
+
+    Of a network that takes embeddings, each group is one class. Of one that takes token ids, each prompt is one, and
+    the probability of a label is the mean of those of its prompts: its logits are lowered by ln(number of prompts).
+    """
+    constants: dict[str, Any] = dict(manifest.input.constants)
+    ids = [name for name in constants if "ids" in name or "token" in name]
+    if not ids:
+        name = next(iter(constants), "")
+        texts = [text for group in groups.values() for text in group]
+        vectors = dict(zip(texts, encoded(manifest, texts), strict=True))
+        means = [np.mean([vectors[text] for text in group], axis=0) for group in groups.values()]
+        constants[name] = unit_vectors(np.stack(means).astype(np.float32), name).tolist()
+        classes, offsets = tuple(groups), {}
+    else:
+        of = {text: name for name, group in groups.items() for text in group}
+        tokens, mask = _tokens(manifest, list(of), None)
+        constants[ids[0]] = tokens.tolist()
+        constants |= {name: mask.tolist() for name in constants if "mask" in name}
+        classes, mapping = tuple(of), {text: mapping[name] for text, name in of.items()}
+        offsets = {text: -float(np.log(len(groups[name]))) for text, name in of.items() if len(groups[name]) > 1}
+    spec = manifest.input.model_copy(update={"constants": constants})
+    output = manifest.output.model_copy(update={"offsets": offsets})
+    changes = {"input": spec, "output": output, "classes": classes, "mapping": mapping}
+    return manifest.model_copy(update=changes)
+
+
+def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
+    """Return the embeddings (N, D) of length 1 of texts, by the text encoder of a manifest. Raises ModelError."""
+    if manifest.prompts is None or manifest.prompts.encoder is None:
+        raise ModelError(f"model {manifest.name!r} has no text encoder; name it as prompts.encoder in its manifest")
+    path = manifest.file_of(manifest.prompts.encoder)
+    session = open_session(NetworkFile.read(path), path)
+    nodes = {node.name: node for node in session.get_inputs()}
+    first = next((node for name, node in nodes.items() if "ids" in name), next(iter(nodes.values())))
+    length = first.shape[-1] if isinstance(first.shape[-1], int) else None
+    tokens, mask = _tokens(manifest, texts, length)
+    feed = {name: (mask if "mask" in name else tokens) for name in nodes}
+    feed = {name: _typed(values, nodes[name].type) for name, values in feed.items()}
+    outputs = [node.name for node in session.get_outputs()]
+    try:
+        each = ({name: values[i : i + 1] for name, values in feed.items()} for i in range(len(texts)))
+        rows = [session.run(outputs, one) for one in each]
+    except Exception as reason:  # the runtime's errors have no common base
+        raise ModelError(f"{path}: cannot encode text ({reason}); give the text encoder of {manifest.name}") from reason
+    flat = [place for place, value in enumerate(rows[0]) if np.ndim(value) == 2 and np.shape(value)[0] == 1]
+    named = [place for place in flat if "embed" in outputs[place]] or flat
+    if not named:
+        raise ModelError(f"{path}: outputs {', '.join(outputs)}; expected one vector per text, such as text_embeds")
+    vectors = np.concatenate([np.asarray(row[named[0]], np.float32) for row in rows])
+    if manifest.text is not None and vectors.shape[1] != manifest.text.dimensions:
+        expected = f"expected {manifest.text.dimensions}, as the network's features"
+        raise ModelError(f"{path}: embeddings have {vectors.shape[1]} numbers, {expected}")
+    return unit_vectors(vectors, str(path))
+
+
+def _typed(values: npt.NDArray[np.int64], kind: str) -> npt.NDArray[Any]:
+    return values.astype(np.int32) if kind == "tensor(int32)" else values
+
+
+def _tokens(
+    manifest: NetworkManifest, texts: Sequence[str], length: int | None
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the token ids (N, L) and the mask (N, L) of texts, of `length` or of the longest one."""
+    assert manifest.prompts is not None  # nosec B101 # callers have asked
+    try:
+        from tokenizers import Tokenizer
+    except ImportError as reason:
+        raise ModelError("prompts need the package tokenizers; install it: pip install 'ltm[text]'") from reason
+    path = manifest.file_of(manifest.prompts.tokenizer)
+    try:
+        tokenizer = Tokenizer.from_file(str(path))
+        padding = tokenizer.padding or {}
+        tokenizer.enable_truncation(length or _MOST_TOKENS)
+        kept = {key: padding[key] for key in ("pad_id", "pad_token") if key in padding}
+        tokenizer.enable_padding(length=length, **kept)
+        found = tokenizer.encode_batch(list(texts))
+    except Exception as reason:  # the library raises bare exceptions
+        raise ModelError(f"{path}: not a usable tokenizer.json ({reason}); give that of the text encoder") from reason
+    return np.array([one.ids for one in found], np.int64), np.array([one.attention_mask for one in found], np.int64)
+
+
+def _known_words(manifest: NetworkManifest) -> dict[str, Float32Array]:
+    words = load_text(manifest)
+    return dict(zip(words.names, words.vectors, strict=True))
+
+
+def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) -> str:
+    """Return the digest of all that the embeddings of prompts depend on."""
+    found = hashlib.sha256(json.dumps([(name, *group) for name, group in groups.items()]).encode())
+    if manifest.prompts is not None:
+        files = filter(None, (manifest.prompts.tokenizer, manifest.prompts.encoder))
+        for path in map(manifest.file_of, files):
+            found.update((NetworkFile.read(path).digest if path.suffix == ".onnx" else file_digest(path)).encode())
+    if manifest.text is not None and manifest.text.file is not None:
+        found.update(file_digest(manifest.text_file()).encode())
+    return found.hexdigest()
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
+
+
+def _write(path: Path, names: tuple[str, ...], vectors: Float32Array) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as part, part.open("wb") as stream:
+            np.savez(stream, names=np.array(names), embeddings=vectors)
+    except (ConfigError, OSError) as error:
+        raise ModelError(f"{path}: cannot be written; name a writable folder in XDG_CACHE_HOME") from error

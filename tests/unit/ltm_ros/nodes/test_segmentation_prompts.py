@@ -1,0 +1,109 @@
+"""Tests the node `segmentation` with the prompts of a site and of an operator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scenes.outlets import Kept
+from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
+from scenes.worded_network import DEMO, demo_frames, write_worded_network
+from std_msgs.msg import String
+
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.vision.labels import Label
+from ltm_msgs_py.image import image_to_msg, msg_to_array
+from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import LABELS_HEAT, LABELS_IMAGE, PROMPT
+from ltm_ros.viewer.view import RerunView
+
+pytest.importorskip("tokenizers")
+
+VOCABULARY = {"sky": ["sky"], "grass": ["meadow"], "shrub": ["chaparral"], "tree": ["conifer"], "bare": ["road"]}
+
+
+@pytest.fixture(scope="module")
+def frame() -> tuple[np.ndarray, np.ndarray]:
+    return demo_frames(4)[3]
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_worded_network(tmp_path_factory.mktemp("worded"), demo_frames(3))
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def node(folder: Path, model: str, **vocabulary: list[str]) -> tuple[SegmentationHandler, Kept]:
+    content = yaml.safe_load((DEMO / "site.yaml").read_text()) | {"model": model}
+    content["dem"]["path"], content["fuel"]["prior"] = str(DEMO / "dem.tif"), str(DEMO / "prior.tif")
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(content | ({"vocabulary": vocabulary} if vocabulary else {})))
+    outlet = Kept(LABELS_HEAT)
+    return SegmentationHandler(SegmentationConfig(site=str(path), camera="tower_north"), outlet, Health()), outlet
+
+
+def labelled(handler: SegmentationHandler, outlet: Kept, photo: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the labels and the heat map of the next image."""
+    outlet.sent.clear()
+    handler.on_image(image_to_msg(photo, "rgb8", STAMP, "tower_north_optical"))
+    heat = outlet.on(LABELS_HEAT)
+    return msg_to_array(outlet.on(LABELS_IMAGE)[0], ("mono8",)), msg_to_array(heat[0], ("mono8",)) if heat else None
+
+
+def test_a_prompt_list_changes_live_labels(tmp_path: Path, network: Path, frame: tuple[np.ndarray, np.ndarray]) -> None:
+    photo, truth = frame
+    swapped = VOCABULARY | {"grass": ["chaparral"], "shrub": ["meadow"]}
+    step = photo.shape[0] // truth.shape[0]
+    shares = {}
+    for name, vocabulary in (("right", VOCABULARY), ("swapped", swapped)):
+        handler, outlet = node(tmp_path, str(network), **vocabulary)
+        labels, heat = labelled(handler, outlet, photo)
+        assert heat is None
+        shares[name] = (labels[::step, ::step] == truth)[truth < 7].mean()
+    assert shares["right"] > 0.8
+    assert shares["swapped"] < 0.55
+
+
+def test_a_prompt_of_an_operator_gives_heat_and_no_votes(
+    tmp_path: Path, network: Path, frame: tuple[np.ndarray, np.ndarray]
+) -> None:
+    photo, truth = frame
+    handler, outlet = node(tmp_path, str(network), **{k: v for k, v in VOCABULARY.items() if k != "tree"})
+    before, _ = labelled(handler, outlet, photo)
+    topic = next(t for t in handler.subscriptions if t.name == f"/demo/{PROMPT.name}")
+    handler.subscriptions[topic](String(data="  downed   trees "))
+    labels, heat = labelled(handler, outlet, photo)
+    assert heat is not None
+    np.testing.assert_array_equal(labels, before)
+    step = photo.shape[0] // truth.shape[0]
+    seen = heat[::step, ::step]
+    assert seen[truth == Label.TREE].mean() > 4 * seen[(truth == Label.SHRUB) | (truth == Label.SKY)].mean()
+
+    # An invalid prompt is rejected, and the previous one remains; an empty one ends it.
+    with pytest.raises(ConfigError, match="200"):
+        handler.on_prompt(String(data="x" * 201))
+    np.testing.assert_array_equal(labelled(handler, outlet, photo)[1], heat)
+    handler.on_prompt(String(data=""))
+    assert labelled(handler, outlet, photo)[1] is None
+
+    # The viewer draws it over the image.
+    view = RerunView("prompts", site(north={}), hills(), LABELS, save=tmp_path / "view.rrd")
+    view.log_heat("north", STAMP, heat)
+    view.close()
+    (row,) = chunks(tmp_path / "view.rrd")["/map/cameras/north/heat"]
+    shown = np.frombuffer(bytes(row["Image:buffer"][0]), np.uint8).reshape(-1, 4)
+    assert shown[:, 3].max() > 100
+    assert shown[:, 3].min() < 20
+
+
+def test_a_network_without_text_rejects_prompts(tmp_path: Path) -> None:
+    handler, _ = node(tmp_path, "landscape_v2")
+    with pytest.raises(ModelError, match="landscape_v2"):
+        handler.on_prompt(String(data="downed trees"))
