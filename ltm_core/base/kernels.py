@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 from llvmlite import ir
@@ -17,6 +18,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.numba_cache import use_own_cache
+
+use_own_cache(Path(__file__).parents[1])
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 

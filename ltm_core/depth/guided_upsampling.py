@@ -90,8 +90,8 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 @helper(fastmath={"nsz", "contract"})
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
-    """Compute the network's view of row `v` of the photo into the first rows of `out` (3+, W): inverse depth, 1/m, NaN where
-    unknown, and the maximum and minimum among neighbours. `row`: (4, w) work array."""
+    """Compute the network's view of row `v` of the photo into the first rows of `out` (3+, W): inverse depth, 1/m, NaN
+    where unknown, and the maximum and minimum among neighbours. `row`: (4, w) work array."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):

@@ -6,6 +6,7 @@ import typer
 
 from ltm_lab.cli.bench.archive import archive
 from ltm_lab.cli.bench.graph import graph
+from ltm_lab.cli.bench.kernels import kernels
 from ltm_lab.cli.bench.memory import memory
 from ltm_lab.cli.bench.trace import trace
 
@@ -17,3 +18,4 @@ bench.command()(trace)
 bench.command()(graph)
 bench.command()(archive)
 bench.command()(memory)
+bench.command()(kernels)
