@@ -180,7 +180,7 @@ def _cut(
     if view.there:
         most = min(most, int(np.ceil(rules.strip_cells * np.float32(height) / view.cells.shape[1])))
     for i in range(len(rows)):
-        v, u = int(rows[i]), int(cols[i])
+        v, u = np.int64(rows[i]), np.int64(cols[i])
         d = ground[v, u]
         row, col = v * down // height, u * across // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
@@ -272,7 +272,7 @@ def _raise(
     their height and which of the two the network sees them nearer to."""
     one = np.float32(1.0)
     for i in range(len(rows)):
-        v, u = rows[i], cols[i]
+        v, u = np.int64(rows[i]), np.int64(cols[i])
         d = ground[v, u]
         for s in range(1, raised[i] + 1):
             if surface[v - s, u] <= d:

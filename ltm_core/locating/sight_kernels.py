@@ -85,11 +85,11 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
     sigmas, inverse = np.sqrt(height_variance), 1.0 / ranges
     all_far = all_fit = all_at = 0.0
     for a in range(heights.shape[0]):
-        count, stale = 0, True
+        count, stale = np.int64(0), True
         top, surely = -np.inf, -np.inf  # of the crests: the highest, and what one of them surely reaches
         # Two stretches of samples that err alike with what is close behind them: this one and the one before.
-        mu0, var0, score0, knot0, end0 = -np.inf, 0.0, -np.inf, 0, -np.inf
-        mu1, var1, knot1 = -np.inf, 0.0, 0
+        mu0, var0, score0, knot0, end0 = -np.inf, 0.0, -np.inf, np.int64(0), -np.inf
+        mu1, var1, knot1 = -np.inf, 0.0, np.int64(0)
         before = np.nan
         for k in range(heights.shape[1]):
             level = levels[a, k]

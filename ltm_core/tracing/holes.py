@@ -16,8 +16,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
@@ -94,12 +92,17 @@ def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
 
 def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:
     """For each run the number of its hole: runs that touch, at corners too, are one."""
+    if not row.size:
+        return row
+    from scipy.sparse import coo_array  # here, because few DEMs have holes and SciPy takes long to load
+    from scipy.sparse.csgraph import connected_components
+
     above = (row - 1) * (width + 1)
     lowest = np.searchsorted(row * (width + 1) + end, above + first)
     count = np.searchsorted(row * (width + 1) + first, above + end, "right") - lowest
     touching = np.arange(count.sum()) + np.repeat(lowest - np.cumsum(count) + count, count)
     pairs = coo_array((np.ones(len(touching)), (np.repeat(np.arange(row.size), count), touching)), (row.size, row.size))
-    return connected_components(pairs, directed=False)[1].astype(np.int64) if row.size else row
+    return np.asarray(connected_components(pairs, directed=False)[1], np.int64)
 
 
 @kernel()

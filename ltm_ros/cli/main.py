@@ -31,6 +31,8 @@ from ltm_ros.cli.trace import trace, viewshed
 from ltm_ros.cli.train import train
 from ltm_ros.cli.view import view
 
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it searches all installed packages at each start
+
 _PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a file or file system that the user must fix; it may have changed since the command's checks."""
 
