@@ -6,9 +6,9 @@ NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.numba_cache import use_own_cache
 
 use_own_cache(Path(__file__).parents[1])
@@ -38,40 +37,22 @@ def helper(**options: Any) -> _Decorator:
 
 
 _PARTS_PER_THREAD = 8
-
-
-class _Threads:
-    """Threads of this process for kernels; started when they are first needed."""
-
-    def __init__(self) -> None:
-        self.count: int = config.NUMBA_NUM_THREADS
-        self._lock = threading.Lock()
-        self._pool: ThreadPoolExecutor | None = None
-
-    def pool(self) -> ThreadPoolExecutor:
-        with self._lock:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(self.count, thread_name_prefix="kernels")
-            return self._pool
-
-    def limit(self, count: int) -> None:
-        with self._lock:
-            self.count, self._pool = count, None
-
-
-_threads = _Threads()
+_threads = {"count": config.NUMBA_NUM_THREADS}
 
 
 def kernel_threads() -> int:
     """Return the number of threads that `in_parallel` uses: NUMBA_NUM_THREADS, or that of `limit_kernel_threads`."""
-    return _threads.count
+    return int(_threads["count"])
 
 
 def limit_kernel_threads(count: int) -> None:
-    """Let kernels of this process use at most `count` threads. Raises ConfigError if it is less than 1."""
-    if count < 1:
-        raise ConfigError(f"kernel threads: {count}; give 1 or more")
-    _threads.limit(min(count, config.NUMBA_NUM_THREADS))
+    """Let kernels of this process use at most `count` threads, 1 or more."""
+    _threads["count"] = min(count, config.NUMBA_NUM_THREADS)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="kernels")
 
 
 def in_parallel(work: Callable[[int, int], object], count: int, least: int = 1) -> None:
@@ -86,7 +67,7 @@ def in_parallel(work: Callable[[int, int], object], count: int, least: int = 1) 
         work(0, count)
         return
     parts = [(first, min(first + size, count)) for first in range(0, count, size)]
-    for _ in _threads.pool().map(lambda part: work(*part), parts):
+    for _ in _pool(threads).map(lambda part: work(*part), parts):
         pass
 
 

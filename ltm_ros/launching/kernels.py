@@ -12,7 +12,7 @@ import signal
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import ltm_core
@@ -74,9 +74,9 @@ def _count(folder: Path | None) -> int:
     return 0 if folder is None else sum(1 for _ in folder.rglob("*.nbi"))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Compile the kernels of all nodes of a site, or of the kinds after `--kinds`."""
-    path, *kinds = sys.argv[1:] if arguments is None else arguments
+    path, *kinds = sys.argv[1:]
     site = load_site(path)
     if kinds:
         signal_at_parents_death(signal.SIGKILL)

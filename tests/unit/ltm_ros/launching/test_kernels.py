@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scenes.small_site import write_small_site
 
-from ltm_core.pipeline.kernels import KERNELS
+from ltm_core.pipeline.kernels import KERNELS, compile_kernels
 from ltm_core.site.site_io import load_site
 from ltm_ros.launching import kernels
 from ltm_ros.launching.graph import describe
@@ -42,4 +42,4 @@ def test_each_kind_of_node_is_compiled_once_for_a_state_of_the_source(
 
 @pytest.mark.parametrize("kind", KERNELS)
 def test_the_scene_of_each_kind_can_be_computed(tmp_path: Path, kind: str) -> None:
-    kernels.main([str(write_small_site(tmp_path, recording=False).path), kernels._ONE_KIND, kind])
+    compile_kernels(kind, load_site(write_small_site(tmp_path, recording=False).path))
