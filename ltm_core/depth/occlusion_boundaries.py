@@ -180,7 +180,8 @@ def _cut(
     if view.there:
         most = min(most, int(np.ceil(rules.strip_cells * np.float32(height) / view.cells.shape[1])))
     for i in range(len(rows)):
-        v, u = np.int64(rows[i]), np.int64(cols[i])
+        v: Any = np.int64(rows[i])  # else what takes them is compiled for each width
+        u: Any = np.int64(cols[i])
         d = ground[v, u]
         row, col = v * down // height, u * across // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
@@ -272,7 +273,8 @@ def _raise(
     their height and which of the two the network sees them nearer to."""
     one = np.float32(1.0)
     for i in range(len(rows)):
-        v, u = np.int64(rows[i]), np.int64(cols[i])
+        v: Any = np.int64(rows[i])  # else what takes them is compiled for each width
+        u: Any = np.int64(cols[i])
         d = ground[v, u]
         for s in range(1, raised[i] + 1):
             if surface[v - s, u] <= d:

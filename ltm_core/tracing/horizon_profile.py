@@ -15,7 +15,7 @@ none, it hits nothing at all. Tangents are rounded up and bound everything betwe
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,7 +128,7 @@ def _walk_wedges(
         entries = 0
         begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
         cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
-        level = np.int64(0)  # else `_highest` is compiled for the literal, too
+        level: Any = np.int64(0)  # else `_highest` is compiled for the literal, too
         levels = ground.offsets.size
         while 0 <= cell < n_major:
             low = (cell >> level) << level
