@@ -243,7 +243,8 @@ def _fuse(
                 likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
             if not (likely >= rules.open and other > 0):
                 continue
-            inverse, t = invert(i, np.int64(column[u]), other, errors)
+            # An int32: `network_measurement` has a compiled form of its own, without this kernel's fastmath.
+            inverse, t = invert(i, column[u], other, errors)
             if nearer:
                 # The shifts were learned on ground; an object in front of it has the depth of the line alone, and its
                 # presence is known even if its depth is not.
@@ -327,10 +328,10 @@ def _choose(
                 y, a = seen[u], np.float32(0.0)
                 if d < far:
                     a = one / d
-                m, t = expected_prediction(i, np.int64(column[u]), a, errors)
+                m, t = expected_prediction(i, column[u], a, errors)
                 to_ground = (y - a + m) / t
                 for_over = half * to_ground * to_ground + np.log(t)
-                m, t = expected_prediction(i, np.int64(column[u]), one / c, errors)
+                m, t = expected_prediction(i, column[u], one / c, errors)
                 to_over = (y - one / c + m) / t
                 for_over -= half * to_over * to_over + np.log(t)
                 odds += rules.canopy_weight * for_over
