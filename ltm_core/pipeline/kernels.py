@@ -100,7 +100,15 @@ def _fuel_map(site: Site) -> None:
     tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
     votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellVisibility(*([100 * one] * 5)))
     for errors in (site_label_errors(site), *camera_label_errors(site).values()):
-        EvidenceMap(tiny, None, labels, errors=errors).add(votes)
+        counted = EvidenceMap(tiny, None, labels, errors=errors)
+        counted.add(votes)
+        counted.layers()
+
+
+def _labels(_: Site) -> None:
+    from ltm_core.vision.second_scale import upsampled_winner
+
+    upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
 
 
 def _locating(_: Site) -> None:
@@ -130,6 +138,7 @@ KERNELS: Final[dict[str, Callable[[Site], None]]] = {
     "fuel_votes": _votes,
     "terrain": _terrain,
     "locate": _locating,
+    "segmentation": _labels,
 }
 """By kind of node; those that take longest first."""
 
