@@ -23,7 +23,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-phone demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -41,6 +41,10 @@ $(VENV)/.installed-dev: $(INSTALLED) ltm_lab/pyproject.toml ltm_lab/setup.py
 demo: $(INSTALLED)
 	$(BIN)/ltm demo --out out/demo
 	@if [ -e $(FIRE)/.installed ]; then $(BURN); else echo "a fire on this map, before and after: make demo-fire"; fi
+
+# A walk with a phone: the poses of its photos are found, and its maps compared.
+demo-phone: $(INSTALLED)
+	$(BIN)/ltm demo --phone --out out/demo-phone
 
 fire: $(FIRE)/.installed
 

@@ -6,10 +6,7 @@ when it is first used, so that a program pays only for what it needs.
 """
 
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-from ltm_core.base.numba_cache import use_own_cache
 
 if TYPE_CHECKING:
     from ltm_core.base.errors import LtmError
@@ -90,8 +87,6 @@ _MODULES = {
     "site_evidence_map": "pipeline.site_fuel",
     "viewshed": "visibility.viewshed",
 }
-
-use_own_cache(Path(__file__).parent)
 
 
 def __getattr__(name: str) -> object:

@@ -1,13 +1,74 @@
-"""Prefetch memory into the cache in compiled kernels; do nothing if compilation is off."""
+"""Compile kernels with numba, run them on all threads, and prefetch memory in them.
+
+Kernels are cached on disk (`numba_cache`) and compiled when they are first called. Division by zero gives infinity or
+NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from llvmlite import ir
-from numba import config, types
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from ltm_core.base.numba_cache import use_own_cache
+
+use_own_cache(Path(__file__).parents[1])
+
+_Decorator = Callable[[Callable[..., Any]], Any]
+
+
+def kernel(**options: Any) -> _Decorator:
+    """Return a decorator for a kernel that Python calls; `options` of `numba.njit`."""
+    decorator: _Decorator = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    return decorator
+
+
+def helper(**options: Any) -> _Decorator:
+    """Return a decorator for a function that only kernels call: without a wrapper for Python, which would take a fifth
+    of the time to compile. Without `fastmath` it takes that of the kernel that first calls it with these types."""
+    return kernel(no_cpython_wrapper=True, **options)
+
+
+_PARTS_PER_THREAD = 8
+_threads = {"count": config.NUMBA_NUM_THREADS}
+
+
+def kernel_threads() -> int:
+    """Return the number of threads that `in_parallel` uses: NUMBA_NUM_THREADS, or that of `limit_kernel_threads`."""
+    return int(_threads["count"])
+
+
+def limit_kernel_threads(count: int) -> None:
+    """Let kernels of this process use at most `count` threads, 1 or more."""
+    _threads["count"] = min(count, config.NUMBA_NUM_THREADS)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="kernels")
+
+
+def in_parallel(work: Callable[[int, int], object], count: int, least: int = 1) -> None:
+    """Call `work(first, end)` for consecutive parts of range(count), in several threads. `work`: calls a kernel that
+    releases the interpreter lock. `least`: minimum size of a part.
+
+    Numba's own `parallel=True` takes seconds to compile, and its launches must not overlap in a process.
+    """
+    threads = kernel_threads()
+    size = max(least, -(-count // (threads * _PARTS_PER_THREAD)))
+    if threads == 1 or count <= size:
+        work(0, count)
+        return
+    parts = [(first, min(first + size, count)) for first in range(0, count, size)]
+    for _ in _pool(threads).map(lambda part: work(*part), parts):
+        pass
 
 
 def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:

@@ -2,8 +2,8 @@
 
 Numba checks only the file of the kernel that it loads. When a kernel *called* by it, or a constant frozen into it, in
 another file, has changed, the old machine code would be loaded and give wrong results silently. So the state is that of
-all files that kernels may depend on: those that name numba, and what these import of the same package, at any depth. An
-edit elsewhere recompiles nothing.
+all files that kernels may depend on: those that name numba or `base.kernels`, and what these import of the same
+package, at any depth. An edit elsewhere recompiles nothing.
 
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
 changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process
@@ -21,7 +21,6 @@ import shutil
 import stat
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -71,7 +70,7 @@ def use_own_cache(source: Path) -> Path | None:
 def _state(source: Path) -> str:
     modules = {_module_name(file, source): file.read_bytes() for file in source.rglob("*.py")}
     needed: set[bytes] = set()
-    ahead = [name for name, text in modules.items() if b"numba" in text]
+    ahead = [name for name, text in modules.items() if b"numba" in text or b"base.kernels" in text]
     while ahead:
         name = ahead.pop()
         if name not in needed:
@@ -125,7 +124,3 @@ def _age(folder: Path) -> float:
         return folder.stat().st_mtime
     except FileNotFoundError:
         return 0.0
-
-
-ONE_LAUNCH = threading.Lock()
-"""Lock held around every call of a kernel that was compiled with `parallel=True`."""

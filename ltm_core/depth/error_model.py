@@ -12,11 +12,11 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Float64Array, IndexArray, Int32Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
@@ -72,7 +72,7 @@ def octaves(depth: NDArray[np.floating]) -> IndexArray:
     return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _place(depth: np.float32) -> np.float32:
     """Return where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
     if depth < np.float32(_STEPS / 16):
@@ -82,7 +82,7 @@ def _place(depth: np.float32) -> np.float32:
     return np.float32(_FAR[min(int(depth * np.float32(1 / 16)), _STEPS - 1)])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
     """Return the bias of the network at the true `inverse` depth in a cell of the tables, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
@@ -96,7 +96,7 @@ def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTa
     return less * inverse, sigma * inverse
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def interpolation_table(tables: ErrorTables) -> Float32Array:
     """Return both tables (R, C, D) side by side, (R, C * D, 4): each value, and its difference to the next half
     octave."""
@@ -114,7 +114,7 @@ def interpolation_table(tables: ErrorTables) -> Float32Array:
     return both
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "arcp", "contract"})
 def expected_predictions(
     inverse: Float32Array,
     tables: Float32Array,
@@ -147,7 +147,7 @@ def expected_predictions(
         sigma[u] = (at[2] + more * at[3]) * x
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
     """Return the true inverse depth for the network's value `read`, and its sigma, 1/m."""
     plain = np.float32(1.0)

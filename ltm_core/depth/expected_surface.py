@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
@@ -76,7 +76,7 @@ def expected_surface(
     return surface, sigma
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@kernel(nogil=True, fastmath={"nsz", "arcp", "contract"})
 def _expect(
     ground: Float32Array,
     labels: UInt8Array,
@@ -116,12 +116,13 @@ def _expect(
         if labelled:
             _cover(ground, v, labels[v], cover, rules, surface, square)
         else:
-            surface[v] = here
+            for u in range(width):
+                surface[v, u] = here[u]
         for u in range(width):
             square[u] = np.sqrt(square[u])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "arcp", "contract"})
 def _cover(
     ground: Float32Array,
     v: int,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.error_model import ErrorModel, ErrorTables
 from ltm_core.depth.fusion_config import FusionConfig, UpsamplingConfig
@@ -80,7 +80,7 @@ class NetworkView(NamedTuple):
         return rows, columns
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
     """Return the row of cells above row `v` of a photo, and how far that lies towards the next."""
     at = (v + 0.5) * (rows / height) - 0.5
@@ -88,10 +88,10 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
     return row, np.float32(min(max(at - row, 0.0), 1.0))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "contract"})
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
-    """Compute the network's view of row `v` of the photo into `out` (3, W): inverse depth, 1/m, NaN where unknown, and
-    the maximum and minimum among neighbours. `row`: (4, w) work array."""
+    """Compute the network's view of row `v` of the photo into the first rows of `out` (3+, W): inverse depth, 1/m, NaN
+    where unknown, and the maximum and minimum among neighbours. `row`: (4, w) work array."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):
@@ -113,7 +113,7 @@ def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array
         farthest[u] = f
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
     """Return the network's inverse depth in one pixel, 1/m."""
     cells, grey = view.cells, view.grey
@@ -126,7 +126,7 @@ def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
     return np.float32(back if y < back else y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _between(image: Float32Array, top: int, x: int, down: np.float32, part: np.float32) -> np.float32:
     left = image[top, x] + down * (image[top + 1, x] - image[top, x])
     right = image[top, x + 1] + down * (image[top + 1, x + 1] - image[top, x + 1])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array
 from ltm_core.depth.error_model import ErrorTables, invert
 from ltm_core.depth.fusion_config import FusionConfig
@@ -43,7 +43,7 @@ class NetworkMeasurement:
         return cls(nothing, nothing)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _measure(
     seen: tuple[Float32Array, Float32Array, Float32Array],
     errors: ErrorTables,

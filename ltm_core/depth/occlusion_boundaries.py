@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.error_model import ErrorTables, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
@@ -99,7 +99,7 @@ def refine_occlusion_boundaries(
     return Silhouettes(rows, cols, ground[rows, cols], raised)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _sample(
     color: UInt8Array, top: int, bottom: int, u: int, rules: BoundaryRules, mean: Float32Array, var: Float32Array
 ) -> None:
@@ -122,7 +122,7 @@ def _sample(
         var[j] = max(var[j] / count - mean[j] * mean[j], np.float32(0.0)) + rules.color_noise
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) -> np.float32:
     """Return how far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below (`low`)
     and surely above (`high`), 1/m. Soft or displaced edges give values near 0."""
@@ -130,7 +130,7 @@ def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) 
     return min(share, 1 / share) if share > 0 else np.float32(0.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _answer(depth: np.float32, row: int, col: int, errors: ErrorTables) -> _Answer:
     """Return what the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
     true = np.float32(1.0) / depth
@@ -138,7 +138,7 @@ def _answer(depth: np.float32, row: int, col: int, errors: ErrorTables) -> _Answ
     return true, less, spread, np.log(spread)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _against(inverse: np.float32, answer: _Answer) -> np.float32:
     """Return the log likelihood by which what the network sees, 1/m, speaks against a surface."""
     true, less, spread, log = answer
@@ -146,7 +146,7 @@ def _against(inverse: np.float32, answer: _Answer) -> np.float32:
     return np.float32(0.5) * off * off + log
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _farther(
     inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, errors: ErrorTables, most: np.float32
 ) -> np.float32:
@@ -157,7 +157,7 @@ def _farther(
     return min(max(gain, -most), most)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _cut(
     color: UInt8Array,
     ground: Float32Array,
@@ -180,7 +180,8 @@ def _cut(
     if view.there:
         most = min(most, int(np.ceil(rules.strip_cells * np.float32(height) / view.cells.shape[1])))
     for i in range(len(rows)):
-        v, u = rows[i], cols[i]
+        v: Any = np.int64(rows[i])  # else what takes them is compiled for each width
+        u: Any = np.int64(cols[i])
         d = ground[v, u]
         row, col = v * down // height, u * across // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
@@ -249,13 +250,13 @@ def _cut(
         raised[i] = cut
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _same(a: np.float32, b: np.float32, jump: np.float32) -> bool:
     """Return whether neighbouring depths are of one surface."""
     return bool(b < 1e9 and b < jump * a and a < jump * b)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _raise(
     rows: Int32Array,
     cols: Int32Array,
@@ -272,7 +273,8 @@ def _raise(
     their height and which of the two the network sees them nearer to."""
     one = np.float32(1.0)
     for i in range(len(rows)):
-        v, u = rows[i], cols[i]
+        v: Any = np.int64(rows[i])  # else what takes them is compiled for each width
+        u: Any = np.int64(cols[i])
         d = ground[v, u]
         for s in range(1, raised[i] + 1):
             if surface[v - s, u] <= d:

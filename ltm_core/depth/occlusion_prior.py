@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig, OcclusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -109,7 +109,7 @@ class OcclusionPrior(NamedTuple):
         return cls(nothing, nothing, np.float32(1.0), OcclusionRules.of(OcclusionConfig()))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
     """Return the first place in `column` of `OcclusionPrior.feet` where the ground below a `row` of the photo is as
     near as the inverse depth `near`; its length if the image ends above that."""
@@ -124,7 +124,7 @@ def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
     return first
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def occlusion_log_odds(
     prior: OcclusionPrior, odds: np.float32, near: np.float32, column: Float32Array, row: int
 ) -> np.float32:
@@ -136,14 +136,14 @@ def occlusion_log_odds(
     return np.float32(odds - rules.metre * min(height_above(prior, near, row, foot), rules.highest))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -> np.float32:
     """Return the height in metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth
     `near`."""
     return np.float32(max(foot * _STEP - row, 0)) / (near * prior.focal)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def mixture_moments(
     d: np.float32, s: np.float32, other: np.float32, t: np.float32, likely: np.float32
 ) -> tuple[np.float32, np.float32]:

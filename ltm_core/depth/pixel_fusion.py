@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.error_model import expected_prediction, expected_predictions, interpolation_table, invert
 from ltm_core.depth.fusion_config import DecisionConfig, FusionConfig
@@ -84,7 +84,7 @@ class FusionRow(NamedTuple):
     asked: BoolArray
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "arcp", "contract"})
 def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionRules) -> int:
     """Compare one row of terrain with the network's view: fills `true` to `asked`; returns how many are asked.
     `tables`: (C * D, 4), the row's of `interpolation_table`. One result a loop, so that compilers vectorise it."""
@@ -113,7 +113,7 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "arcp", "contract"})
 def average_row(row: FusionRow, rules: DecisionRules) -> None:
     """Average both depths by inverse variance, in inverse depth, where they agree and the terrain is one surface; see
     `compare_row`."""
@@ -133,7 +133,7 @@ def average_row(row: FusionRow, rules: DecisionRules) -> None:
         kind[u] = 3 if weight[u] > np.float32(0.1) else kind[u]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@helper(fastmath={"nsz", "arcp", "contract"})
 def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
     """Initialise a row without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
@@ -156,20 +156,28 @@ def fuse_pixels(
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
     `topodepth.DepthSource`. `over`: (H, W) depth of a canopy raster; `network`, `standing`, `labels` (H, W) or None."""
+    view = NetworkView.none() if network is None else network
+    prior = OcclusionPrior.none() if standing is None else standing
+    width = depth.shape[1]
     _fuse(
         depth,
         sigma,
         source,
         np.zeros((0, 0), np.float32) if over is None else over,
         classes.canopy_log_odds,
-        NetworkView.none() if network is None else network,
-        OcclusionPrior.none() if standing is None else standing,
+        view,
+        prior,
         LabelView.of(labels, classes),
         DecisionRules.of(config.decision),
+        np.empty((4, view.cells.shape[2]), np.float32),
+        np.empty((10, width), np.float32),
+        np.full(width, 255, np.uint8),
+        np.empty((3, width), np.int32),
+        np.zeros(width, np.bool_),
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+@kernel(nogil=True, fastmath={"nsz", "arcp", "contract"})
 def _fuse(
     depth: Float32Array,
     sigma: Float32Array,
@@ -180,21 +188,23 @@ def _fuse(
     prior: OcclusionPrior,
     labels: LabelView,
     rules: DecisionRules,
+    between: Float32Array,
+    work: Float32Array,
+    unlabelled: UInt8Array,
+    index: Int32Array,
+    asked: BoolArray,
 ) -> None:
     """Fuse row by row (see `fusion_rows`): only the pixels where terrain and network disagree are examined one
-    by one."""
+    by one. `unlabelled`: a row of 255; what follows `rules` else is to work in."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.tables, view.gross, prior.odds, prior.feet
     tables = interpolation_table(errors)
-    seen, between = np.empty((3, width), np.float32), np.empty((4, view.cells.shape[2]), np.float32)
-    y, near, back = seen[0], seen[1], seen[2]
-    work = np.empty((7, width), np.float32)
-    true, own, less, spread, off, joint, part = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
-    place, asked = np.empty(width, np.int32), np.zeros(width, np.bool_)
-    column = (np.arange(width) * errors.shift.shape[1] // width).astype(np.int32)
-    cell = (np.arange(width) * odds.shape[1] // width).astype(np.int32)
-    unlabelled = np.full(width, np.uint8(255))
+    y, near, back = work[0], work[1], work[2]
+    true, own, less, spread, off, joint, part = work[3], work[4], work[5], work[6], work[7], work[8], work[9]
+    place, column, cell = index[0], index[1], index[2]
+    for u in range(width):
+        column[u], cell[u] = u * errors.shift.shape[1] // width, u * odds.shape[1] // width
     for v in range(height - 1, -1, -1):
         i = v * errors.shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
@@ -204,7 +214,7 @@ def _fuse(
         )
         at = odds[v * odds.shape[0] // height]
         if view.there:
-            upsample_row(view, v, between, seen)
+            upsample_row(view, v, between, work)
         if len(over):
             _choose(row, over[v], i, prefers_over, view, rules)
         begin_row(d, s, kind)
@@ -214,7 +224,9 @@ def _fuse(
         average_row(row, rules)
         if not count:
             continue
-        for u in np.flatnonzero(asked):
+        for u in range(width):
+            if not asked[u]:
+                continue
             other, likely = y[u], one
             nearer = kind[u] > 0 and off[u] > 0
             if kind[u] > 0 and not nearer:
@@ -231,6 +243,7 @@ def _fuse(
                 likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
             if not (likely >= rules.open and other > 0):
                 continue
+            # An int32: `network_measurement` has a compiled form of its own, without this kernel's fastmath.
             inverse, t = invert(i, column[u], other, errors)
             if nearer:
                 # The shifts were learned on ground; an object in front of it has the depth of the line alone, and its
@@ -247,7 +260,7 @@ def _fuse(
             kind[u] = 2 if likely > half else kind[u]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: DecisionRules) -> np.float32:
     """Return a network's sigma, 1/m, for objects in front of the ground, where `t` is its own; which of the neighbours'
     depths from `back` to `near` a pixel has is uncertain."""
@@ -255,7 +268,7 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
     return np.float32(np.sqrt(rules.elsewhere * t * t + between * between))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def surely_terrain(
     odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
@@ -267,7 +280,7 @@ def surely_terrain(
     return bool(off * off < np.float32(2.0) * joint * (need + rules.widest))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def log_against(
     other: np.float32,
     off: np.float32,
@@ -283,7 +296,7 @@ def log_against(
     return np.float32(np.log((np.float32(1.0) - gross) * fits * rules.ranges * max(other, spread) + gross))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def network_chance(
     other: np.float32,
     off: np.float32,
@@ -300,7 +313,7 @@ def network_chance(
     return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.likelihood_weight * against - odds)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _choose(
     row: FusionRow, over: Float32Array, i: int, prefers_over: Float32Array, view: NetworkView, rules: DecisionRules
 ) -> None:

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -173,7 +173,7 @@ def _changes(small: UInt8Array) -> Float32Array:
     return change
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:
     """Return the mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.geometry.camera import Camera
@@ -93,7 +93,7 @@ def _within(top: Float64Array, columns: int) -> Float64Array:
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _costs(
     observed: Float64Array,
     top: Float64Array,

@@ -17,10 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float64Array, Int64Array, UInt32Array
 from ltm_core.fuel.life_form import FORMS, LifeForm, form_counts
 from ltm_core.fuel.votes import CellVotes
@@ -84,7 +84,7 @@ def add_looks(state: Mapping[str, NDArray[Any]], looks: WoodyLooks, views: Int64
     )
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def _add(
     rows: Any, cols: Any, views: Any, sums: Any, second: int, epoch: int, burned_at: Any, epochs: Any, woody: Any
 ) -> None:

@@ -4,27 +4,31 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float64Array
 
 _REACH = 2.5
 """Number of sigmas to which the displacement of a cell is followed."""
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _index_of(rows: Any, cols: Any) -> Any:
-    """Return (H, W) int32 over the bounding box of the cells and one cell about it: which cell stands there, -1 for
-    none."""
-    top, left = rows.min() - 1, cols.min() - 1
-    index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int32)
+@helper()
+def index_of(rows: Any, cols: Any) -> Any:
+    """Return the row and column where a window begins that holds the cells (N,) and one cell around them, and (H, W)
+    int32 which cell each place of it is, -1 for none."""
+    top, left, bottom, right = rows[0], cols[0], rows[0], cols[0]
+    for i in range(1, rows.size):
+        top, bottom = min(top, rows[i]), max(bottom, rows[i])
+        left, right = min(left, cols[i]), max(right, cols[i])
+    top, left = top - 1, left - 1
+    index = np.full((bottom - top + 2, right - left + 2), np.int32(-1))
     for i in range(rows.size):
         index[rows[i] - top, cols[i] - left] = i
-    return index
+    return top, left, index
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def _gaussian(weight: float, sigma: float) -> Any:
     """Return (2 R + 1, 2 R + 1): `weight` at the centre."""
     reach = int(2 * sigma + 0.5)
@@ -35,7 +39,7 @@ def _gaussian(weight: float, sigma: float) -> Any:
     return kernel
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
 ) -> tuple[Float64Array, Float64Array]:
@@ -46,8 +50,7 @@ def with_neighbours(
     out, cells = values.copy(), np.ones(n)
     if n == 0 or weight == 0:
         return out, cells
-    index = _index_of(rows, cols)
-    top, left = rows.min() - 1, cols.min() - 1
+    top, left, index = index_of(rows, cols)
     kernels = _gaussian(weight, min(sigma, 1.0)), _gaussian(weight, sigma)
     for i in range(n):
         row, col = rows[i] - top, cols[i] - left
@@ -64,7 +67,7 @@ def with_neighbours(
     return out, cells
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def spread(
     rows: Any,
     cols: Any,
@@ -86,12 +89,12 @@ def spread(
     coverage = np.ones(n)
     if n == 0:
         return out, coverage
-    index = _index_of(rows, cols)
-    top, left = rows.min() - 1, cols.min() - 1
+    top, left, index = index_of(rows, cols)
     height, width = index.shape
     for i in range(n):
         if max(sigma_along[i], sigma_across[i]) < 0.25:
-            out[i] = shares[i]
+            for f in range(forms):
+                out[i, f] = shares[i, f]
             continue
         # A cell's own extent blurs where in it a pixel lies: a uniform distribution has a variance of 1/12.
         a, b = np.sqrt(sigma_along[i] ** 2 + 1 / 12), np.sqrt(sigma_across[i] ** 2 + 1 / 12)
@@ -133,11 +136,12 @@ def spread(
             for f in range(forms):
                 out[i, f] /= total
         else:
-            out[i] = shares[i]
+            for f in range(forms):
+                out[i, f] = shares[i, f]
     return out, coverage
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def remember(row: Any, value: Any) -> None:
     """Keep `value` among the least distinct ones of `row`, which are sorted; 0 is an empty place."""
     for k in range(row.size):
@@ -150,7 +154,7 @@ def remember(row: Any, value: Any) -> None:
             value, row[k] = row[k], value
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
     """Return the index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
 
@@ -165,15 +169,19 @@ def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
     if epochs[place] != epoch:
         for k in range(kept - 1, place, -1):
             epochs[k], best[k] = epochs[k - 1], best[k - 1]
-            shown[k, :] = shown[k - 1, :]
-            span[k, :] = span[k - 1, :]
+            for f in range(shown.shape[1]):
+                shown[k, f] = shown[k - 1, f]
+            for f in range(span.shape[1]):
+                span[k, f] = span[k - 1, f]
         epochs[place], best[place] = epoch, 0
-        shown[place, :] = 0
-        span[place, :] = 0
+        for f in range(shown.shape[1]):
+            shown[place, f] = 0
+        for f in range(span.shape[1]):
+            span[place, f] = 0
     return place
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def accumulate(
     rows: Any,
     cols: Any,
@@ -226,7 +234,7 @@ def accumulate(
         span[r, c, v, e, 1] = max(span[r, c, v, e, 1], second)
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def pooled(
     shown: Any,
     best: Any,
@@ -253,7 +261,8 @@ def pooled(
     for i in range(n):
         total, largest = 0.0, 0.0
         for v in range(views):
-            share[:], lasting[:] = 0.0, 0.0
+            for f in range(forms):
+                share[f], lasting[f] = 0.0, 0.0
             whole, kept, peak, looks, begin, end = 0.0, 0.0, 0.0, 0.0, np.inf, 0.0
             # One view: what it showed in all epochs, faded by age.
             for e in range(epochs):
@@ -289,6 +298,7 @@ def pooled(
             largest = max(largest, worth)
         # Views that resemble each other count less than independent ones.
         if total > 0:
-            out[i] /= 1 + (total / largest - 1) * between_views
-            told[i] /= 1 + (total / largest - 1) * between_views
+            for f in range(forms):
+                out[i, f] /= 1 + (total / largest - 1) * between_views
+                told[i, f] /= 1 + (total / largest - 1) * between_views
     return out, told

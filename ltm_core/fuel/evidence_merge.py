@@ -23,10 +23,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import numba
 import numpy as np
 
 from ltm_core.base.errors import ArchiveError
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Int64Array
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
@@ -34,7 +34,7 @@ from ltm_core.fuel.evidence_kernel import remember, slot_of
 from ltm_core.storage.tile_store_schema import Key, Tile
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def _add_capped(sums: Any, more: Any) -> None:
     """Add to each number of a row, clipped at the largest value."""
     ceiling = np.uint64(np.iinfo(np.uint32).max)
@@ -42,13 +42,13 @@ def _add_capped(sums: Any, more: Any) -> None:
         sums[k] = np.uint32(min(np.uint64(sums[k]) + np.uint64(more[k]), ceiling))
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def _least(one: Any, other: Any) -> Any:
     """Return the lesser of two, where 0 is none."""
     return other if one == 0 or 0 < other < one else one
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def merge_cells(
     shown: Any,
     best: Any,

@@ -8,20 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from ltm_core.base.errors import ImageError
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float64Array, Int64Array, UInt8Array
 from ltm_core.fuel.cell_appearance_model import USUAL
-from ltm_core.fuel.evidence_kernel import spread, with_neighbours
+from ltm_core.fuel.evidence_kernel import index_of, spread, with_neighbours
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import FORMS, form_counts
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def form_by_appearance(
     rows: Any,
     cols: Any,
@@ -45,11 +45,7 @@ def form_by_appearance(
     n = len(rows)
     if n == 0:
         return
-    top, left = rows.min() - 1, cols.min() - 1
-    # A raster of the cells of the frame, to find the neighbours before and behind each.
-    index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int32)
-    for i in range(n):
-        index[rows[i] - top, cols[i] - left] = i
+    top, left, index = index_of(rows, cols)  # to find the neighbours before and behind each
     told = np.empty(FORMS)
     for i in range(n):
         usual = 0.0
@@ -69,7 +65,8 @@ def form_by_appearance(
         across = (cosine[i] - incidence[knot]) / (incidence[knot + 1] - incidence[knot])
         across = min(max(across, 0.0), 1.0)
         # The sum of the weights of what is seen: the cell itself, its confidence, and its neighbours.
-        told[:] = 0.0
+        for f in range(FORMS):
+            told[f] = 0.0
         for side in range(2):
             part = across if side else 1.0 - across
             if part == 0.0:
@@ -103,7 +100,7 @@ def form_by_appearance(
             own[i, f] = max(told[f] - most - np.log(whole), least) if known[f] else least
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def log_normalised(values: Any) -> Float64Array:
     """Return (N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
     n, width = values.shape
@@ -120,7 +117,7 @@ def log_normalised(values: Any) -> Float64Array:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def normalised(logs: Any, divisors: Any) -> Float64Array:
     """Return (N, F) exponentials of the logarithms over `divisors` (N,), as shares of their sum in each row."""
     n, width = logs.shape
@@ -138,7 +135,7 @@ def normalised(logs: Any, divisors: Any) -> Float64Array:
     return out
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
     """Return (N,) index of the form that has most of `amounts` (N, F), -1 if that is less than `least` or than half of
     the cell's `most` (N,)."""

@@ -6,10 +6,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
 from ltm_core.fuel.life_form import PARTS, GroundLimits
 from ltm_core.geometry.camera import Camera
@@ -134,7 +134,7 @@ EAST, NORTH, SURE = 0, 1, 2
 """Columns of a cell's sums: x and y from the camera (m), and confidence (8 bits)."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _scan(
     distance: Any,
     along_axis: bool,
@@ -174,11 +174,9 @@ def _scan(
     dx, dy = np.empty(width, np.float32), np.empty(width, np.float32)
     used, farthest = 0, min(max_range * max_range, 1e300)  # squared, so that no root is taken; the sky is farther
     for v in range(height):
-        tx[:] = x_tangent[v if x_tangent.shape[0] > 1 else 0]
-        if y_tangent.shape[1] > 1:
-            ty[:] = y_tangent[v]
-        else:
-            ty[:] = y_tangent[v, 0]
+        x_row, y_step = v if x_tangent.shape[0] > 1 else 0, 1 if y_tangent.shape[1] > 1 else 0
+        for u in range(width):
+            tx[u], ty[u] = x_tangent[x_row, u], y_tangent[v, y_step * u]
         # The cell of each pixel, or -1; without branches, for vector code.
         for u in range(width):
             x, y, d = np.float64(tx[u]), np.float64(ty[u]), np.float64(distance[v, u])
@@ -231,7 +229,7 @@ def _scan(
     return used
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
     """Return which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1
     none."""

@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 
 from ltm_core.base.errors import CameraError
-from ltm_core.base.numba_cache import ONE_LAUNCH
 from ltm_core.base.types import Float32Array, Float64Array
 
 MOST_A_SIDE = 65_535
@@ -149,10 +148,11 @@ def _rays(camera: Camera) -> Float64Array:
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         fold = _fold_radius_squared(camera.distortion)
         # Here, for most processes of a graph know cameras and no kernel, and numba takes a third of a second to load.
+        from ltm_core.base.kernels import in_parallel
         from ltm_core.geometry.lens_inversion import undistorted_rays
 
-        with ONE_LAUNCH:
-            undistorted_rays(rays, intrinsics, np.array(camera.distortion), fold)
+        distortion = np.array(camera.distortion)
+        in_parallel(lambda first, end: undistorted_rays(first, end, rays, intrinsics, distortion, fold), camera.height)
     else:
         rays[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
         rays[..., 1] = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]

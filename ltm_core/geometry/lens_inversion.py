@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float64Array
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: float) -> float:
     """Return the undistorted radius of a distorted one, by bisection: up to the fold the radial model only grows."""
     low, high = 0.0, np.sqrt(fold)
@@ -27,17 +27,20 @@ def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: flo
     return float(middle)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: Float64Array, fold: float) -> None:
-    """Invert the two distortion equations by Newton's method; a pixel that does not converge inside the fold is NaN.
+@kernel(nogil=True)
+def undistorted_rays(
+    first: int, end: int, rays: Float64Array, intrinsics: Float64Array, distortion: Float64Array, fold: float
+) -> None:
+    """Invert the two distortion equations by Newton's method in rows `first` to `end` of `rays` (H, W, 3); a
+    pixel that does not converge inside the fold is NaN.
 
     It starts at the distorted point. Where the model all but folds, steps from there may never settle; then a second
     start, at the radius that the radial part alone gives, lies next to the solution.
     """
     fx, fy, cx, cy = intrinsics
     k1, k2, p1, p2, k3 = distortion
-    height, width, _ = rays.shape
-    for v in numba.prange(height):
+    width = rays.shape[1]
+    for v in range(first, end):
         for u in range(width):
             xd, yd = (u - cx) / fx, (v - cy) / fy
             x, y = xd, yd

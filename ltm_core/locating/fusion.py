@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import SightLikelihood
@@ -48,7 +48,7 @@ def sight_raster(
         return SightRaster(np.where(area > 0, total / area, 0.0), fit, np.where(total > 0, lift / total, 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _splat(
     samples: FanSamples,
     density: Float64Array,

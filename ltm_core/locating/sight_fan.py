@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.raster.dem import Dem
 
@@ -88,7 +88,7 @@ def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Flo
     return np.concatenate([usual[usual < start], np.linspace(start, stop, count), usual[usual > stop]])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _sample(
     elevation: Float32Array,
     row: float,

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 from ltm_core.locating.sight_fan import NO_LEVEL, Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
 
@@ -31,7 +31,7 @@ camera, a low sample may hide the most."""
 ROOT_2PI = math.sqrt(2 * math.pi)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def ground_along(
     terrain: RayTerrain,
     mark: RayMark,
@@ -71,7 +71,7 @@ def ground_along(
             fit[a, k] = value * ROOT_2PI
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: float, found: SmokeDensities) -> None:
     """Compute densities of the marked slope with the base `seen` and `hidden`, without drift; `unseen`: the probability
     that the terrain hides the base. (A, R) each; the densities only at possible azimuths, `unseen` only where the mark
@@ -85,11 +85,11 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
     sigmas, inverse = np.sqrt(height_variance), 1.0 / ranges
     all_far = all_fit = all_at = 0.0
     for a in range(heights.shape[0]):
-        count, stale = 0, True
+        count, stale = np.int64(0), True
         top, surely = -np.inf, -np.inf  # of the crests: the highest, and what one of them surely reaches
         # Two stretches of samples that err alike with what is close behind them: this one and the one before.
-        mu0, var0, score0, knot0, end0 = -np.inf, 0.0, -np.inf, 0, -np.inf
-        mu1, var1, knot1 = -np.inf, 0.0, 0
+        mu0, var0, score0, knot0, end0 = -np.inf, 0.0, -np.inf, np.int64(0), -np.inf
+        mu1, var1, knot1 = -np.inf, 0.0, np.int64(0)
         before = np.nan
         for k in range(heights.shape[1]):
             level = levels[a, k]
@@ -182,7 +182,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
                 lifts[a, k] = raised / (near + behind)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _add_crest(
     mu: Float64Array,
     var: Float64Array,
@@ -211,7 +211,7 @@ def _add_crest(
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _one(mean: float, variance: float, low: float, edge: float, edge_var: float) -> tuple[float, float, float, float]:
     """Return the density of a marked slope where smoke comes up at an edge, that over its greatest, and the edge's
     slope as mark and terrain together have it, with variance. `low`: the edge one sample before."""
@@ -222,7 +222,7 @@ def _one(mean: float, variance: float, low: float, edge: float, edge_var: float)
     return value / sigma, value * ROOT_2PI, where, edge_var * variance / total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _all_lower(slope: float, variance: float, mu: Float64Array, var: Float64Array, count: int, but: int) -> float:
     """Return the chance that all crests, `but` one, are lower than a slope."""
     chance = 1.0
@@ -234,7 +234,7 @@ def _all_lower(slope: float, variance: float, mu: Float64Array, var: Float64Arra
     return chance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def higher(a: float, a_var: float, b: float, b_var: float) -> float:
     """Return the probability that one normal variable is greater than another."""
     off, variance = a - b, a_var + b_var + 1e-14
@@ -243,7 +243,7 @@ def higher(a: float, a_var: float, b: float, b_var: float) -> float:
     return 0.5 * math.erfc(-off / math.sqrt(2.0 * variance))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def mean_density(first: float, last: float) -> float:
     """Return the mean of the standard normal density between two values."""
     if min(abs(first), abs(last)) > 7 and first * last > 0:
@@ -258,7 +258,7 @@ _REACH = 2.5
 _NEIGHBOURS = 9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: SmokeDensities) -> None:
     """Convert densities of the slope to densities of the direction, in place. Smoke with a hidden base appears at the
     marked azimuths, wherever the base is: over these its slope's density is averaged, range by range."""
@@ -299,7 +299,7 @@ def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: Smo
             fit[a, k] = seen_fit + behind_fit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def add_smeared(terrain: RayTerrain, mark: RayMark, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
     """Add to the slope's density at a visible base that at a hidden one, averaged over the azimuths to which a plume
     may have drifted; evenly spaced azimuths."""

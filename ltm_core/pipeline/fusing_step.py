@@ -19,8 +19,6 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.topodepth import FusedDepth, fuse, measure
 from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
@@ -135,19 +133,6 @@ class FusingStep:
         return FusionSettings(
             float(np.sqrt(angle**2 + known)), self._config.dem_sigma, label_columns=self.label_columns
         )
-
-    def compile_kernels(self) -> None:
-        """Compile the kernels, or load them from numba's cache, so that the first frame does not wait."""
-        camera = Camera.from_fov(96, 64, 50.0)
-        rows, cols = np.mgrid[0:64, 0:96]
-        depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
-        depth[:10] = np.inf
-        traced = DepthImage(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0))
-        rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
-        inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
-        for given in (labels, None):
-            network = NetworkDepth(inverse, "relative_inverse")
-            fuse(traced, network, rgb, given, self._classes, config=self.network.fusion).measured()
 
 
 def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:

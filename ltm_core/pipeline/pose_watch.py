@@ -10,7 +10,6 @@ import numpy as np
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
@@ -18,7 +17,6 @@ from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import Label
 
@@ -98,12 +96,3 @@ def contradicted_share(
         return None
     limit = np.maximum(_SIGMAS * rows.sigma, _LEAST * evidence.camera.fy)
     return float(((np.abs(rows.error) > limit) & (rows.weight > 0)).mean())
-
-
-def compile_kernels() -> None:
-    """Compile what `PoseWatch` needs, so that no frame waits for it."""
-    flat = Dem(np.zeros((9, 9), np.float32), GridGeometry(-400.0, 500.0, 100.0, 9, 9))
-    labels = np.full((48, 64), Label.GRASS, np.uint8)
-    labels[:24] = Label.SKY
-    pose = Pose.from_angles((0.0, 0.0, 10.0), 0.0, 0.0)
-    contradicted_share(labels, Camera.from_fov(64, 48, 60.0), pose, SearchTerrain(flat, 0.0), PicturePoseConfig())

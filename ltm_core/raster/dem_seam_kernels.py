@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
     i = min(max(math.floor(row), 0), nodes.shape[0] - 2)
     j = min(max(math.floor(col), 0), nodes.shape[1] - 2)
@@ -21,7 +21,7 @@ def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
     return height
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array) -> None:
     """Return the row after row from the north; of each column the two ends of the hole that it is in are kept."""
     height, width = fine.shape
@@ -60,7 +60,7 @@ def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Flo
             j = end
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def _difference(
     fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, i: int, j: int
 ) -> float:
@@ -71,7 +71,7 @@ def _difference(
     return difference
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, band: float) -> None:
     height, width = fine.shape
     deep = math.ceil(band)

@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Int32Array, Int64Array, RecordArray, UInt8Array
 from ltm_core.storage.tile_store_schema import Field
 
@@ -79,7 +79,7 @@ class TileCells(NamedTuple):
         return blocks[_BLOCK_OF[name]][name]
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def place_of(row: int, col: int, across: int) -> int:
     """Return the place of a cell of the grid, which is `across` tiles wide."""
     tile = (row >> TILE_BITS) * across + (col >> TILE_BITS)
@@ -126,7 +126,7 @@ class FrameSums(NamedTuple):
         return np.sort(self.tiles[: self.used[1]])
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def clear(sums: FrameSums) -> None:
     """Forget the last frame."""
     for i in range(sums.used[0]):
@@ -137,7 +137,7 @@ def clear(sums: FrameSums) -> None:
     sums.used[:] = 0
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def sum_of(sums: FrameSums, place: int) -> int:
     """Return the place of the sums of a cell, cleared if it is new; -1 if there is no room."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)

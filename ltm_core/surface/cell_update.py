@@ -12,9 +12,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from ltm_core.base.kernels import prefetch
+from ltm_core.base.kernels import helper, kernel, prefetch
 from ltm_core.base.types import Int32Array
 from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, FrameSums, TileCells
 
@@ -46,7 +45,7 @@ class Rules(NamedTuple):
     repeated_error_share: float
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _bits(mask: int) -> int:
     count = 0
     while mask:
@@ -55,14 +54,14 @@ def _bits(mask: int) -> int:
     return count
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def independent(cameras: int, first: int, last: int, independent_after: float, settle: float) -> bool:
     """Return whether these views are independent: two cameras over some time, or one camera long enough apart."""
     span = float(last) - float(first)
     return span >= independent_after or (span >= settle and _bits(cameras) >= 2)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeated: float) -> float:
     """Return the variance of an estimate. `repeated`: share of the observations' variance that all observations of a
     camera have in common."""
@@ -73,7 +72,7 @@ def mean_variance(looks: float, weight: float, pose_variance: float, cameras: in
     return variance
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: float) -> float:
     """Of a look: all of it for a camera that has not seen the cell, else what has passed of an hour."""
     if (cameras & bit) == 0:
@@ -81,7 +80,7 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
     return min(max((float(seconds) - float(last)) / independent_after, 1e-3), 1.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _remembered(seconds: int, last: int, lasting: float) -> float:
     """Return what is left of the weight of looks that ended with `last`."""
     passed = float(seconds) - float(last)
@@ -92,7 +91,7 @@ def _remembered(seconds: int, last: int, lasting: float) -> float:
     return 1.0 - age + 0.5 * age * age if age < 1e-3 else math.exp(-age)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
     it is not in memory."""
@@ -143,13 +142,13 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
     return observed
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _both(one: float, other: float) -> float:
     """Return the variance of the mean of two that know nothing of each other."""
     return one * other / (one + other)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _told(
     cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
@@ -173,7 +172,7 @@ def _told(
     return -share * one.stood, variance, pose
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def update_cell(
     cells: TileCells,
     slot: int,

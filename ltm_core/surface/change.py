@@ -9,9 +9,9 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 from ltm_core.storage.tile_store import Key
 from ltm_core.storage.tile_store_schema import Tile
@@ -193,7 +193,7 @@ def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[
     return variance, relative_variance, sure
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def _summary(
     looks: Float32Array,
     weight: Float32Array,

@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array, RecordArray
 from ltm_core.surface.cell_layout import place_of
 from ltm_core.surface.reference_surface import (
@@ -53,7 +53,7 @@ class Extremes(NamedTuple):
     far: Float32Array
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
     """Return the unit vector of a pixel's ray in the map frame."""
     m = view.rotation
@@ -65,7 +65,7 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def predict_view(
     ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, pixels: RecordArray
 ) -> None:

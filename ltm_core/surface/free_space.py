@@ -8,9 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from ltm_core.base.kernels import prefetch
+from ltm_core.base.kernels import kernel, prefetch
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -110,7 +109,7 @@ def _seen_through(standing: ElevatedCells, camera: Camera, pose: Pose, pixels: P
     return np.asarray(inside & _passed(u, v, standing.away, pixels, gate), np.bool_)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
     """Return whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than
     `away`."""
@@ -133,7 +132,7 @@ def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, ga
     return found
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def _find(
     cells: TileCells,
     places: Int32Array,
@@ -190,7 +189,7 @@ def _find(
     return count, len(places)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, rules: Rules) -> int:
     for i in range(len(standing.slot)):
         slot, k = standing.slot[i], standing.cell[i]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
 from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, sum_of
 from ltm_core.surface.observation_kernel import ObservationLimits, Pixels
@@ -14,7 +14,7 @@ _EDGE = 0.5
 """Share of the height of an object within which neighbouring pixels may see it differently."""
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def add_labels(
     ground: ReferenceGrid,
     expected_pixels: RecordArray,

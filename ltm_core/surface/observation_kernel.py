@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
 from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, place_of, sum_of
 from ltm_core.surface.expected_view import CameraView, direction
@@ -77,14 +77,14 @@ class Pixels(NamedTuple):
     cosines: Float32Array
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
     """Return the height of a ray over the reference surface after `t` metres."""
     z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
     return z
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
     """Return the most likely range of an object that the reference does not have, from `first` to `last`: small changes
     of the surface are likelier than large ones."""
@@ -112,7 +112,7 @@ def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: f
     return best
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> bool:
     """Return whether the terrain is not known all along under a ray between two ranges."""
     steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
@@ -123,7 +123,7 @@ def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> 
     return False
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _carve(
     ground: ReferenceGrid, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
 ) -> None:
@@ -145,7 +145,7 @@ def _carve(
         t, left = t + steps * stride, left - steps
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
     """Return the steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
     side = ground.block * ground.resolution
@@ -157,7 +157,7 @@ def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int,
     return max(int(min((left - t) / stride, 1e6)), 1)
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _lowest(ray: Ray, begin: float, end: float) -> float:
     """Return a bound on the height of a ray between two ranges."""
     ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
@@ -165,7 +165,7 @@ def _lowest(ray: Ray, begin: float, end: float) -> float:
     return bound
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
     above = _above(ground, ray, t)
     if above < below:
@@ -176,7 +176,7 @@ def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float,
             sums.cells[number].passed = passed
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel()
 def observe(
     ground: ReferenceGrid,
     view: CameraView,

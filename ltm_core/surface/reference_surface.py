@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
@@ -37,7 +37,7 @@ class ReferenceGrid(NamedTuple):
     across: int
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
     """Return the bilinear; NaN outside the outermost cell centres."""
     col = (x - ground.x_min) / ground.resolution - 0.5
@@ -55,7 +55,7 @@ def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
     return height_here
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
     """Return the row and column; -1, -1 outside."""
     col = math.floor((x - ground.x_min) / ground.resolution)
@@ -66,7 +66,7 @@ def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
     return int(row), int(col)
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def stood_at(ground: ReferenceGrid, place: int) -> float:
     """Return the height in metres of the object in a cell."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
@@ -76,13 +76,13 @@ def stood_at(ground: ReferenceGrid, place: int) -> float:
     return height
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def slopes_at(ground: ReferenceGrid, row: int, col: int) -> tuple[float, float]:
     r, c = row // ground.block, col // ground.block
     return np.float64(ground.east[r, c]), np.float64(ground.north[r, c])
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: float) -> float:
     """Return the incidence factor on the cell's own slope; 0 where that is not known."""
     height, width = ground.surface.shape
@@ -93,7 +93,7 @@ def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: f
     return steep if steep < math.inf else 0.0
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def pose_variance(covariance: Float64Array, east: float, north: float, px: float, py: float, pz: float) -> float:
     """Return the variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row
     of the camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1)."""

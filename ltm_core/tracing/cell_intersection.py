@@ -8,21 +8,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array
 
 # Contracting to FMA is safe; nnan and ninf would break the NaN and infinity that mean hole and sky.
 FASTMATH = {"contract", "nsz"}
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def ray_height(oz: float, s: float, bend: float, q: float) -> float:
     """Return the height of a ray at range q: z(q) = oz + s q + bend q^2."""
     return oz + q * (s + bend * q)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def surface(h00: float, h10: float, h01: float, h11: float) -> tuple[float, float, float]:
     """Return the coefficients b, e, g of the surface h00 + b u + e v + g u v between four corners, hxy at u = x, v =
     y."""
@@ -30,7 +30,7 @@ def surface(h00: float, h10: float, h01: float, h11: float) -> tuple[float, floa
     return b, h01 - h00, h11 - h01 - b
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def clearance(
     z: float,
     s: float,
@@ -52,7 +52,7 @@ def clearance(
     return f0, f1, bend - g * cx * cy
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def meets(f0: float, f1: float, a: float, dq: float) -> bool:
     """Return whether f0 + f1 t + a t^2, positive at 0, has a root up to dq: it is negative there, or dips in
     between."""
@@ -60,7 +60,7 @@ def meets(f0: float, f1: float, a: float, dq: float) -> bool:
     return dips | (f0 + dq * (f1 + a * dq) <= 0.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def first_root(f0: float, f1: float, a: float, dq: float) -> float:
     """Return the first root of f0 + f1 t + a t^2, at most dq, if any: the formula that does not cancel (Press et al.,
     Numerical Recipes, 3rd ed., 5.6)."""
@@ -75,7 +75,7 @@ without a hit)."""
 _MOST_CELLS = 48
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def cell_hit(
     nodes: Float32Array,
     o_major: float,

@@ -12,9 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
-from ltm_core.base.kernels import prefetch
+from ltm_core.base.kernels import helper, in_parallel, kernel, prefetch
 from ltm_core.base.types import Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.tracing.cell_intersection import FASTMATH, HIT, LEFT, cell_hit
 from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
@@ -39,17 +38,10 @@ within its wedge; node line at or after which the ray's entry begins; range from
 MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def new_block() -> Float64Array:
-    """Return a block before its first row."""
-    return np.zeros(8 * COLUMNS)
-
-
 _ROWS_AHEAD = 4
 """Number of rows prefetched for a ray that crosses rows, each in separate memory."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def sweep_image(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -65,15 +57,19 @@ def sweep_image(
     `rays`: (H, W, 3) unit vectors; NaN gives NaN. `out`: (H, W) float32, slant ranges in metres, or the states of rays
     that have met nothing, before this stage on entry, after it on return.
     """
-    height, width = rays.shape[0], rays.shape[1]
+    height, width = rays.shape[:2]
     flat_rays, flat_out = rays.reshape(-1), out.reshape(-1)
-    for tile in prange((width + COLUMNS - 1) // COLUMNS):
-        first = tile * COLUMNS
-        count = min(COLUMNS, width - first)
-        _sweep_tile(ground, stage, wedges, rotation, flat_rays, flat_out, width, height, first, count)
+
+    def sweep(first: int, end: int) -> None:
+        for column in range(first * COLUMNS, min(end * COLUMNS, width), COLUMNS):
+            count = min(COLUMNS, width - column)
+            block = np.zeros(8 * COLUMNS)
+            _sweep_tile(ground, stage, wedges, rotation, flat_rays, flat_out, block, width, height, column, count)
+
+    in_parallel(sweep, (width + COLUMNS - 1) // COLUMNS)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@kernel(fastmath=FASTMATH, nogil=True)
 def _sweep_tile(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -81,13 +77,13 @@ def _sweep_tile(
     rotation: Float64Array,
     rays: Float64Array,
     out: Float32Array,
+    block: Float64Array,
     width: int,
     height: int,
     first: int,
     count: int,
 ) -> None:
-    """Sweep `count` columns from `first` on; rays and out are flat."""
-    block = new_block()
+    """Sweep `count` columns from `first` on; rays and out are flat, `block` is new."""
     # An array that is read out of a tuple is counted as a reference, by all threads in one place: not in the loop.
     nodes, n_x, n_y = ground.nodes, ground.width, ground.height
     highest, entries, starts = wedges.highest, wedges.entries, wedges.start
@@ -103,7 +99,7 @@ def _sweep_tile(
             by_pyramid(ground, stage, count, block, at, out)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def turn(
     rays: Float64Array, at: int, count: int, rotation: Float64Array, resolution: float, block: Float64Array
 ) -> None:
@@ -132,7 +128,7 @@ def turn(
         block[WEDGE + i] = face * WEDGES_A_FACE + math.floor(place)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def enter(
     highest: Float32Array,
     entries: Int32Array,
@@ -158,7 +154,7 @@ def enter(
     return found
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def prefetch_starts(nodes: Float32Array, width: int, stage: RasterStage, count: int, block: Float64Array) -> None:
     """Fetch the first cells of a block's rays."""
     for i in range(count):
@@ -176,7 +172,7 @@ def prefetch_starts(nodes: Float32Array, width: int, stage: RasterStage, count: 
                 prefetch(nodes, at + k * row)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def through_cells(
     nodes: Float32Array,
     width: int,
@@ -224,7 +220,7 @@ def through_cells(
     return left
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def by_pyramid(
     ground: TerrainRaster, stage: RasterStage, count: int, block: Float64Array, at: int, out: Float32Array
 ) -> None:
@@ -261,7 +257,7 @@ def by_pyramid(
         out[at + i] = q * resolution * per_major if q >= 0.0 else q
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
     """Return the range of a vertical ray, by the sign of its slope; NaN for other rays."""
     if slope > 0.0:
@@ -269,7 +265,7 @@ def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
     return stage.oz - height_at(ground, stage.ox, stage.oy) if slope < 0.0 else np.nan
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def first_reaching(tangents: Float32Array, start: int, count: int, hint: int, slope: float) -> int:
     """Return the place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` if
     none is. The search widens from `hint` by doubling steps."""

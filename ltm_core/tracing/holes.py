@@ -16,10 +16,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
 
 _DIAGONAL = float(np.sqrt(2.0))
@@ -56,9 +54,9 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
     return Holes(row * width + first, row * width + end, outer, start, ceilings)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@helper()
 def run_of(holes: Holes, at: int) -> int:
-    """Return the run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
+    """Return the run that holds the NaN node with flat index `at`."""
     low, high = 0, holes.hole_first.size  # the last run that begins at or before `at` is the one before `low`
     while low < high:
         middle = (low + high) >> 1
@@ -69,7 +67,7 @@ def run_of(holes: Holes, at: int) -> int:
     return low - 1
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
     """Return the height of the node with flat index `at`, or its ceiling where it is unknown."""
     height = nodes[at]
@@ -79,7 +77,7 @@ def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
     return holes.ceilings[holes.hole_start[run] + at - holes.hole_first[run]]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
     """Return whether the node with flat index `at` belongs to an outer hole."""
     return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
@@ -94,15 +92,20 @@ def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
 
 def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:
     """For each run the number of its hole: runs that touch, at corners too, are one."""
+    if not row.size:
+        return row
+    from scipy.sparse import coo_array  # here, because few DEMs have holes and SciPy takes long to load
+    from scipy.sparse.csgraph import connected_components
+
     above = (row - 1) * (width + 1)
     lowest = np.searchsorted(row * (width + 1) + end, above + first)
     count = np.searchsorted(row * (width + 1) + first, above + end, "right") - lowest
     touching = np.arange(count.sum()) + np.repeat(lowest - np.cumsum(count) + count, count)
     pairs = coo_array((np.ones(len(touching)), (np.repeat(np.arange(row.size), count), touching)), (row.size, row.size))
-    return connected_components(pairs, directed=False)[1].astype(np.int64) if row.size else row
+    return np.asarray(connected_components(pairs, directed=False)[1], np.int64)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def _rims(
     elevation: Float32Array, row: Int64Array, first: Int64Array, end: Int64Array, hole: Int64Array
 ) -> Float64Array:
@@ -120,7 +123,7 @@ def _rims(
     return rim[hole]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def _lowered(
     elevation: Float32Array,
     row: Int64Array,
@@ -136,21 +139,22 @@ def _lowered(
     width = elevation.shape[1]
     fell = False
     # Filled heights of the row before and of the row itself, a place wider at both ends.
-    before, here = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
+    before, here = np.full(width + 2, np.float32(np.inf)), np.full(width + 2, np.float32(np.inf))
     for step in (1, -1):
         k = 0 if step == 1 else row.size - 1
         held = -2
         while 0 <= k < row.size:
             i = row[k]
             if held != i - step:
-                before[:] = np.inf
-                if 0 <= i - step < elevation.shape[0]:
-                    before[1:-1] = elevation[i - step]  # it has no run, else it would be held
-            here[:] = np.inf
-            here[1:-1] = elevation[i]
+                inside = 0 <= i - step < elevation.shape[0]
+                for j in range(width):
+                    before[1 + j] = elevation[i - step, j] if inside else np.inf  # it has no run, else it were held
+            for j in range(width):
+                here[1 + j] = elevation[i, j]
             from_run = k
             while 0 <= k < row.size and row[k] == i:
-                here[1 + first[k] : 1 + end[k]] = ceilings[start[k] : start[k] + end[k] - first[k]]
+                for n in range(end[k] - first[k]):
+                    here[1 + first[k] + n] = ceilings[start[k] + n]
                 k += step
             run = from_run
             while run != k:

@@ -15,11 +15,11 @@ none, it hits nothing at all. Tangents are rounded up and bound everything betwe
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
+from ltm_core.base.kernels import helper, in_parallel, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
@@ -29,6 +29,8 @@ WEDGES_A_FACE = 3072
 SECTOR = 64
 """Number of wedges that are built together."""
 _MOST_ENTRIES = 4096
+_FEWEST = 16
+"""Minimum number of wedges for a thread."""
 # Tangents are raised by this, well above the rounding of any ray's height, and of the tangent itself to float32 (6e-8).
 _RELATIVE, _ABSOLUTE = 3e-7, 1e-9
 # Cells: how far a wedge is widened so that no ray of it slips past its edge by rounding.
@@ -74,13 +76,19 @@ def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: R
     node = np.empty((missing.size, _MOST_ENTRIES), np.int32)
     count, start = wedges.entries.copy(), wedges.start.copy()
     found = np.empty(missing.size, np.int32)
-    _walk_wedges(ground, stage, missing, tangent, node, found)
+
+    def walk(first: int, last: int) -> None:
+        part = slice(first, last)
+        _walk_wedges(ground, stage, missing[part], tangent[part], node[part], found[part])
+
+    in_parallel(walk, missing.size, _FEWEST)
     begin = wedges.tangent.size + np.concatenate([[0], np.cumsum(found, dtype=np.int64)])
     count[missing], start[missing] = found, begin[:-1]
     tangents = np.empty(begin[-1], np.float32)
     nodes = np.empty(begin[-1], np.int32)
     tangents[: wedges.tangent.size], nodes[: wedges.node.size] = wedges.tangent, wedges.node
-    _compact(tangent, node, begin, tangents, nodes)
+    for k, n in enumerate(found.tolist()):
+        tangents[begin[k] : begin[k + 1]], nodes[begin[k] : begin[k + 1]] = tangent[k, :n], node[k, :n]
     highest = wedges.highest.copy()
     # A wedge that never comes over this stage's part has no entry.
     highest[missing] = -np.inf
@@ -88,21 +96,7 @@ def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: R
     return Wedges(start, count, highest, tangents, nodes)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _compact(
-    tangent: Float32Array,
-    node: Int32Array,
-    begin: Int64Array,
-    tangents: Float32Array,
-    nodes: Int32Array,
-) -> None:
-    for k in range(tangent.shape[0]):
-        n = begin[k + 1] - begin[k]
-        tangents[begin[k] : begin[k + 1]] = tangent[k, :n]
-        nodes[begin[k] : begin[k + 1]] = node[k, :n]
-
-
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _walk_wedges(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -111,75 +105,69 @@ def _walk_wedges(
     node: Int32Array,
     count: Int32Array,
 ) -> None:
-    tasks = (wanted.size + 15) // 16
-    for task in prange(tasks):
-        for k in range(task * 16, min(task * 16 + 16, wanted.size)):
-            count[k] = _walk_wedge(ground, stage, wanted[k], tangent[k], node[k])
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _walk_wedge(ground: TerrainRaster, stage: RasterStage, index: int, tangent: Float32Array, node: Int32Array) -> int:
-    """Fill the entries of one wedge; returns their number."""
+    """Fill the entries of the wedges `wanted` (N,) and their numbers `count`."""
     oz, bend = stage.oz, stage.bend
-    face = index // WEDGES_A_FACE
-    wedge = index - face * WEDGES_A_FACE
-    t0 = wedge * (2.0 / WEDGES_A_FACE) - 1.0 - 1e-12
-    t1 = (wedge + 1) * (2.0 / WEDGES_A_FACE) - 1.0 + 1e-12
-    least_t = 0.0 if t0 < 0.0 < t1 else min(abs(t0), abs(t1))
-    most_t = max(abs(t0), abs(t1))
-    along_x = face < 2
-    forward = face % 2 == 0
-    sign = 1 if forward else -1
-    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
-    n_major = (ground.width if along_x else ground.height) - 1
-    n_minor = (ground.height if along_x else ground.width) - 1
-    # The least drop below the straight line, so that tangents come out too high rather than too low.
-    drop = bend * (1.0 + (least_t * least_t if bend >= 0.0 else most_t * most_t))
+    for k in range(wanted.size):
+        index = wanted[k]
+        face = index // WEDGES_A_FACE
+        wedge = index - face * WEDGES_A_FACE
+        t0 = wedge * (2.0 / WEDGES_A_FACE) - 1.0 - 1e-12
+        t1 = (wedge + 1) * (2.0 / WEDGES_A_FACE) - 1.0 + 1e-12
+        least_t = 0.0 if t0 < 0.0 < t1 else min(abs(t0), abs(t1))
+        most_t = max(abs(t0), abs(t1))
+        along_x = face < 2
+        forward = face % 2 == 0
+        sign = 1 if forward else -1
+        o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
+        n_major = (ground.width if along_x else ground.height) - 1
+        n_minor = (ground.height if along_x else ground.width) - 1
+        # The least drop below the straight line, so that tangents come out too high rather than too low.
+        drop = bend * (1.0 + (least_t * least_t if bend >= 0.0 else most_t * most_t))
 
-    highest = -np.inf
-    entries = 0
-    begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
-    cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
-    level = 0
-    levels = ground.offsets.size
-    while 0 <= cell < n_major:
-        low = (cell >> level) << level
-        high = min(low + (1 << level), n_major)
-        d0 = max(sign * ((cell if forward else cell + 1) - o_major), begin)
-        d1 = sign * ((high if forward else low) - o_major)
-        m_low = o_minor + min(t0 * d0, t0 * d1) - _MARGIN
-        m_high = o_minor + max(t1 * d0, t1 * d1) + _MARGIN
-        if m_high < 0.0 or m_low > n_minor:
-            # Strips of blocks are long: the wedge may leave the raster, or not yet have, within one.
-            if level == 0:
-                break
-            level = level - 1 if level > LEAF else 0
-            continue
-        j0 = min(max(math.floor(m_low), 0), n_minor - 1)
-        j1 = min(math.floor(m_high), n_minor - 1)
-        h = _highest(ground, along_x, level, low, j0, j1)
-        rise = h - oz
-        t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
-        # A camera on a node line looks away from the strip behind it, where a fall over -0 would be a wall.
-        if d1 > 0.0 and not t <= highest:
-            if level > 0 and d0 < _FINE_CELLS * level:
+        highest = -np.inf
+        entries = 0
+        begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
+        cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
+        level: Any = np.int64(0)  # else `_highest` is compiled for the literal, too
+        levels = ground.offsets.size
+        while 0 <= cell < n_major:
+            low = (cell >> level) << level
+            high = min(low + (1 << level), n_major)
+            d0 = max(sign * ((cell if forward else cell + 1) - o_major), begin)
+            d1 = sign * ((high if forward else low) - o_major)
+            m_low = o_minor + min(t0 * d0, t0 * d1) - _MARGIN
+            m_high = o_minor + max(t1 * d0, t1 * d1) + _MARGIN
+            if m_high < 0.0 or m_low > n_minor:
+                # Strips of blocks are long: the wedge may leave the raster, or not yet have, within one.
+                if level == 0:
+                    break
                 level = level - 1 if level > LEAF else 0
                 continue
-            highest = t + abs(t) * _RELATIVE + _ABSOLUTE
-            if entries < tangent.size:
-                node[entries] = cell if forward else cell + 1
-                entries += 1
-            tangent[entries - 1] = np.float32(highest)
-            highest = float(tangent[entries - 1])
-        block = low >> level
-        cell = high if forward else low - 1
-        above = 1 if level > 0 else LEAF
-        if ((cell >> level) ^ block) >> above != 0 and level + above < levels:
-            level += above
-    return entries
+            j0 = min(max(math.floor(m_low), 0), n_minor - 1)
+            j1 = min(math.floor(m_high), n_minor - 1)
+            h = _highest(ground, along_x, level, low, j0, j1)
+            rise = h - oz
+            t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
+            # A camera on a node line looks away from the strip behind it, where a fall over -0 would be a wall.
+            if d1 > 0.0 and not t <= highest:
+                if level > 0 and d0 < _FINE_CELLS * level:
+                    level = level - 1 if level > LEAF else 0
+                    continue
+                highest = t + abs(t) * _RELATIVE + _ABSOLUTE
+                if entries < tangent.shape[1]:
+                    node[k, entries] = cell if forward else cell + 1
+                    entries += 1
+                tangent[k, entries - 1] = np.float32(highest)
+                highest = float(tangent[k, entries - 1])
+            block = low >> level
+            cell = high if forward else low - 1
+            above = 1 if level > 0 else LEAF
+            if ((cell >> level) ^ block) >> above != 0 and level + above < levels:
+                level += above
+        count[k] = entries
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
     """Return the least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
     if along_x:
@@ -195,7 +183,7 @@ def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1:
     return max(least - _MARGIN, 0.0)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> float:
     """Return an upper bound of the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
     highest = -np.inf
@@ -216,7 +204,7 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
         at = first
         for _ in range(j1 - j0 + 2):
             for node in (at, at + across):
-                highest = max(highest, float(filled_at(ground.nodes, ground, node)))
+                highest = max(highest, float(filled_at(ground.nodes, ground.holes, node)))
             at += step
         return highest
     step, across = (ground.widths[level], 1) if along_x else (1, ground.widths[level])
@@ -228,14 +216,14 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
     return highest
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def wedge_of(along_x: bool, forward: bool, t: float) -> int:
     """Return the index of the wedge of a ray."""
     face = (0 if along_x else 2) + (0 if forward else 1)
     return face * WEDGES_A_FACE + min(max(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), 0), WEDGES_A_FACE - 1)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
     """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin; a ray in a
     missed one is traced without a profile."""

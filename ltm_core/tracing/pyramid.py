@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Int64Array, UInt8Array
 from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 
@@ -72,7 +72,7 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
     return MaximumPyramid(bounds, np.array(offsets, dtype=np.int64), np.array(widths, dtype=np.int64), outside)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) -> None:
     """Compute the level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
@@ -93,7 +93,7 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
             bounds[i, j] = highest
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()
 def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) -> None:
     """Compute the level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
     n_rows, n_cols = nodes.shape

@@ -16,11 +16,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.base.kernels import helper, in_parallel, kernel
+from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
-from ltm_core.tracing.holes import filled_at, in_outer_hole
+from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
 
 # Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
@@ -29,7 +29,6 @@ PLUMB_SINE = 1e-9
 TOUCH = 1e-9
 START_LEVEL = 3
 _CHUNK = 2048
-_TASKS = 128
 
 
 class TerrainRaster(NamedTuple):
@@ -37,12 +36,7 @@ class TerrainRaster(NamedTuple):
 
     nodes: Float32Array
     """Elevations, (height * width), row-major, NaN in holes."""
-    hole_first: Int64Array
-    """Holes of these nodes (`Holes`), as are the next four."""
-    hole_end: Int64Array
-    hole_outer: BoolArray
-    hole_start: Int64Array
-    ceilings: Float32Array
+    holes: Holes
     width: int
     height: int
     bounds: Float32Array
@@ -95,13 +89,13 @@ OVER_KNOWN = -2.0
 """The ray is over known ground."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _normal(c: float) -> float:
     """Return `c`, or 0 for a number so small that its reciprocal would overflow: a range of 0 times that is NaN."""
     return c if abs(c) > 1e-300 else 0.0
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
     """Return the ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
     q_in, q_out = 0.0, np.inf
@@ -120,13 +114,13 @@ def _crossing(west: float, north: float, east: float, south: float, cx: float, c
     return q_in, q_out
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def over_raster(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     """Return the ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
     return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     """Return the ranges between which a ray's way belongs to a stage; start > end where none of it does."""
     start, end = over_raster(stage, cx, cy)
@@ -140,7 +134,7 @@ def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     return max(start, finer_out), end
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
     """Return the final result of a ray without a hit: +inf if it climbs out and no ground ahead can be as high or as
     steep, else NaN."""
@@ -153,7 +147,7 @@ def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q:
     return np.inf if steep or ray_height(stage.oz, s, bend, leaves) > stage.highest else np.nan
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def hit_between(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -264,25 +258,25 @@ def hit_between(
     return OVER_KNOWN if entered else FRESH
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def cell_ceiling(ground: TerrainRaster, at: int) -> float:
     """Return the highest that the ground may be in the cell whose north-west node is `at`."""
     highest = -np.inf
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
-        highest = max(highest, float(filled_at(ground.nodes, ground, node)))
+        highest = max(highest, float(filled_at(ground.nodes, ground.holes, node)))
     return highest
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def outside_cell(ground: TerrainRaster, at: int) -> bool:
     """Return whether the cell whose north-west node is `at` is an outer hole."""
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
-        if in_outer_hole(ground.nodes, ground, node):
+        if in_outer_hole(ground.nodes, ground.holes, node):
             return True
     return False
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
     """Return the least height of z(q) = oz + s q + bend q^2 on [q0, q1]."""
     z = min(oz + q0 * (s + bend * q0), oz + q1 * (s + bend * q1))
@@ -291,7 +285,7 @@ def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
     return z
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+@helper(fastmath=FASTMATH)
 def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     """Return the bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
     nodes, width, height = ground.nodes, ground.width, ground.height
@@ -310,7 +304,6 @@ def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     return h
 
 
-@njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def trace_directions(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -322,28 +315,41 @@ def trace_directions(
     """Take rays from one origin through one stage. `rotation`: (3, 3) ray frame -> (east, north, up). `rays`: (N, 3)
     unit vectors; NaN gives NaN. `first`: vertical rays end here. `out`: (N,) float32, slant ranges in metres, or the
     states of rays that have met nothing, before this stage on entry, after it on return."""
-    n_chunks = (rays.shape[0] + _CHUNK - 1) // _CHUNK
-    for task in prange(_TASKS):
-        # Chunks are dealt out in turn: rows near the horizon cost several times what sky and foreground do.
-        for chunk in range(task, n_chunks, _TASKS):
-            for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, rays.shape[0])):
-                state = float(out[k])
-                if not state < 0.0:
-                    continue
-                a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
-                east = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
-                north = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
-                up = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
-                across = math.sqrt(east * east + north * north)
-                if not (across == across and up == up):
-                    out[k] = np.nan
-                elif across < PLUMB_SINE:
-                    if first:
-                        out[k] = np.inf if up > 0.0 else stage.oz - height_at(ground, stage.ox, stage.oy)
-                else:
-                    cx, cy, s = east / across, -north / across, up / across * stage.resolution
-                    cx, cy = _normal(cx), _normal(cy)
-                    start, end = stretch(stage, cx, cy)
-                    q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, START_LEVEL)
-                    q = finished(stage, cx, cy, s, stage.bend, q)
-                    out[k] = q * stage.resolution / across if q >= 0.0 else q
+
+    def trace(begin: int, end: int) -> None:
+        _trace_directions(ground, stage, rotation, rays[begin:end], first, out[begin:end])
+
+    in_parallel(trace, rays.shape[0], _CHUNK)
+
+
+@kernel(fastmath=FASTMATH, nogil=True)
+def _trace_directions(
+    ground: TerrainRaster,
+    stage: RasterStage,
+    rotation: Float64Array,
+    rays: Float64Array,
+    first: bool,
+    out: Float32Array,
+) -> None:
+    for k in range(rays.shape[0]):
+        state = float(out[k])
+        if not state < 0.0:
+            continue
+        a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
+        east = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        north = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        up = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+        across = math.sqrt(east * east + north * north)
+        if not (across == across and up == up):
+            out[k] = np.nan
+        elif across < PLUMB_SINE:
+            if first:
+                out[k] = np.inf if up > 0.0 else stage.oz - height_at(ground, stage.ox, stage.oy)
+        else:
+            cx, cy, s = east / across, -north / across, up / across * stage.resolution
+            cx, cy = _normal(cx), _normal(cy)
+            start, end = stretch(stage, cx, cy)
+            level = np.int64(START_LEVEL)  # else `hit_between` is compiled for the literal, too
+            q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, level)
+            q = finished(stage, cx, cy, s, stage.bend, q)
+            out[k] = q * stage.resolution / across if q >= 0.0 else q

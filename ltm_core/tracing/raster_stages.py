@@ -60,7 +60,7 @@ def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
         pyramid = build_pyramid(elevation, holes)
         height, width = elevation.shape
         top = max(top, float(np.fmax.reduce(elevation, axis=None)))
-        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top))
+        made.append(TerrainRaster(elevation.ravel(), holes, width, height, *pyramid, top))
     return tuple(reversed(made))
 
 
@@ -117,10 +117,8 @@ def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> F
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
     at = min(int(row), ground.height - 2) * ground.width + min(int(col), ground.width - 2)
     nodes = (at, at + 1, at + ground.width, at + ground.width + 1)
-    return np.array(
-        [np.nan if in_outer_hole(ground.nodes, ground, n) else filled_at(ground.nodes, ground, n) for n in nodes],
-        np.float32,
-    )
+    known = ground.nodes, ground.holes
+    return np.array([np.nan if in_outer_hole(*known, n) else filled_at(*known, n) for n in nodes], np.float32)
 
 
 def _window(dem: Dem, position: Float64Array) -> _CellWindow:

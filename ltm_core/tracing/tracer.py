@@ -34,7 +34,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
-from ltm_core.base.numba_cache import ONE_LAUNCH
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
@@ -132,6 +131,7 @@ class TerrainTracer:
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
+        self._lock = threading.Lock()
 
     @property
     def statistics(self) -> TracerStatistics:
@@ -156,7 +156,7 @@ class TerrainTracer:
                 self._frames.put(seen, ranges)
         else:
             profile_hit = False
-        with ONE_LAUNCH:
+        with self._lock:
             self._counts = replace(
                 self._counts,
                 frames=self._counts.frames + 1,
@@ -177,14 +177,13 @@ class TerrainTracer:
         rotation = np.ascontiguousarray(pose.rotation, np.float64)
         ranges = np.full((camera.height, camera.width), OVER_KNOWN, np.float32)
         profile: list[Wedges] = []
-        with ONE_LAUNCH:
-            marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
-            mark_sectors(rays, rotation, _MARK_EVERY, marked)
-            wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
-            for level, stage in stages(self.dem, pose.position, self.bend, *self._beyond):
-                before = no_wedges() if kept is None else kept[level]
-                profile.append(extended(before, wanted, self._grounds[level], stage))
-                sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
+        marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
+        mark_sectors(rays, rotation, _MARK_EVERY, marked)
+        wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
+        for level, stage in stages(self.dem, pose.position, self.bend, *self._beyond):
+            before = no_wedges() if kept is None else kept[level]
+            profile.append(extended(before, wanted, self._grounds[level], stage))
+            sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
         whole = kept is not None and all(a is b for a, b in zip(kept, profile, strict=True))
         if not whole:
             self._profiles.put(place, tuple(profile))
@@ -217,9 +216,8 @@ class TerrainTracer:
     def _trace(self, origin: Float64Array, rotation: Float64Array, rays: Float64Array) -> Float32Array:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
-        with ONE_LAUNCH:
-            for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend, *self._beyond)):
-                trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
+        for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend, *self._beyond)):
+            trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
         return ranges
 
     def _check(self, origin: Float64Array, rotation: Float64Array) -> None:

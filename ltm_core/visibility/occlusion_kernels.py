@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
 from ltm_core.tracing.pyramid_traversal import (
@@ -30,7 +30,7 @@ BY_CEILING, OVER_KNOWN, BEYOND = 1, 2, 4
 """Result of a way: the highest obstacle is a hole's ceiling; it is known ground; the terrain ends before the target."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def raise_slopes(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -65,7 +65,7 @@ def raise_slopes(
         came_to[k] |= found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def blocking_slope(
     ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float, over_known: bool
 ) -> tuple[float, np.uint8]:
@@ -140,7 +140,7 @@ def blocking_slope(
     return best, np.uint8(found)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _slope_below(top: float, oz: float, bend: float, q0: float, q1: float) -> float:
     """Return an upper bound of f over [q0, q1] for ground no higher than `top`."""
     rise = top - oz
@@ -149,7 +149,7 @@ def _slope_below(top: float, oz: float, bend: float, q0: float, q1: float) -> fl
     return rise / q1 - bend * q0 if q1 > 0 else -np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _cell_slope(
     a: float,
     b: float,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -11,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
+from ltm_core.base.kernels import in_parallel
 from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
@@ -92,16 +91,14 @@ class PointVisibility:
         slopes, came_to = own.copy(), np.zeros(len(targets), np.uint8)
         passed = stages(self.dem, position, self.bend, *self._beyond)
 
-        def work(start: int) -> None:
-            part = slice(start, start + _CHUNK)
+        def work(start: int, end: int) -> None:
+            part = slice(start, end)
             for number, (level, stage) in enumerate(passed):
                 rows, cols = self.dem.levels[level].geometry.to_grid(targets[part, 0], targets[part, 1])
                 in_grid = np.column_stack([cols, rows, targets[part, 2]])
                 raise_slopes(self._grounds[level], stage, number == 0, in_grid, slopes[part], came_to[part])
 
-        # Threads over a kernel without the GIL, since numba's own parallel launches must not meet another's.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(work, range(0, len(targets), _CHUNK)))
+        in_parallel(work, len(targets), _CHUNK)
         lift = np.where(plumb, slopes, (slopes - own) * across)
         nothing_known = (slopes <= own) & ((came_to & BEYOND > 0) | (came_to & OVER_KNOWN == 0))
         nothing_known[plumb] = came_to[plumb] & OVER_KNOWN == 0

@@ -16,9 +16,9 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import cv2
-import numba
 import numpy as np
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 
 _OVERLAP = 0.25  # of a tile's side: neighbours share it, and fade into each other over it
@@ -171,7 +171,7 @@ def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
     return first, (centre - first).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})  # type: ignore[untyped-decorator]
+@kernel(nogil=True, fastmath={"contract", "nsz"})
 def _interpolate(
     probabilities: Float32Array,
     row_first: Int32Array,

@@ -122,9 +122,9 @@ def keep_to_cores(workers: int) -> None:
     """Limit a worker of this machine to its own core, so that kernels do not wait for another worker's. Not by the
     environment, which Dask also sets in this process while it starts workers, so that numba would find it changed.
     """
-    import numba
+    from ltm_core.base.kernels import limit_kernel_threads
 
-    numba.set_num_threads(min(max(1, available_cores() // workers), numba.config.NUMBA_NUM_THREADS))
+    limit_kernel_threads(max(1, available_cores() // workers))
 
 
 def on_cluster(cluster: Cluster) -> Engine:

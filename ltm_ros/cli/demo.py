@@ -18,13 +18,17 @@ if TYPE_CHECKING:
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
+    phone: Annotated[bool, typer.Option("--phone", help="Map a walk with a phone instead; find its poses.")] = False,
 ) -> None:
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
     from rich.console import Console
 
     console = Console()
     clear_demo(out)
-    _simulated(out, domain, console)
+    if phone:
+        _walked(out, console)
+    else:
+        _simulated(out, domain, console)
 
 
 def clear_demo(out: Path) -> None:
@@ -36,7 +40,7 @@ def clear_demo(out: Path) -> None:
 
     require_folder(out)
     if out.exists() and any(out.iterdir()):
-        if not (out / "report.html").is_file() and not (out / "log").is_dir():
+        if not any((out / made).exists() for made in ("report.html", "log", "walk.png")):
             raise ConfigError(f"{out} contains files that are not from an earlier demo; give another folder with --out")
         shutil.rmtree(out)
 
@@ -72,7 +76,6 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
         ):
             rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
     print_table(console, "against truth", ("", ""), rows)
-    _print_walk(console, result.walk)
     console.print(f"report: {out / 'report.html'}")
     shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
     console.print(f"in Rerun: {shown}", soft_wrap=True)
@@ -91,6 +94,19 @@ def to_type(command: str) -> str:
     if shutil.which("ltm"):
         return command
     return f"source {os.path.relpath(Path(sys.prefix) / 'bin/activate')} && {command}"
+
+
+def _walked(out: Path, console: Console) -> None:
+    from ltm_core.base.resources import project_path
+    from ltm_core.pictures import to_png
+    from ltm_ros.cli.output import counting_bar
+    from ltm_ros.demo.outcome import run_walk
+
+    with counting_bar(console, "finding poses") as progress:
+        walk = run_walk(project_path("bags/phone"), out, progress)
+    (out / "walk.png").write_bytes(to_png(walk.picture))
+    _print_walk(console, walk)
+    console.print(f"the poses on a map: {out / 'walk.png'}")
 
 
 def _print_walk(console: Console, walk: Walk) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress, TaskID
 
     from ltm_core.base.types import UInt8Array
@@ -61,6 +61,8 @@ def models(
     like: Annotated[str, typer.Option(help="Recipe whose properties the file has (add).")] = "",
 ) -> None:
     """List the networks, check one (shapes, time, images), install one, or measure its label errors."""
+    from rich.console import Console
+
     console = Console()
     if action is Action.list:
         _list(console)

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ltm_core.storage.disk_io import require_files, require_folder
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import ProgressColumn
     from rich.table import Table
 
     from ltm_core.raster.dem import Dem
@@ -56,6 +55,9 @@ def open_dems(rasters: Sequence[Path], crs: str | None) -> Dem:
 
 def print_doubts(dem: Dem) -> Dem:
     """Print to stderr what may be wrong with a terrain; return it."""
+    from rich.console import Console
+    from rich.markup import escape
+
     for doubt in dem.doubts:
         Console(stderr=True).print(f"[yellow]{escape(doubt.text)}", highlight=False)
     return dem
@@ -83,8 +85,9 @@ def print_findings(console: Console, rows: Iterable[tuple[str, str, str, str, st
 @contextmanager
 def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar over messages; yields `update(done, total)`. A full bar starts again, for loops."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as bar:
+    from rich.progress import Progress
+
+    with Progress(*_columns(), console=console) as bar:
         task = bar.add_task(f"{what}: starting the graph", total=None)
 
         def update(done: int, total: int) -> None:
@@ -98,10 +101,17 @@ def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], No
 @contextmanager
 def counting_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar over items, with the remaining time; yields `update(done, total)`."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
+    from rich.progress import Progress, TimeRemainingColumn
+
+    with Progress(*_columns(), TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _columns() -> tuple[ProgressColumn, ...]:
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+
+    return TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 
 
 @contextmanager
@@ -139,6 +149,8 @@ JsonFile = Annotated[
 
 def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
     """Print messages in and out, drops by cause with an example of each, and latency since capture."""
+    from rich.markup import escape
+
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
         columns.append("dropped because")
@@ -160,6 +172,8 @@ def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) 
     """Print the results of a replay: states of depth fusion, cells seen and changed, events. `print_nodes` prints what
     was dropped.
     """
+    from rich.markup import escape
+
     said = outcome(summaries)
     if not said:
         return

@@ -85,6 +85,7 @@ def run(
     Errors that `ltm check` finds end it before any process starts: exit code 78 if the site file must be corrected.
     """
     from ltm_ros.launching.graph import describe
+    from ltm_ros.launching.kernels import compile_ahead
     from ltm_ros.launching.runner import Runner, print_line
     from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
@@ -128,6 +129,7 @@ def run(
     if config.health is not None:
         scheme = "https" if config.health.certificate else "http"
         typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
+    compile_ahead(graph, site, typer.echo, lambda: manager.report("compiling kernels", False, True))
     settle()
     status = Runner(graph, domain_id=domain).run(manager)
     # Written without echo: a closed console is not an error of the run.

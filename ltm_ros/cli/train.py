@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
 
-from ltm_core.vision.manifest import DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile, writable_folder
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from ltm_core.label_heads.head_trial import HeadScore
     from ltm_core.scoring.labels import SegmentationScore
 
 
 def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: str) -> Table:
     """Return a table with a column for each network and a row for each figure; classes without truth have no row."""
+    from rich.table import Table
+
     table = Table(title=title)
     table.add_column("")
     for name in scores:
@@ -46,6 +48,8 @@ def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: 
 
 def confusion_table(names: tuple[str, ...], score: SegmentationScore, title: str) -> Table:
     """Return the shares of each true class by label; the last column holds unlabelled pixels."""
+    from rich.table import Table
+
     table = Table(title=f"{title}: rows are true classes, columns predicted ones")
     table.add_column("")
     for name in (*names, "unlabelled"):
@@ -58,7 +62,7 @@ def confusion_table(names: tuple[str, ...], score: SegmentationScore, title: str
 
 
 def _text(value: float) -> str:
-    return f"{value:.3f}" if np.isfinite(value) else "-"
+    return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
 def head(
@@ -69,7 +73,9 @@ def head(
         ),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="Name of the label head, or path of its file (.yaml).")],
-    model: Annotated[str, typer.Option(help="Network, or a network with a label head.")] = DEFAULT_MODEL,
+    model: Annotated[
+        str | None, typer.Option(help="Network, or a network with a label head. Default: the shipped one.")
+    ] = None,
     also: Annotated[
         list[Path] | None,
         typer.Option(help="Labelled frames of other places, to measure the loss there. Repeatable."),
@@ -121,12 +127,12 @@ def head(
         read_label_head,
         write_label_head,
     )
-    from ltm_core.vision.manifest import NetworkManifest, Withdrawal
+    from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.pages.render import write_figures
 
     console, start = Console(), time.perf_counter()
-    segmenter = Segmenter(NetworkManifest.find(model).serving(out), threads)
+    segmenter = Segmenter(NetworkManifest.find(model or DEFAULT_MODEL).serving(out), threads)
     manifest, names = segmenter.manifest, segmenter.labels.names
     path = Path(out) if out.endswith((".yaml", ".yml")) else label_heads_folder(manifest) / f"{out}.yaml"
     left_out = [segmenter.labels.id_of(n.strip()) for n in ignore.split(",") if n.strip()]

@@ -283,21 +283,6 @@ def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Wal
     return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions, site))
 
 
-def walk_sheet(walk: Walk) -> Sheet:
-    """Return the walk's section of the report."""
-    phone, found, _ = walk.maps
-    (told, _), (refined, _) = phone.errors.azimuth_deg, found.errors.azimuth_deg
-    share = [row.right_percent for row in walk.maps]
-    return Sheet(
-        "A walk with a phone",
-        walk.picture,
-        f"{walk.photos} simulated photos. The median compass error of the phone is {told:.1f}°. {walk.accepted} "
-        f"poses were found in the photos; their compass errors correct the others, to a median of {refined:.1f}°. "
-        f"Correct labels: {share[0]:.0f} % of the cells with the phone's poses, {share[1]:.0f} % with the found "
-        f"poses, {share[2]:.0f} % with the true poses.",
-    )
-
-
 def _directions(bag: Path, site: Site) -> Float64Array:
     """Return (N, 3): x, y in the map frame and azimuth in degrees."""
     poses = [pose for pose, _ in recorded_poses(bag, site).values()]

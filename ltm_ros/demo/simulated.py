@@ -18,14 +18,11 @@ from ltm_core.site.networks import with_live_record
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import (
-    Walk,
     camera_pictures,
     fuel_sheets,
     headings,
     map_picture,
     range_scale,
-    run_walk,
-    walk_sheet,
     write_pictures,
 )
 from ltm_ros.demo.report import (
@@ -49,7 +46,6 @@ class DemoResult:
     nodes: list[NodeRow]
     score: RunScore
     seconds: float
-    walk: Walk
 
     @property
     def depth(self) -> DepthRow:
@@ -67,11 +63,10 @@ def run_demo(
     progress: Callable[[int, int], None],
     console: Callable[[str], None],
 ) -> DemoResult:
-    """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new, and
-    `bags`/phone offline.
+    """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
-    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, walk/, report.html and pictures/
-    there. Raises LtmError.
+    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
+    Raises LtmError.
     """
     demo = bags / "demo"
     site_path = demo / "site.yaml"
@@ -96,8 +91,7 @@ def run_demo(
         write_landscapes(evidence, site, out, state)
     recorded = Recorded(out / "recording", site_path, site, demo)
     score = score_run(recorded)
-    walk = run_walk(bags / "phone", out / "walk", progress)
-    result = DemoResult(node_rows(summaries), score, seconds, walk)
+    result = DemoResult(node_rows(summaries), score, seconds)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
     after = evidence.layers()
@@ -107,7 +101,6 @@ def run_demo(
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
     coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
-    sheets["walk"] = walk_sheet(walk)
     for name, sheet in sheets.items():
         (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))
     data = ReportData(
@@ -136,7 +129,6 @@ def run_demo(
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),
             ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, with Scott and Burgan fuel models"),
             ("landscape.tif", "the same as a GeoTIFF of eight bands, for FlamMap 6.2 and IFTDSS"),
-            ("walk/", "bags of a walk with a phone, with poses found in the photos and true ones, and the maps"),
             ("state/", "the fuel map's store: evidence, counted frames, history"),
             ("demo.rrd", "the run in Rerun"),
             ("pictures/", "the images of this page"),

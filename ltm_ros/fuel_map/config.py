@@ -1,16 +1,9 @@
-"""Configure the node `fuel_map`, and compile the kernels that it needs."""
+"""Configure the node `fuel_map`."""
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
-from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.votes import CellVisibility, CellVotes
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.site.networks import camera_label_errors, site_label_errors
-from ltm_core.site.site import Site
-from ltm_core.vision.labels import LabelSet
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S
 
@@ -30,13 +23,3 @@ class FuelMapConfig(NodeConfig):
     """Maximum seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
     """Maximum seconds by which a frame may be late."""
-
-
-def compile_kernels(site: Site, labels: LabelSet) -> None:
-    """Compile the kernels, including those for a network's two-scale inference."""
-    one = np.ones(1, np.float32)
-    cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
-    tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
-    votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellVisibility(*([100 * one] * 5)))
-    for errors in (site_label_errors(site), *camera_label_errors(site).values()):
-        EvidenceMap(tiny, None, labels, errors=errors).add(votes)

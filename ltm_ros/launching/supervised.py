@@ -58,6 +58,11 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
     return process, heard
 
 
+def end_with_parent() -> None:
+    """Have the kernel end this process with the thread that started it, even if it is stopped or holds Python's lock."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def _end() -> None:
     """The runner has died: end this process and everything that it has started."""
     os.kill(0, signal.SIGKILL)
@@ -81,8 +86,7 @@ def main() -> None:
     faulthandler.register(SHOW_STACKS)
     descriptor = int(os.environ.pop(DESCRIPTOR))
     os.set_inheritable(descriptor, False)
-    # The kernel also ends a process that is stopped, or that holds the interpreter's lock.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     # If the runner has died already, the pipe reports it at once.
     HEARTBEAT.start(descriptor, reader_gone=_end)
     del sys.argv[0]

@@ -7,15 +7,9 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import TracingConfig, TracingStep, seen
-from ltm_core.raster.dem import Dem
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.site.site_io import load_site
-from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.cells import traced_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
@@ -65,7 +59,7 @@ class DepthHandler(Handler[DepthConfig]):
         self._frame_id = f"{config.camera}_optical"
         parts = {"info": POSED_CAMERA_INFO, "pose": POSED_POSE}
         self._join = StampJoin(parts, self._trace, health, max_wait=config.max_wait)
-        _compile_kernels()
+        compile_kernels("depth", site)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
@@ -112,14 +106,6 @@ class DepthHandler(Handler[DepthConfig]):
         for name, count in asdict(self._step.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
         self.outlet.acknowledge(FINISHED, stamp)
-
-
-def _compile_kernels() -> None:
-    """Compile the kernels now, or load them from numba's cache, so that the first frame is not delayed."""
-    plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
-    pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)
-    for way in ("profile", "pyramid"):
-        TerrainTracer(plain).trace(Camera.from_fov(3, 2, 50.0), pose, way)
 
 
 NODE = NodeType("depth", DepthConfig, DepthHandler)

@@ -13,6 +13,7 @@ from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
@@ -25,7 +26,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.json_topics import FuelMapAnswer, FuelMapInfo, msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.fuel_map.config import FuelMapConfig, compile_kernels
+from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.self_measurement import SelfMeasurement
@@ -123,7 +124,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._send_info()
         self._publisher.send_map()
         self._publisher.announce([])
-        compile_kernels(self._site, self._labels)
+        compile_kernels("fuel_map", self._site)
 
     @property
     def _reliability(self) -> str:

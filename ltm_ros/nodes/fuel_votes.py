@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import VotingStep
-from ltm_core.pipeline.pose_watch import PoseWatch, compile_kernels
+from ltm_core.pipeline.kernels import compile_kernels
+from ltm_core.pipeline.pose_watch import PoseWatch
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -40,7 +39,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        site = load_site(config.site)
+        self._site = site = load_site(config.site)
         self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
         self._withdrawn = np.zeros(2, np.int64)
         parts = {
@@ -58,10 +57,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
 
     def start(self) -> None:
         """Compile the kernels, so that the first frame is not delayed."""
-        nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
-        camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-        self._step.cast(nothing, camera, pose, Segmentation(zeros, zeros), 0, None)
-        compile_kernels()
+        compile_kernels("fuel_votes", self._site)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)

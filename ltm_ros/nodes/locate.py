@@ -17,12 +17,12 @@ from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.locating.answer import LocateResult, answer, as_geojson, turned_data
-from ltm_core.locating.compiled_kernels import compile_kernels
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import KnownPoses, SeenAt, Track, Tracks
 from ltm_core.locating.turn_evidence import STEP
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import PointVisibility
@@ -124,7 +124,7 @@ class LocateHandler(Handler[LocateConfig]):
         return found
 
     def start(self) -> None:
-        compile_kernels()
+        compile_kernels("locate", self._site)
         self._publish_tracks(0)
 
     def on_camera_info(self, name: str, message: Any) -> None:

@@ -12,12 +12,12 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import STORE_FILE, UNCOMMITTED, SiteTerrain
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.change import Changed
-from ltm_core.surface.compiled_kernels import compile_kernels
 from ltm_core.surface.surface_io import write_surface
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -114,7 +114,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
         self._pace = Backoff()
-        compile_kernels(site.terrain)
+        compile_kernels("terrain", site)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:

@@ -13,6 +13,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
@@ -84,7 +85,7 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
-        self._step.compile_kernels()
+        compile_kernels("topodepth", site)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:

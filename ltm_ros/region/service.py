@@ -14,9 +14,9 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
+from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
-from ltm_ros.fuel_map.config import compile_kernels
 from ltm_ros.launching.runner import print_line
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.inbox import Inbox
@@ -146,7 +146,7 @@ class RegionService:
 
 def _prepare(aggregator: Aggregator) -> None:
     """Load what the first frame and tile need, so that towers do not wait for it after an outage."""
-    compile_kernels(aggregator.site, aggregator.labels)
+    compile_kernels("fuel_map", aggregator.site)
     for message in (PointCloud2(), OccupancyGrid()):
         serialize_message(message)
 

@@ -18,6 +18,7 @@ from packaging.requirements import Requirement
 
 import ltm_core
 from ltm_core.base.errors import LtmError
+from ltm_core.base.numba_cache import use_own_cache
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
 from ltm_ros.tower.health_client import DoctorFinding, DoctorState
@@ -262,6 +263,7 @@ def _memory_gb() -> float:
 
 def numba_cache() -> Path | None:
     """Return the folder of numba's compiled kernels, by its own search order; None if none is writable."""
+    use_own_cache(Path(ltm_core.__file__).parent)
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(ltm_core.__file__).resolve().parent / "__pycache__"
     fallback = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"

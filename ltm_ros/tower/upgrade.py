@@ -182,7 +182,7 @@ class Upgrade:
         questions: list[tuple[str, Sequence[str]]] = [
             ("its installation", [str(program), "doctor"]),
             (f"the site file {site}", [str(program), "check", site]),
-            ("its kernels", [str(python), "-m", "ltm_ros.tower.compile_kernels", site]),
+            ("its kernels", [str(python), "-m", "ltm_ros.launching.kernels", site]),
         ]
         for what, command in questions:
             begun = time.monotonic()

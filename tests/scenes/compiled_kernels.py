@@ -24,65 +24,35 @@ from ltm_core.fuel.frame_evidence import form_by_appearance
 from ltm_core.fuel.life_form import FORMS
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.locator import Locator
+from ltm_core.pipeline.kernels import KERNELS
+from ltm_core.pipeline.kernels import compile_kernels as compile_kernels_of
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_core.vision.labels import Label, LabelSet
-from ltm_core.vision.second_scale import upsampled_winner
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.simulator.run import make_site, rasters_at
 from ltm_lab.tracers.march import march
 from ltm_lab.training.fusion_samples import frame_samples
-from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.depth import DepthConfig, DepthHandler
-from ltm_ros.nodes.fuel_map import FuelMapHandler
-from ltm_ros.nodes.fuel_votes import FuelVotesHandler
-from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
-from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
-from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import JoinConfig
-from scenes import located, mountain_view
+from scenes import mountain_view
 from scenes.depth_scene import depth_scene
 from scenes.evidence_scene import HOUR, NOW, fuel_map, votes
-from scenes.outlets import Kept
 from scenes.rasters import rough_terrain, standing
 from scenes.small_scenario import small_scenario
 from scenes.terrain_frames import write_fusing_site
-
-
-def _fusion(site: str) -> None:
-    TopoDepthHandler(TopoDepthConfig(site=site, camera="mast"), Kept(), Health())
-
-
-def _terrain(site: str) -> None:
-    TerrainHandler(TerrainNodeConfig(site=site), Kept(), Health())
-
-
-def _fuel(site: str) -> None:
-    DepthHandler(DepthConfig(site=site, camera="mast"), Kept(), Health())
-    FuelVotesHandler(JoinConfig(site=site, camera="mast"), Kept(), Health()).start()
-    FuelMapHandler(FuelMapConfig(site=site), Kept(), Health()).start()
 
 
 def _poses(_: str) -> None:
     pose = Pose.from_angles(mountain_view.eye(), 63.0, 2.5, 1.2)
     evidence = picture_evidence(*mountain_view.view(pose), mountain_view.CAMERA)
     find_pose(evidence, mountain_view.terrain(), PosePrior(pose, 1.5, 0.5, 0.5))
-
-
-def _places(_: str) -> None:
-    crest = np.array([30.0, 1000.0, 100.0])
-    masts = {"mast": (0.0, 0.0, 130.0), "other": (900.0, 200.0, 130.0)}
-    sightings = [located.sighting(name, at, crest) for name, at in masts.items()]
-    for smoke in (False, True):
-        Locator(located.hills(), 0.0).locate(sightings, smoke)
 
 
 def _simulator(_: str) -> None:
@@ -115,9 +85,8 @@ def _fusion_of_a_photo(_: str) -> None:
     fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
 
 
-def _labels(_: str) -> None:
-    """A network's classes in a picture, and how a frame's cells are told by their looks."""
-    upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
+def _looks(_: str) -> None:
+    """How a frame's cells are told by their looks."""
     none, own = np.zeros(0, np.int64), np.zeros((0, FORMS))
     look = np.array([0.1, 0.5]), np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_)
     form_by_appearance(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
@@ -141,15 +110,16 @@ def _samples(_: str) -> None:
     frame_samples(*frame, LabelSet.load(), FusionSettings(), FusionConfig())
 
 
-NODES: dict[str, Callable[[str], None]] = {"terrain": _terrain, "fusion": _fusion, "fuel": _fuel}
-"""Each compiled by one process, from a site file; the largest first."""
+NODES: dict[str, Callable[[str], None]] = {
+    kind: lambda site, kind=kind: compile_kernels_of(kind, load_site(site)) for kind in KERNELS
+}
+"""Each kind of node, compiled by one process, from a site file; the largest first."""
 ALL = NODES | {
     "simulator": _simulator,
     "poses": _poses,
-    "places": _places,
     "rays": _rays,
     "fusion of a photo": _fusion_of_a_photo,
-    "labels": _labels,
+    "looks": _looks,
     "parts of an archive": _parts_of_an_archive,
     "samples": _samples,
 }

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Float64Array, IndexArray
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -127,7 +127,7 @@ def scores_and_counts(
     return scores, counts
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _scores(
     rotations: Float64Array,
     here: Float64Array,

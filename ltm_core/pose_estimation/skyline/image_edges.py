@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.vision.label_rules import cie_lab
 from ltm_core.vision.labels import Label
@@ -94,7 +94,7 @@ def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Arra
     return np.where((np.abs(found - middle) < 2 * unit) & thick, found, v)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
     """Return how far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
     total = 0.0
@@ -106,7 +106,7 @@ def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
     return float(np.sqrt(total))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
 def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
     """Return whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no
     cloud."""
@@ -122,12 +122,25 @@ def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, siz
     return bool(lowest > 0.5 * step and highest < min(_PALE, _ALIKE[0] * step + _ALIKE[1]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@helper()
+def _median(values: Float64Array, count: int, ordered: Float64Array) -> float:
+    """Return the median of the first `count` values; `ordered` (count,) to work in. NumPy's takes a second to
+    compile."""
+    for n in range(count):
+        place = n
+        while place > 0 and ordered[place - 1] > values[n]:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = values[n]
+    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2)
+
+
+@kernel(nogil=True)
 def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, sky: int, size: int) -> Float64Array:
     """Of columns (K,) the row from which on all, down to `ends`, stands out from the sky alike; NaN without."""
     found = np.full(len(u), np.nan)
     skip = size // 2  # rows that an edge is blurred over
-    steps = np.zeros(above + sky + 1)
+    steps, ordered = np.zeros(above + sky + 1), np.empty(sky - size)
     for k in range(len(u)):
         column, end = u[k], ends[k]
         top = end - above - sky
@@ -135,7 +148,7 @@ def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, 
             continue
         for n in range(above + sky):
             steps[n] = _apart(lab, column, top + n, top + n - size - skip, size)
-        least = max(_LEAST_STEP, _STEPS * np.median(steps[: sky - size]))
+        least = max(_LEAST_STEP, _STEPS * _median(steps, sky - size, ordered))
         for n in range(sky, above + sky):
             if steps[n] > least and steps[n] >= steps[n + 1] and steps[n] >= steps[n - 1]:
                 row = top + n
@@ -229,7 +242,7 @@ def _vertical_gradient(photo: UInt8Array) -> Float32Array:
     return np.asarray(np.sqrt(np.einsum("hwc,hwc->hw", change, change)), np.float32)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
     """Return the first row from which on `run` rows are no sky; H without."""
     height = sky.shape[0]
@@ -244,7 +257,7 @@ def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
     return top
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _sharpened(
     strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
 ) -> tuple[Float64Array, Float64Array]:

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -76,7 +76,7 @@ def _projected(
     return pixels, slopes, ahead
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _project(
     directions: Float64Array,
     ranges: Float64Array,
@@ -241,7 +241,7 @@ def ridge_observations(
     return RidgeObservations(-found, rows, sigma, weight, shared, ground)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _nearest_edges(
     pixels: Float64Array, normal: Float64Array, response: Float32Array, scale: float, search: float, step: float
 ) -> tuple[Float64Array, Float64Array]:

@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -127,7 +127,7 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
     return np.arctan2(x, y), z / np.hypot(x, y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
     return (1 - far) * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], (1 - far) * column[NEAR_SIGMA] + far * column[
@@ -135,7 +135,7 @@ def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     ]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _search(
     columns: Float64Array,
     horizon: Float64Array,

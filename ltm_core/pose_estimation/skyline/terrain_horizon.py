@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ltm_core.base.errors import PoseError
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.possible_ground import PossibleGround
@@ -63,7 +63,7 @@ X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
 """Columns of the geometry of rasters, finest first (metres)."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Array, Int32Array]:
     """Of each point the one that follows it at the next azimuth, -1 without, and its contour's number of points."""
     count, most = points.shape[0], points.shape[1]
@@ -219,7 +219,7 @@ def _reach(levels: tuple[Dem, ...], position: Float64Array) -> float:
     return min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")  # type: ignore[untyped-decorator]
+@helper(inline="always")
 def _height(elevation: Float32Array, row: float, col: float) -> float:
     r0, c0 = int(row), int(col)
     if r0 > elevation.shape[0] - 2:
@@ -232,7 +232,7 @@ def _height(elevation: Float32Array, row: float, col: float) -> float:
     return float((1 - fr) * north + fr * south)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+@kernel(nogil=True)
 def _sweep(
     levels: tuple[Float32Array, ...],
     geometry: Float64Array,

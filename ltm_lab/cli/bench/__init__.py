@@ -6,6 +6,7 @@ import typer
 
 from ltm_lab.cli.bench.archive import archive
 from ltm_lab.cli.bench.graph import graph
+from ltm_lab.cli.bench.kernels import kernels
 from ltm_lab.cli.bench.memory import memory
 from ltm_lab.cli.bench.slow_link import slow_link
 from ltm_lab.cli.bench.trace import trace
@@ -19,3 +20,4 @@ bench.command()(graph)
 bench.command()(archive)
 bench.command()(memory)
 bench.command()(slow_link)
+bench.command()(kernels)

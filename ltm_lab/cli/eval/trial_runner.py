@@ -53,6 +53,6 @@ def report(console: Console, conditions: str, rows: Sequence[Any], json_path: Pa
 
 
 def _limit_threads(count: int) -> None:
-    import numba
+    from ltm_core.base.kernels import limit_kernel_threads
 
-    numba.set_num_threads(count)
+    limit_kernel_threads(count)

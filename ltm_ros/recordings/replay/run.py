@@ -25,6 +25,7 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
+from ltm_ros.launching.kernels import compile_ahead
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
 from ltm_ros.recordings.inputs import is_image
@@ -344,6 +345,7 @@ def run_live(
         options.rrd.unlink(missing_ok=True)  # else the viewer would write another beside that of the last replay
     names = [node.full_name for node in graph]
     total = selection.message_count
+    compile_ahead(graph, site_path, console)
     with Runner(graph, domain_id=options.domain_id, console=console) as runner:
         runner.wait_until_ready(timeout_s=180.0)
         with LivePlayer(selection, options.rate, options.longest_pause) as player:

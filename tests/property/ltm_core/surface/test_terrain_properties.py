@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes.called import called
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import TileStore
@@ -40,7 +41,9 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
         one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
         own = float(np.float32(variance))
-        update_cell(one.cells, SLOT, 0, dz, own, own, EXACT, bounded, seconds, bit, RULES.independent_after, RULES)
+        called(update_cell)(
+            one.cells, SLOT, 0, dz, own, own, EXACT, bounded, seconds, bit, RULES.independent_after, RULES
+        )
     return one
 
 
@@ -48,7 +51,7 @@ def believed(one: TilePool) -> bool:
     """Whether independent views stand behind the cell's estimate."""
     c = one.cells.estimate[0, 0]
     return bool(c["looks"] > 0) and bool(
-        independent(c["cameras"], c["first"], c["last"], RULES.independent_after, RULES.settle)
+        called(independent)(c["cameras"], c["first"], c["last"], RULES.independent_after, RULES.settle)
     )
 
 
@@ -122,7 +125,7 @@ def test_what_a_camera_repeats_falls_with_cameras_only(
     pose = part * variance
     common = pose + repeats * (variance - pose)
     expected = common / cameras.bit_count() + (variance - common) / looks
-    assert mean_variance(looks, looks / variance, pose, cameras, repeats) == pytest.approx(expected, rel=1e-6)
+    assert called(mean_variance)(looks, looks / variance, pose, cameras, repeats) == pytest.approx(expected, rel=1e-6)
 
 
 def passed_below(relative_variance: float) -> TilePool:
@@ -132,7 +135,7 @@ def passed_below(relative_variance: float) -> TilePool:
         one.cells.field(name)[0, 0] = 0
     for number in range(4):
         when, camera, after = BEGIN + 3600 * number, 1 + number % 2, RULES.independent_after
-        update_cell(one.cells, SLOT, 0, -8.0, 0.25, relative_variance, EXACT, True, when, camera, after, RULES)
+        called(update_cell)(one.cells, SLOT, 0, -8.0, 0.25, relative_variance, EXACT, True, when, camera, after, RULES)
     return one
 
 

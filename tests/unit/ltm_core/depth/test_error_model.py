@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes.called import called
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.base.types import Float64Array
@@ -37,7 +38,7 @@ def test_a_slow_error_of_depth_is_learnt_and_is_no_noise() -> None:
     answers = estimate_errors(misread(samples.depth) * noise, samples, SIZE, CONFIG)
     row, col = answers.tables.shift.shape[0] // 2, answers.tables.shift.shape[1] // 3
     for depth in (60.0, 200.0, 2000.0):
-        less, sigma = expected_prediction(row, col, np.float32(1 / depth), answers.tables)
+        less, sigma = called(expected_prediction)(row, col, np.float32(1 / depth), answers.tables)
         assert 1 / depth - less == pytest.approx(float(misread(np.array(depth))), rel=0.08)
         assert sigma < 0.35 / (depth if depth < 1000 else 500.0)
 
@@ -50,7 +51,7 @@ def test_what_hides_most_of_the_far_ground_is_no_error_of_the_network() -> None:
     seen = np.where(hidden, 250.0, samples.depth) * (1 + 0.01 * rng.standard_normal(len(samples)))
     answers = estimate_errors(1.0 / seen, samples, SIZE, CONFIG)
     for depth in (400.0, 1000.0, 3000.0):
-        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.tables)
+        less, sigma = called(expected_prediction)(17, 30, np.float32(1 / depth), answers.tables)
         assert abs(less) * depth < 0.05
         assert sigma * depth < 0.1
 
@@ -65,15 +66,15 @@ def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> 
     read = np.where(among, 1.0 / crowns, 1.0 / samples.depth) * (1 + 0.1 * rng.standard_normal(len(samples)))
     answers = estimate_errors(read, samples, SIZE, CONFIG)
     for depth in (600.0, 1500.0):
-        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.tables)
+        less, sigma = called(expected_prediction)(17, 30, np.float32(1 / depth), answers.tables)
         assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
 def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
     samples = spread_samples()
     answers = estimate_errors(0.8 / samples.depth, samples, SIZE, CONFIG)
-    less, _ = expected_prediction(3, 4, np.float32(1 / 300.0), answers.tables)
-    true, sigma = invert(3, 4, np.float32(1 / 300.0) - less, answers.tables)
+    less, _ = called(expected_prediction)(3, 4, np.float32(1 / 300.0), answers.tables)
+    true, sigma = called(invert)(3, 4, np.float32(1 / 300.0) - less, answers.tables)
     assert 1 / true == pytest.approx(300.0, rel=0.02)
     assert 0 < sigma * 300.0 < 0.1
 

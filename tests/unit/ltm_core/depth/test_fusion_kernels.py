@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scenes.called import called
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.error_model import (
@@ -71,11 +72,11 @@ def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
     inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
     col = rng.integers(0, 5, len(inverse)).astype(np.int32)
     less, sigma, part = (np.empty_like(inverse) for _ in range(3))
-    expected_predictions(
-        inverse, interpolation_table(tables)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
+    called(expected_predictions)(
+        inverse, called(interpolation_table)(tables)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
     )
     for u in range(len(inverse)):
-        one = expected_prediction(1, int(col[u]), inverse[u], tables)
+        one = called(expected_prediction)(1, int(col[u]), inverse[u], tables)
         # Both logarithms are near ones: a fiftieth of a half octave.
         assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
         assert sigma[u] == pytest.approx(one[1], rel=0.03)
@@ -101,7 +102,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
     found = np.empty((120, 200), np.float32)
     for v in range(120):
-        upsample_row(seen, v, row, out)
+        called(upsample_row)(seen, v, row, out)
         found[v] = out[0]
         np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
         np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
@@ -112,7 +113,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     both = known & ~np.isnan(found)
     np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
-        one = upsample_pixel(seen, v, u)
+        one = called(upsample_pixel)(seen, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
 
 
@@ -150,7 +151,7 @@ def standing_of(
 def odds_at(standing: OcclusionPrior, row: int, near: float, odds: float = 0.0) -> float:
     """Log odds of something at depth `near` metres, in the middle of a photo."""
     column = standing.feet[len(standing.feet) // 2]
-    return float(occlusion_log_odds(standing, np.float32(odds), np.float32(1 / near), column, row))
+    return float(called(occlusion_log_odds)(standing, np.float32(odds), np.float32(1 / near), column, row))
 
 
 def test_the_higher_a_thing_would_have_to_be_the_less_likely_it_stands() -> None:
@@ -180,7 +181,7 @@ def test_a_foot_is_where_the_ground_is_first_as_near() -> None:
     rows = np.arange(0, 120, 4)
     column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
     for seen in (250.0, 600.0, 150.0, 100.0):
-        foot = ground_contact(np.float32(1 / seen), column, 40)
+        foot = called(ground_contact)(np.float32(1 / seen), column, 40)
         assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
 
 
@@ -221,10 +222,10 @@ def test_what_is_passed_over_would_not_have_been_taken() -> None:
         joint = np.float32(spread**2 * rng.uniform(1.0, OWN))
         off = np.float32(np.sqrt(joint) * rng.uniform(0.7, 6.0))
         near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
-        if surely_terrain(odds, off, joint, spread, RULES):
+        if called(surely_terrain)(odds, off, joint, spread, RULES):
             passed += 1
             # As high as nothing: at its foot.
-            assert network_chance(near, off, joint, spread, np.float32(1e-6), odds, RULES) < RULES.open
+            assert called(network_chance)(near, off, joint, spread, np.float32(1e-6), odds, RULES) < RULES.open
     assert 400 < passed < 3600
 
 
@@ -233,7 +234,7 @@ def test_a_depth_that_may_be_either_of_two_has_their_mean_and_all_of_their_sprea
     """As many draws from both say."""
     rng = np.random.default_rng(4)
     draws = np.where(rng.random(400_000) < likely, rng.normal(90, 9, 400_000), rng.normal(700, 30, 400_000))
-    mean, sigma = mixture_moments(*np.array([700, 30, 90, 9, likely], np.float32))
+    mean, sigma = called(mixture_moments)(*np.array([700, 30, 90, 9, likely], np.float32))
     assert mean == pytest.approx(draws.mean(), rel=0.01)
     assert sigma == pytest.approx(draws.std(), rel=0.01)
 
@@ -250,7 +251,7 @@ def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
         depth, sigma, kind, kind, none, none, none, true, own, none, none, off, joint, np.empty(3, np.float32), whole,
         whole, np.ones(3, np.bool_),
     )  # fmt: skip
-    average_row(row, RULES)
+    called(average_row)(row, RULES)
     np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
     np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)
     np.testing.assert_array_equal(kind, [3, 1, 1])

@@ -13,6 +13,7 @@ import pytest
 from distributed import LocalCluster
 
 from ltm_core.base.errors import ArchiveError
+from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive import engine
 from ltm_ros.archive.engine import Cluster, on_cluster, on_workers
@@ -130,7 +131,7 @@ def test_a_cluster_without_workers_is_told_of_and_goes_on_when_some_come(
 
 def surroundings(task: Task, settings: TaskSettings) -> TaskReport:
     hurried = [name for name in os.environ if name.startswith("MALLOC_")]
-    return TaskReport(numba.get_num_threads() + 1000 * len(hurried))
+    return TaskReport(kernel_threads() + 1000 * len(hurried))
 
 
 @pytest.mark.slow  # starts two processes
@@ -138,4 +139,4 @@ def test_workers_keep_their_memory_and_leave_each_other_s_cores_alone() -> None:
     threads = max(1, available_cores() // 2)
     done = list(on_workers(2, surroundings)([task(n) for n in range(3)], SETTINGS))
     assert [one.report for one in done] == 3 * [TaskReport(threads)]
-    assert numba.get_num_threads() == numba.config.NUMBA_NUM_THREADS
+    assert kernel_threads() == numba.config.NUMBA_NUM_THREADS

@@ -36,7 +36,7 @@ def test_a_good_release_is_asked_then_run(tower: Tower, tmp_path: Path) -> None:
     assert tower.releases.installed == ["1.0", "2.0"]
     questions = [line.partition("/releases/2.0/bin/")[2] for line in tower.asked.splitlines()]
     site = tower.places.site
-    assert questions == ["ltm doctor", f"ltm check {site}", f"python -m ltm_ros.tower.compile_kernels {site}"]
+    assert questions == ["ltm doctor", f"ltm check {site}", f"python -m ltm_ros.launching.kernels {site}"]
     assert tower.service.did == ["stop", "start 2.0"]
     assert tower.releases.trial is None
     (copy,) = tower.places.copies.iterdir()
@@ -48,7 +48,7 @@ def test_a_good_release_is_asked_then_run(tower: Tower, tmp_path: Path) -> None:
     assert tower.service.did[2:] == ["stop", "start 1.0"]
 
 
-@pytest.mark.parametrize("question", ["doctor", "check", "compile_kernels"])
+@pytest.mark.parametrize("question", ["doctor", "check", "launching.kernels"])
 def test_a_release_that_finds_something_wrong_changes_nothing(tower: Tower, tmp_path: Path, question: str) -> None:
     with pytest.raises(UpgradeError, match=f"{question}: not as it should be; nothing was changed"):
         tower.install(write_package(tmp_path, "2.0", refuses=question))

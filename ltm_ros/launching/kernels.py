@@ -1,0 +1,89 @@
+"""Compile the kernels of a graph's nodes on all cores before it starts: `python -m ltm_ros.launching.kernels SITE`.
+
+An upgrade does this while the previous release still runs, so that the tower stops for seconds instead of minutes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import subprocess  # nosec B404 # argument lists, no shell
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import ltm_core
+from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.pipeline.kernels import KERNELS, compile_kernels
+from ltm_core.site.site_io import load_site
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.supervised import end_with_parent
+from ltm_ros.runtime.ros_environment import available_cores, ros_environment
+
+_ONE_KIND = "--kinds"
+
+
+def compile_ahead(
+    graph: Graph, site_path: Path | str, console: Callable[[str], object], waiting: Callable[[], object] = bool
+) -> None:
+    """Compile the kernels of a graph's nodes, unless that was done; print when it begins and how long it took. Nodes
+    compile what is still missing when they start. `waiting` is called five times a second."""
+    kinds = [kind for kind in KERNELS if any(node.module.rpartition(".")[2] == kind for node in graph)]
+    folder = use_own_cache(Path(ltm_core.__file__).parent)
+    # Numba keeps code for each processor.
+    done = None if folder is None else folder / f"{'-'.join([*kinds, platform.node()])}.compiled"
+    if not kinds or (done is not None and done.exists()) or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return
+    before, begun = _count(folder), time.monotonic()
+    console(f"-- compiling the kernels of {', '.join(kinds)}, once for this version")
+    workers = min(available_cores(), len(kinds))
+    command = [sys.executable, "-m", __name__, str(site_path), _ONE_KIND]
+    # Sessions of their own: Ctrl-C must end only the parent, which ends them.
+    running = [
+        subprocess.Popen(  # nosec B603 # no shell
+            [*command, *kinds[number::workers]],
+            env=ros_environment(busy=False),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        for number in range(workers)
+    ]
+    try:
+        while any(process.poll() is None for process in running):
+            waiting()
+            time.sleep(0.2)
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+    if any(process.returncode for process in running):
+        console("-- not all kernels could be compiled; the nodes will do it")
+        return
+    count = f"{_count(folder) - before} kernels" if folder is not None else "the kernels"
+    console(f"-- compiled {count} in {time.monotonic() - begun:.0f} s")
+    if done is not None:
+        with contextlib.suppress(OSError):
+            done.touch()
+
+
+def _count(folder: Path | None) -> int:
+    return 0 if folder is None else sum(1 for _ in folder.rglob("*.nbi"))
+
+
+def main() -> None:
+    """Compile the kernels of all nodes of a site, or of the kinds after `--kinds`."""
+    path, *kinds = sys.argv[1:]
+    site = load_site(path)
+    if kinds:
+        end_with_parent()
+        for kind in kinds[1:]:
+            compile_kernels(kind, site)
+    else:
+        compile_ahead(describe(site, path, sources=False), path, print)
+
+
+if __name__ == "__main__":
+    main()
