@@ -59,7 +59,7 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process with the thread that started it, even if it is stopped or holds Python's lock."""
+    """Have Linux end this process with the thread that started it, even if it is stopped or holds Python's lock."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
