@@ -190,6 +190,8 @@ class SiteFile:
 
 def _plain(value: Any) -> str:
     """Return a value as YAML text; sets of numbers, paths and enumerations as their text."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_plain(item)}" for key, item in value.items()) + "}"
     if isinstance(value, tuple | list | frozenset | set):
         return f"[{', '.join(_plain(item) for item in value)}]"
     return yaml.safe_dump(value if isinstance(value, bool | int | float | str) else str(value)).splitlines()[0]

@@ -44,7 +44,7 @@ def section_models(annotation: object) -> list[type[BaseModel]]:
 def with_expert(model: type[BaseModel], content: dict[Any, Any]) -> dict[Any, Any]:
     """Return the content of a file with the keys of its section `expert` in their places.
 
-    Raises ConfigError for keys in the wrong part, and for a section that only `expert` has.
+    Those of a section that is off have no effect. Raises ConfigError for keys in the wrong part.
     """
     plain = {key: value for key, value in content.items() if key != "expert"}
     tuning = content.get("expert") or {}
@@ -97,8 +97,10 @@ def _joined(annotation: object, plain: dict[Any, Any], tuning: dict[Any, Any], a
             joined[key] = value
             continue
         annotated, _, off = below[0]
-        section = plain.get(key, None if off else {})
-        if not isinstance(section, dict):
+        section = plain.get(key, {})
+        if off and section == {} and key not in plain and get_origin(annotation) is not dict:
+            continue  # the section is off
+        if not isinstance(section, dict) or (key not in plain and get_origin(annotation) is dict):
             place = ".".join(keys)
             raise ConfigError(f"  expert.{place}: there is no section {place}; write it first, in place as a mapping")
         joined[key] = _joined(annotated, section, value, keys)

@@ -137,7 +137,7 @@ class SnapshotConfig(HttpSettings):
     """Way in which images arrive."""
     every: float = Field(10.0, gt=0)
     """Seconds between two images."""
-    oldest: Expert[float] = Field(1.0, ge=0)
+    oldest: float = Field(1.0, ge=0)
     """Maximum age of an image in seconds at the time of the request; some cameras take one image per second."""
 
 
@@ -209,7 +209,7 @@ class FolderConfig(SourceSettings):
     """Format of the time in a file name, as for strptime: `north_%Y%m%d-%H%M%S.jpg`."""
     zone: str = "UTC"
     """Time zone of file names, and of EXIF times without a zone."""
-    oldest: Expert[float] = Field(600.0, gt=0)
+    oldest: float = Field(600.0, gt=0)
     """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
     """
     complete_within: Expert[float] = Field(60.0, gt=0)
@@ -251,7 +251,7 @@ class CameraListConfig(HttpSettings):
     """Key of the tilt in degrees."""
     zoom_key: Expert[str] = "zoom_current"
     """Key of the zoom."""
-    oldest: Expert[float] = Field(120.0, ge=0)
+    oldest: float = Field(120.0, ge=0)
     """Maximum age of an image in seconds."""
 
     @field_validator("image")

@@ -23,7 +23,7 @@ from ltm_core.pictures import (
 )
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_lab.evaluation.gallery.exhibit import Exhibit, Section
-from ltm_ros.pages.render import render_page
+from ltm_ros.pages import render_page
 
 PAGE, PICTURES = "gallery.html", "pictures"
 _COLUMNS, _WIDTH = 2, 900

@@ -11,7 +11,7 @@ import numpy as np
 from ltm_core.base.number_text import NOTHING, percent
 from ltm_lab.evaluation.run_score import BagScore
 from ltm_ros.demo.report import Table, depth_table, fuel_maps_table
-from ltm_ros.pages.render import without_nan
+from ltm_ros.pages import without_nan
 
 
 def tables(score: BagScore) -> list[Table]:

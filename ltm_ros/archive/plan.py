@@ -140,7 +140,7 @@ class NodeRules:
 
 def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
     """Return the parameters, with the nodes' defaults. Raises ConfigError."""
-    from ltm_ros.fuel_map.config import FuelMapConfig
+    from ltm_ros.fuel_map.services import FuelMapConfig
 
     graph = describe(site, path)
 

@@ -129,7 +129,7 @@ def head(
     )
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     console, start = Console(), time.perf_counter()
     segmenter = Segmenter(NetworkManifest.find(model or DEFAULT_MODEL).serving(out), threads)

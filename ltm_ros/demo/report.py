@@ -23,7 +23,7 @@ from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.site.site import Site
 from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
-from ltm_ros.pages.render import render_page, shown
+from ltm_ros.pages import render_page, shown
 from ltm_ros.recordings.recorded_run import Recorded
 from ltm_ros.runtime.health import NodeRow
 

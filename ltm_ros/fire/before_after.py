@@ -37,7 +37,7 @@ from ltm_core.pictures.fire_maps import arrival_overlay, fire_sheet
 from ltm_core.pipeline.site_fuel import spare_heights
 from ltm_core.site.site_io import load_site
 from ltm_ros.fuel_map.source import FuelSource
-from ltm_ros.pages.render import render_page, write_figures
+from ltm_ros.pages import render_page, write_figures
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from ltm_core.base.errors import ImageError, MessageError
 from ltm_core.base.types import BoolArray, Int16Array
@@ -24,11 +25,99 @@ from ltm_core.fuel.prior import system_of
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import provenance_of, site_canopy, spare_heights
 from ltm_core.pipeline.site_surface import exported_terrain
+from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.cells import fuel_cells_to_msg
+from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
+from ltm_ros.runtime.handler import NodeConfig, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S
+from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
+
+MAP_CELLS_PER_S = 1_000_000
+"""Cells per second of the latched map: a large map is published less often than twice a second."""
+CELLS_EVERY_S = 2.0
+"""Minimum seconds between messages of all layers, which cost ten times as much as the map."""
+
+
+class FuelPublisher:
+    """Publishes only what the persistence has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map
+    frame."""
+
+    publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
+
+    def __init__(
+        self, outlet: Outlet, health: Health, persistence: FuelMapPersistence, geometry: GridGeometry, dem: Dem
+    ) -> None:
+        self._outlet, self._health, self._persistence, self._geometry = outlet, health, persistence, geometry
+        self._heights = dem.elevation_at(*geometry.to_map(*np.indices(geometry.shape)))
+        self._since_map = self._since_cells = 0.0
+        self._map_due = self._cells_due = True
+
+    def announce(self, saved: list[CountedFrame]) -> None:
+        """Publish frames that are now in the store."""
+        for counted in saved:
+            if counted.window is not None:
+                self._map_due = self._cells_due = True
+                tile = tile_to_msg(
+                    self._persistence.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
+                )
+                self._outlet.publish(FUEL_MAP_UPDATE, tile)
+        unsaved = self._persistence.unsaved_frames
+        self._map_due |= unsaved > 0
+        self._cells_due |= unsaved > 0
+        self._health.gauge("frames", self._persistence.saved_frames)
+        self._health.gauge("unsaved_frames", unsaved)
+
+    def tick(self, waited: float) -> None:
+        """Publish the map and the layers when they are due."""
+        self._since_map += waited
+        self._since_cells += waited
+        pace = self._geometry.width * self._geometry.height / MAP_CELLS_PER_S
+        if self._map_due and self._since_map >= pace:
+            self.send_map()
+        if self._cells_due and self._since_cells >= max(CELLS_EVERY_S, 10 * pace):
+            self.send_cells()
+
+    def send_map(self) -> None:
+        self._map_due, self._since_map = False, 0.0
+        shown = self._persistence.shown
+        self._health.gauge("cells.all", shown.life_form.size)
+        self._health.gauge("cells.seen", shown.seen_cells)
+        self._health.gauge("cells.changed", shown.changed_cells)
+        self._outlet.publish(FUEL_MAP, classes_to_msg(shown.life_form, self._geometry, self._persistence.map.newest_ns))
+
+    def send_cells(self) -> None:
+        """Publish all layers of the cells with evidence, if the topic has subscribers."""
+        if not self._outlet.wanted(FUEL_MAP_CELLS):
+            return
+        self._cells_due, self._since_cells = False, 0.0
+        evidence = self._persistence.map
+        message = fuel_cells_to_msg(evidence.layers(), self._heights, self._geometry, evidence.newest_ns)
+        self._outlet.publish(FUEL_MAP_CELLS, message)
+
+
+class FuelMapConfig(NodeConfig):
+    folder: str = ""
+    """Folder in which the map is kept between runs and written on request, relative to the site file. Empty: not kept.
+    Never set by a message."""
+    export_path: str = ""
+    """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
+    accept_unknown_cameras: bool = False
+    """Whether to count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
+    allow_clear_and_burn: bool = False
+    """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
+    map's evidence."""
+    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
+    """Maximum seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
+    max_behind: float = Field(MAX_BEHIND_S, gt=0)
+    """Maximum seconds by which a frame may be late."""
+
 
 MOST_CORNERS = 1000
 

@@ -31,7 +31,7 @@ from ltm_ros.runtime.topics import (
     TERRAIN_SURFACE,
     site_topic,
 )
-from ltm_ros.surface.follower import SurfaceFollower
+from ltm_ros.surface.confirmation import SurfaceFollower
 
 
 class DepthConfig(JoinConfig, TracingConfig):

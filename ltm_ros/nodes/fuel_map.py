@@ -26,11 +26,18 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.json_topics import FuelMapAnswer, FuelMapInfo, msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
-from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.self_measurement import SelfMeasurement
-from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
+from ltm_ros.fuel_map.services import (
+    DrawnRegion,
+    FuelMapConfig,
+    FuelPublisher,
+    answer,
+    burned,
+    forgotten,
+    region_of,
+    write_landscapes,
+)
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health

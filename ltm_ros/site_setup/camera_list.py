@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg
 from ltm_core.site.sections import CameraConfig
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import is_folder
+from ltm_core.storage.image_io import read_rgb
 from ltm_core.storage.text_io import read_text
 from ltm_ros.site_setup.vertical import Datum, correction, named_datum
 
@@ -167,17 +168,14 @@ def _with_size(camera: CameraValues) -> CameraValues:
     """Return the camera with the size of its first photo. Raises ConfigError if its folder has none."""
     if camera.photos is None:
         return camera
-    from PIL import Image, UnidentifiedImageError
-
     folder = camera.photos.expanduser().absolute()
     photos = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg")) if is_folder(folder) else []
     if not photos:
         raise ConfigError(f"camera {camera.name}: no *.jpg in {folder}; give the folder of its photos")
     try:
-        with Image.open(photos[0]) as image:
-            width, height = image.size
-    except (OSError, UnidentifiedImageError, ValueError, Image.DecompressionBombError) as error:
-        raise ConfigError(f"{photos[0]}: not an image ({error}); remove it") from error
+        height, width = read_rgb(photos[0]).shape[:2]
+    except ImageError as error:
+        raise ConfigError(f"{error}; remove it") from error
     pattern = f"*{photos[0].suffix}"
     return camera.model_copy(update={"photos": folder / pattern, "size": f"{width}x{height}"})
 

@@ -29,8 +29,8 @@ def write_living_site(folder: Path, processes: str = "site") -> SmallSite:
     content = yaml.safe_load(small.path.read_text())
     del content["nodes"]
     content["fuel"] = {"prior": "prior.tif"}
-    content["terrain"]["threshold"] = NO_CHANGE
     content["processes"] = processes
-    content["watchdog"] = {"silent": SILENT_S}
+    content["expert"]["terrain"]["threshold"] = NO_CHANGE
+    content["expert"]["watchdog"] = {"silent": SILENT_S}
     small.path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return SmallSite(folder)

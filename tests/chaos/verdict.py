@@ -22,7 +22,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.launching.graph import CAMERA_NODES, Graph, describe
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.recordings.replay.offline import OfflineGraph

@@ -42,7 +42,7 @@ from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import correction_to_msg, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
 from ltm_ros.nodes.fuel_map import FuelMapHandler

@@ -77,7 +77,7 @@ def write_site(small: SmallSite, model: MountModel, camera: HttpCamera) -> None:
     site["cameras"] = {
         "tower": {
             "source": {"kind": "snapshot", "url": camera.url(), "every": 0.2},
-            "ptz": {"kind": "vapix", "patrol": {"presets": list(PRESETS), "settle": 0.2}},
+            "ptz": {"kind": "vapix", "patrol": {"presets": list(PRESETS)}},
             "mount": written_mount(model, LENS, small.site.frame),
         }
     }

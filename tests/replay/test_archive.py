@@ -312,7 +312,7 @@ def test_an_archive_that_is_away_loses_no_frame_for_good(
 
 def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) -> None:
     """The mast's have 110,592 bytes; the limit is of compressed ones."""
-    edited(own_site, lambda site: site.update(limits={"image_bytes": 100_000}))
+    edited(own_site, lambda site: site.update(expert={"limits": {"image_bytes": 100_000}}))
     summary = reprocessed(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")))
     assert (summary.merged, summary.failed) == (2 * FRAMES, 0)
 

@@ -173,7 +173,8 @@ def test_a_folder_of_photos_gives_the_map_of_the_recording_that_import_makes_of_
     options = ArchiveOptions((tmp_path / "bag",), small_site.path, str(tmp_path / "of_bag"))
     of_bag = reprocessed(options)
     assert (of_bag.merged, of_bag.failed) == (FRAMES, 0)
-    assert {info.message_count for info in BagReader(tmp_path / "bag").topic_infos().values()} == {FRAMES}
+    infos = BagReader(tmp_path / "bag").topic_infos()
+    assert {info.message_count for topic, info in infos.items() if topic != "/tf_static"} == {FRAMES}
     of_folder = reprocessed(replace(options, archives=(folder,), out=str(tmp_path / "of_folder")))
     assert (of_folder.digest, of_folder.worked) == (of_bag.digest, FRAMES)
     # The same photos in both count once, and their votes have the same names.

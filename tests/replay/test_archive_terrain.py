@@ -138,7 +138,7 @@ def test_a_corrected_pose_measures_that_camera_alone_and_other_rules_of_the_terr
     assert after.terrain_digest != expected[1]
 
     def stricter(site: dict[str, Any]) -> None:
-        site["terrain"]["confidence"] = 4.0
+        site["expert"]["terrain"]["confidence"] = 4.0
 
     other = edited(small, "stricter.yaml", stricter)
     summary = reprocessed(replace(options, site=other))

@@ -161,7 +161,7 @@ TEXT = {"type": "std_msgs/msg/String", "raw": serialize_message(String(data="nor
         (raw_images("rgb8"), FRAMES, 0),
         (raw_images("bgra8"), FRAMES, 0),
         (raw_images("rgb8", both=True), FRAMES, 0),
-        (raw_images("16UC1"), 0, 1),
+        (raw_images("16UC1"), FRAMES, 1),
         (raw_images("rgb8 step"), 0, 1),
         (only(INFO, **TEXT), 0, 1),
         (only(INFO, at=2, **TEXT), FRAMES, 1),

@@ -19,7 +19,7 @@ from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.site_io import load_site
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.base.errors import StoreError
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 from scenes.fuel_frames import (

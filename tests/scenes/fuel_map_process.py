@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ltm_ros.fuel_map import persistence
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health

@@ -21,7 +21,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.fire.pyretechnics import interpreter
 from ltm_core.site.site_io import load_site
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 

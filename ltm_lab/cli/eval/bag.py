@@ -37,7 +37,7 @@ def bag(
     from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.run_score import score_bag
     from ltm_lab.evaluation.score_tables import as_json, shown, tables
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
     from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()

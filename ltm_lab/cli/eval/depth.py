@@ -84,7 +84,7 @@ def depth(
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
     from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
     from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     console = Console()
     place = source if source is not None else project_path("bags/demo/recording")

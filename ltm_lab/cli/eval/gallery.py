@@ -36,7 +36,7 @@ def gallery(
     from ltm_lab.evaluation.gallery.real_photos_io import require_photos
     from ltm_lab.evaluation.gallery.unposed import mountain_section, tower_section
     from ltm_lab.evaluation.gallery_report import figures_of, write_gallery
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     parts = tuple(dict.fromkeys(part or Part))
     require_photos(data, parts)

@@ -68,7 +68,7 @@ def segmentation(
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.segmentation_tables import print_confusion, print_scores
     from ltm_lab.evaluation.segmentation.network_score import score_frames
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
     sets = [folder] if folder.is_dir() and holds_frames(folder) else inside

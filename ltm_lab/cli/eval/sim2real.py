@@ -27,7 +27,7 @@ def sim2real(
     from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.sim2real.comparison import advice, compare, pictures_below
     from ltm_lab.evaluation.sim2real.distribution import Estimate
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     console = Console()
     a, b = pictures_below(real), pictures_below(simulated)

@@ -48,7 +48,7 @@ def terrain(
     """
     from ltm_core.base.errors import ConfigError
     from ltm_lab.evaluation.terrain.hillside_scenes import SCENES
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     if canyon is not None and frames is not None:
         raise ConfigError("--canyon and --frames exclude each other; give one of them")

@@ -45,7 +45,7 @@ def run_trials(run: Callable[[Job], Sequence[Row]], jobs: Sequence[Job], process
 
 def report(console: Console, conditions: str, rows: Sequence[Any], json_path: Path | None, **figures: Any) -> None:
     """Print the conditions of trials. Write them, `figures` and the rows, which are dataclasses, to `json_path`."""
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     console.print(f"conditions: {conditions}", highlight=False)
     if json_path is not None:

@@ -32,7 +32,7 @@ def update(
     from ltm_lab.evaluation.pictures.figure import picture_of
     from ltm_lab.evaluation.terrain.hillside_scenes import trial
     from ltm_lab.evaluation.update_trial import offline_depths, score_update, update_figure, write_update_site
-    from ltm_ros.pages.render import write_figures
+    from ltm_ros.pages import write_figures
 
     if looks % 2:
         raise ConfigError(f"--looks {looks} is odd; give an even number, half for each side of the confirmation")

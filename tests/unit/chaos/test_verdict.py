@@ -23,7 +23,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE

@@ -20,7 +20,7 @@ from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 

@@ -38,7 +38,8 @@ def test_tuning_constants_join_their_sections(tmp_path: Path) -> None:
         "terrain": {"threshold": 3.0},
         "cameras": {"north": {"source": {"timeout": 20.0}}},
     }
-    site = load(tmp_path, expert=tuning)
+    site = load(tmp_path, expert=tuning | {"locating": {"plume_height": 90.0}})
+    assert site.locating is None
     assert (site.refraction, site.fuel.fusion.posterior, len(site.coarser)) == (0.2, 0.9, 1)
     assert site.terrain is not None
     assert (site.terrain.resolution, site.terrain.threshold) == (2.0, 3.0)
@@ -51,7 +52,7 @@ def test_tuning_constants_join_their_sections(tmp_path: Path) -> None:
         ({"refraction": 0.2}, "expert.refraction"),
         ({"cameras": {"north": {"source": SOURCE | {"timeout": 20.0}, "calibration": SIZE}}}, "source.timeout"),
         ({"expert": {"fuel": {"climate": "humid"}}}, "expert.fuel.climate"),
-        ({"expert": {"locating": {"plume_height": 90.0}}}, "expert.locating"),
+        ({"fuel": {"prior": "a.tif"}, "expert": {"fuel": {"prior": {"own_fbfm13": "as_given"}}}}, "expert.fuel.prior"),
         ({"expert": {"cameras": {"south": {"source": {"timeout": 20.0}}}}}, "expert.cameras.south"),
         ({"expert": {"terrain": {"treshold": 3.0}}}, "terrain.treshold: unknown key, line 22"),
         ({"expert": {"terrain": {"threshold": -3.0}}}, "terrain.threshold.*-3.0, line 22"),

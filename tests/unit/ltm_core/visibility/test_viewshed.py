@@ -179,7 +179,7 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
     assert np.isnan(footprint[count == 0]).all()
     assert np.isfinite(footprint[count > 0]).mean() > 0.97
     assert (height[count > 0] <= 0.01).all()
-    assert cv2.imread(str(folder / "made" / "cover.png")).shape[1] == 1200
+    assert cv2.imread(str(folder / "made" / "cover.png")).shape[1] >= 1200
     said = capsys.readouterr().out
     assert "roving" in said
     assert "seen by 2 or more" in said

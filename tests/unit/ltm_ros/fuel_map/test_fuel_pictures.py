@@ -53,8 +53,8 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.fuel_map.layers import places_of, seen_window, when
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 

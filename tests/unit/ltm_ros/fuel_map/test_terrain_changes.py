@@ -26,7 +26,7 @@ from ltm_core.surface.reference_surface import Reference
 from ltm_msgs_py.cells import changed_to_msg, msg_to_fuel_cells
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health

@@ -13,7 +13,7 @@ from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_s
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.surface.change import ChangeKind
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health

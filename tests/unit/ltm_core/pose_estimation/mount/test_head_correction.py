@@ -19,7 +19,8 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
-from ltm_msgs_py.pose import correction_to_msg, msg_to_correction
+from ltm_msgs_py.pose import correction_to_msg, correction_values, msgs_to_correction
+from ltm_msgs_py.status import status_to_msg
 
 PANS = (20.0, 110.0, 205.0, 290.0)
 LEAN = np.radians([0.3, -0.25, 0.9])
@@ -79,7 +80,7 @@ def test_its_message_and_its_variance_in_each_direction() -> None:
     spread = np.random.default_rng(3).normal(scale=1e-3, size=(4, 6))
     joint = spread @ spread.T
     sent = PoseCorrection(LEAN, joint[:3, :3], 0.014, joint[3])
-    came = msg_to_correction(correction_to_msg(sent, 5))
+    came = msgs_to_correction(correction_to_msg(sent, 5), status_to_msg("north/pose", 5, correction_values(sent)))
     assert came.tilt_zero == sent.tilt_zero
     np.testing.assert_allclose(came.tilt_covariance, sent.tilt_covariance, atol=1e-15)
     stated = Pose.from_angles(eye(), 77.0, 3.0)
