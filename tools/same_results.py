@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import importlib
+import importlib.util
 import json
 import os
 import re
@@ -305,6 +306,8 @@ def _fields_of(path: Path, topic: str, wanted: Message) -> list[Entry]:
 
 def _decoded(kind: str, data: bytes) -> Any:
     package, _, name = kind.split("/")
+    if importlib.util.find_spec(package) is None:  # tf2_msgs has no wheel
+        return data
     return deserialize_message(data, getattr(importlib.import_module(f"{package}.msg"), name))
 
 
