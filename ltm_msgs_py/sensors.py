@@ -72,7 +72,8 @@ def fix_to_msg(fix: Fix, frame_id: str) -> NavSatFix:
     if fix.covariance is not None:
         msg.position_covariance = fix.covariance.ravel()
         diagonal = not np.any(fix.covariance - np.diag(fix.covariance.diagonal()))
-        msg.position_covariance_type = NavSatFix.COVARIANCE_TYPE_KNOWN - diagonal
+        kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if diagonal else NavSatFix.COVARIANCE_TYPE_KNOWN
+        msg.position_covariance_type = kind
     return msg
 
 

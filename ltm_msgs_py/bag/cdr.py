@@ -75,7 +75,7 @@ def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
         raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
         fields = _Fields(raw)
-        stamp = fields.number("i") * NS_PER_S + fields.number("I")
+        stamp = fields.stamp_ns()
         fields.text()  # frame_id
         if type_name == COMPRESSED_TYPE:
             return CompressedPicture(stamp, fields.text(), fields.data())
@@ -90,7 +90,7 @@ def header_of(raw: bytes) -> tuple[int, str]:
     """Return stamp (ns) and frame of a serialised message that begins with a header. Raises RecordingError."""
     try:
         fields = _Fields(raw)
-        return fields.number("i") * NS_PER_S + fields.number("I"), fields.text()
+        return fields.stamp_ns(), fields.text()
     except (struct.error, ValueError) as error:
         raise RecordingError(f"{len(raw)} bytes have no header ({error})") from error
 
@@ -110,8 +110,8 @@ def transforms_of(raw: bytes) -> list[TransformStamped]:
     try:
         fields = _Fields(raw)
         for _ in range(fields.number("I")):
-            stamp = fields.number("i") * NS_PER_S + fields.number("I")
-            one = TransformStamped(header=make_header(stamp, fields.text()), child_frame_id=fields.text())
+            header = make_header(fields.stamp_ns(), fields.text())
+            one = TransformStamped(header=header, child_frame_id=fields.text())
             move, turn = one.transform.translation, one.transform.rotation
             move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.real() for _ in range(7))
             found.append(one)
@@ -179,6 +179,9 @@ class _Fields:
         (value,) = struct.unpack_from(f"{self._order}{form}", self._bytes, self._at)
         self._at += size
         return value
+
+    def stamp_ns(self) -> int:
+        return self.number("i") * NS_PER_S + self.number("I")
 
     def text(self) -> str:
         return bytes(self.data()).rstrip(b"\0").decode()

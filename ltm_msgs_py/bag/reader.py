@@ -130,10 +130,13 @@ def _magic(path: Path) -> bytes:
 
 
 def _plain(raw: bytes) -> bytes:
-    """Return a message's CDR, which rosbag2 may compress message by message; as it is if that is invalid."""
+    """Return a message's CDR, which rosbag2 may compress message by message; unchanged if it is invalid or too large.
+    """
     if not raw.startswith(zstandard.FRAME_HEADER):
         return raw
     try:
+        if zstandard.frame_content_size(raw) > LARGEST_MESSAGE:  # zstandard allocates what a frame states
+            return raw
         return bytes(zstandard.ZstdDecompressor().decompress(raw, max_output_size=LARGEST_MESSAGE))
     except zstandard.ZstdError:
         return raw
@@ -251,14 +254,16 @@ class BagReader:
         return files
 
     def _opened(self, path: Path) -> Storage:
-        """Open a file of the bag by its first bytes. Raises RecordingError."""
+        """Open a file of the bag by its first bytes; one that is compressed as a whole is unpacked into a temporary
+        folder (TMPDIR). Raises RecordingError."""
+        plain = path
         try:
             if _magic(path).startswith(zstandard.FRAME_HEADER):
                 self._unpacked.append(tempfile.TemporaryDirectory(prefix="ltm_bag_"))
-                packed, path = path, Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
-                with packed.open("rb") as source, path.open("wb") as whole:
+                plain = Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
+                with path.open("rb") as source, plain.open("wb") as whole:
                     zstandard.ZstdDecompressor().copy_stream(source, whole)
-            return SqliteIndex.open(path) if _magic(path) == _SQLITE else McapIndex.open(path)
+            return SqliteIndex.open(plain) if _magic(plain) == _SQLITE else McapIndex.open(plain)
         except (OSError, zstandard.ZstdError) as error:
             raise RecordingError(f"cannot read {path}: {error}") from error
 

@@ -314,6 +314,16 @@ def test_a_corrupt_sqlite_bag_is_read_up_to_the_fault(bag: Path, tmp_path: Path)
     assert reader.lost.total() > 0
 
 
+def test_a_message_that_states_a_huge_size_is_not_unpacked(bag: Path, tmp_path: Path) -> None:
+    (first, *_), store = [*BagReader(bag).messages()], get_typestore(Stores.ROS2_JAZZY)
+    huge = struct.pack("<IBQ", 0xFD2FB528, 0xE0, 1 << 45) + zstandard.compress(first.raw)[8:]
+    with Writer2(tmp_path / "other", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topic = writer.add_connection("/odd", "std_msgs/msg/String", typestore=store)
+        for raw in (zstandard.compress(first.raw), huge):
+            writer.write(topic, first.log_time_ns, raw)
+    assert [message.raw for message in BagReader(tmp_path / "other").messages()] == [first.raw, huge]
+
+
 def test_no_bag_is_no_bag(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no bag at"):
         BagReader(tmp_path / "absent")
