@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
@@ -13,8 +12,6 @@ from ltm_core.base.errors import ConfigError
 _T = TypeVar("_T")
 Expert = Annotated[_T, "expert"]
 """Type of a field that has a good default everywhere. A file sets it below its section `expert`, at the same path."""
-
-Keys = tuple[str, ...]
 
 
 class StrictModel(BaseModel):
@@ -50,58 +47,38 @@ def with_expert(model: type[BaseModel], content: dict[Any, Any]) -> dict[Any, An
     tuning = content.get("expert") or {}
     if not isinstance(tuning, dict):
         raise ConfigError(f"expert: expected a mapping of keys to values, got {type(tuning).__name__}")
-    wrong = [
-        f"  {'.'.join(keys)}: this is a tuning constant; write it as expert.{'.'.join(keys)}"
-        for keys, expert in _keys(model, plain)
-        if expert
-    ]
-    wrong += [
-        f"  expert.{'.'.join(keys)}: this is not a tuning constant; write it as {'.'.join(keys)}"
-        for keys, expert in _keys(model, tuning)
-        if not expert
-    ]
+    wrong: list[str] = []
+    whole = _joined(model, plain, tuning, "", wrong)
     if wrong:
         raise ConfigError("\n".join(wrong))
-    return _joined(model, plain, tuning, ())
+    return whole
 
 
-def _keys(annotation: object, content: object, above: Keys = ()) -> Iterator[tuple[Keys, bool]]:
-    """Yield each key below `content` that is expert (True) and each other value (False); unknown keys are left out."""
-    if not isinstance(content, dict):
-        return
-    for key, value in content.items():
-        keys = (*above, str(key))
-        for annotated, expert, _ in _below(annotation, key)[:1]:
-            if expert or not isinstance(value, dict):
-                yield keys, expert
-            else:
-                yield from _keys(annotated, value, keys)
-
-
-def _below(annotation: object, key: object) -> list[tuple[object, bool, bool]]:
-    """Return what a key of a section is: its type, whether it is expert, and whether its section is off by default."""
-    if get_origin(annotation) is dict:  # its keys are the user's names
-        return [(get_args(annotation)[1], False, True)]
-    fields = [model.model_fields[str(key)] for model in section_models(annotation) if str(key) in model.model_fields]
-    return [
-        (field.annotation, is_expert(field), field.get_default(call_default_factory=True) is None) for field in fields
-    ]
-
-
-def _joined(annotation: object, plain: dict[Any, Any], tuning: dict[Any, Any], above: Keys) -> dict[Any, Any]:
-    joined = dict(plain)
-    for key, value in tuning.items():
-        keys = (*above, str(key))
-        below = _below(annotation, key)
-        if not below or below[0][1] or not isinstance(value, dict):
+def _joined(
+    annotation: object, plain: dict[Any, Any], tuning: dict[Any, Any], above: str, wrong: list[str]
+) -> dict[Any, Any]:
+    """Return both parts of a section in one; `above`: its place, with a dot at the end. Keys in the wrong part are noted
+    in `wrong`; unknown ones stay, for pydantic to reject."""
+    named = get_origin(annotation) is dict  # its keys are the user's names
+    joined = {}
+    for key, value in {**plain, **tuning}.items():
+        place, section, tuned = f"{above}{key}", plain.get(key, {}), tuning.get(key, {})
+        field = next((m.model_fields[key] for m in section_models(annotation) if key in m.model_fields), None)
+        if not named and field is None:
             joined[key] = value
-            continue
-        annotated, _, off = below[0]
-        section = plain.get(key, {})
-        if off and section == {} and key not in plain and get_origin(annotation) is not dict:
-            continue  # the section is off
-        if not isinstance(section, dict) or (key not in plain and get_origin(annotation) is dict):
-            place = ".".join(keys)
-            raise ConfigError(f"  expert.{place}: there is no section {place}; write it first, in place as a mapping")
-        joined[key] = _joined(annotated, section, value, keys)
+        elif field is not None and is_expert(field):
+            joined[key] = value
+            if key in plain:
+                wrong.append(f"  {place}: this is a tuning constant; write it as expert.{place}")
+        elif not isinstance(tuned, dict):
+            wrong.append(f"  expert.{place}: this is not a tuning constant; write it as {place}")
+        elif key in tuning and (not isinstance(section, dict) or (named and key not in plain)):
+            wrong.append(f"  expert.{place}: there is no section {place}; write it first, in place as a mapping")
+        elif not isinstance(section, dict):
+            joined[key] = section
+        else:
+            below = get_args(annotation)[1] if field is None else field.annotation
+            both = _joined(below, section, tuned, f"{place}.", wrong)
+            if key in plain or field is None or field.get_default(call_default_factory=True) is not None:
+                joined[key] = both
     return joined
