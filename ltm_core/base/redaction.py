@@ -1,10 +1,12 @@
-"""Clean text for display: remove passwords, and control characters sent by a camera."""
+"""Keep secrets out of text and files: remove passwords and control characters for display, reject URLs with secrets."""
 
 from __future__ import annotations
 
+import ipaddress
 import re
 from collections.abc import Sequence
 from typing import Any
+from urllib.parse import parse_qsl, urlsplit
 
 SECRET_KEYS = ("password", "passwd", "pass", "pwd", "token", "secret", "api_key", "apikey", "auth", "loginpas")
 """Names of parameters that hold a password in URLs and files; case is ignored."""
@@ -48,3 +50,32 @@ def _masked(value: Any) -> Any:
 def plain(text: str, most: int = 1000) -> str:
     """Return at most `most` characters of `text` without control characters."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:most])
+
+
+def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
+    """Return a URL of one of the schemes unchanged. Raises ValueError for another one, and if it contains a secret."""
+    parts = urlsplit(url)
+    if parts.scheme not in schemes or not parts.hostname:
+        raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
+    if "@" in parts.netloc:
+        raise ValueError(
+            "a URL in a site file must not contain user and password: write them as `user: NAME` and "
+            "`password: {environment: NAME}` (or file, credential)"
+        )
+    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
+        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
+    for name, value in parse_qsl(parts.query, keep_blank_values=True):
+        if name.lower() in SECRET_KEYS and value != "{password}":
+            raise ValueError(
+                f"the URL's parameter {name} holds a secret: write {name}={{password}} there, and "
+                "`password: {environment: NAME}` (or file, credential) beside it"
+            )
+    return url
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host name or address is that of this computer."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

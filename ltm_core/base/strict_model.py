@@ -57,8 +57,8 @@ def with_expert(model: type[BaseModel], content: dict[Any, Any]) -> dict[Any, An
 def _joined(
     annotation: object, plain: dict[Any, Any], tuning: dict[Any, Any], above: str, wrong: list[str]
 ) -> dict[Any, Any]:
-    """Return both parts of a section in one; `above`: its place, with a dot at the end. Keys in the wrong part are noted
-    in `wrong`; unknown ones stay, for pydantic to reject."""
+    """Return both parts of a section in one. `above`: its place, with a dot at the end. Add keys in the wrong part to
+    `wrong`; unknown ones stay, for pydantic to reject."""
     named = get_origin(annotation) is dict  # its keys are the user's names
     joined = {}
     for key, value in {**plain, **tuning}.items():

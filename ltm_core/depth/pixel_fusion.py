@@ -194,8 +194,8 @@ def _fuse(
     index: Int32Array,
     asked: BoolArray,
 ) -> None:
-    """Fuse row by row (see `fusion_rows`): only the pixels where terrain and network disagree are examined one
-    by one. `unlabelled`: a row of 255; what follows `rules` else is to work in."""
+    """Fuse row by row: only the pixels where terrain and network disagree are examined one by one. `unlabelled`: a row
+    of 255. `between`, `work`, `index`, `asked`: work arrays."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.tables, view.gross, prior.odds, prior.feet

@@ -35,12 +35,12 @@ def form_by_appearance(
     least: float,
     own: Any,
 ) -> None:
-    """Put the log probability of each form by the cell's look into `own` (N, F), `least` or more, for cells that are
-    mostly called what the looks were learnt of; the others stay.
+    """Write the log probability of each form by the cell's appearance into `own` (N, F), at least `least`, for cells
+    whose labels are mostly of forms in the appearance model; other cells stay.
 
     As `CellAppearanceModel.log_likelihood(what_is_seen(...))`, normalised. `shares` (N, F): of the labels; `sure` (N,):
-    their confidence beyond the usual. `weights` (K, SEEN, F): of what is looked at, at each of K incidences; `known`
-    (F,): forms that the looks were learnt of.
+    their confidence beyond the usual. `weights` (K, SEEN, F): of the model at each of K incidences; `known` (F,):
+    forms in the model.
     """
     n = len(rows)
     if n == 0:

@@ -59,7 +59,7 @@ class MapCamera:
 
 
 def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
-    """Return the inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
+    """Draw the inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
     line = max(1, round(cell / 3.5))
     # Beyond its border a picture neither adds nor takes away.
     sides = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -187,7 +187,8 @@ def interesting_bounds(
 ) -> tuple[float, float, float, float]:
     """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
     terrain."""
-    xs, ys = ([*values] for values in zip(*points, strict=True)) if (points := [*points]) else ([], [])
+    points = [*points]
+    xs, ys = [x for x, _ in points], [y for _, y in points]
     rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if len(rows):
         x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])
@@ -257,8 +258,7 @@ def _label(view: GridGeometry, camera: MapCamera, size: int) -> Text:
 
 
 def draw_north(picture: RgbImage, size: int, texts: Sequence[Text] = ()) -> Text:
-    """Return the arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its
-    N."""
+    """Draw the north arrow in the upper right corner, or in the lower one if a text is in its way; return its N."""
     x, y = picture.shape[1] - 2 * size, size
     if any(place[1] + text_width(place[0], size) > x - size and place[2] < 5 * size for place in texts):
         y = picture.shape[0] - 5 * size

@@ -23,7 +23,7 @@ def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
 
 @kernel()
 def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array) -> None:
-    """Return the row after row from the north; of each column the two ends of the hole that it is in are kept."""
+    """Fill the holes of the fine raster row by row from the north; each column keeps the ends of its current hole."""
     height, width = fine.shape
     above, below = np.full(width, -1, np.int64), np.full(width, 0, np.int64)
     from_above, from_below = np.zeros(width), np.zeros(width)

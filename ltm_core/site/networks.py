@@ -50,7 +50,8 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     if site.fuel.label_errors is not None:
         return {}
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
-    known = {head: known_errors(label_network(site), head, site.label_heads) for head in heads}
+    network = label_network(site) if heads else ""
+    known = {head: known_errors(network, head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
 
 

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from ltm_core.base.redaction import is_loopback, url_without_secrets
 from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.cameras.sensor_pose import SensorsConfig
@@ -22,7 +23,6 @@ from ltm_core.site.source_config import (
     SecretConfig,
     SnapshotConfig,
     SourceConfig,
-    url_without_secrets,
 )
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
@@ -263,6 +263,6 @@ class AlertsConfig(StrictModel):
             raise ValueError("password needs user")
         if self.mqtt is not None and self.mqtt.startswith("mqtt://"):
             host = urlsplit(self.mqtt).hostname or ""
-            if host != "localhost" and not host.startswith("127.") and host != "::1":
+            if not is_loopback(host):
                 raise ValueError(f"mqtt: {host} is another host: use TLS, mqtts://{host}")
         return self

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
-from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import Field, PositiveInt, field_validator, model_validator
 
-from ltm_core.base.redaction import SECRET_KEYS
+from ltm_core.base.redaction import url_without_secrets
 from ltm_core.base.strict_model import Expert, StrictModel
 
 
@@ -74,26 +72,6 @@ class SourceSettings(StrictModel):
     @property
     def stuck_s(self) -> float:
         return self.stuck_after or max(120.0, 6 * self.period)
-
-
-def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
-    parts = urlsplit(url)
-    if parts.scheme not in schemes or not parts.hostname:
-        raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
-    if "@" in parts.netloc:
-        raise ValueError(
-            "a URL in a site file must not contain user and password: write them as `user: NAME` and "
-            "`password: {environment: NAME}` (or file, credential)"
-        )
-    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
-        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
-    for name, value in parse_qsl(parts.query, keep_blank_values=True):
-        if name.lower() in SECRET_KEYS and value != "{password}":
-            raise ValueError(
-                f"the URL's parameter {name} holds a secret: write {name}={{password}} there, and "
-                "`password: {environment: NAME}` (or file, credential) beside it"
-            )
-    return url
 
 
 class NetworkSettings(SourceSettings):
@@ -264,8 +242,6 @@ SourceConfig = Annotated[
     SnapshotConfig | MjpegConfig | RtspConfig | V4l2Config | FolderConfig | CameraListConfig,
     Field(discriminator="kind"),
 ]
-
-
 Degrees = Annotated[float, Field(ge=-720, le=720)]
 
 

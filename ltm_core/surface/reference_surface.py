@@ -39,7 +39,7 @@ class ReferenceGrid(NamedTuple):
 
 @helper(inline="always")
 def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
-    """Return the bilinear; NaN outside the outermost cell centres."""
+    """Return the bilinear height; NaN outside the outermost cell centres."""
     col = (x - ground.x_min) / ground.resolution - 0.5
     row = (ground.y_max - y) / ground.resolution - 0.5
     height, width = ground.surface.shape
@@ -57,7 +57,7 @@ def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
 
 @helper(inline="always")
 def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
-    """Return the row and column; -1, -1 outside."""
+    """Return the row and column of a place; -1, -1 outside."""
     col = math.floor((x - ground.x_min) / ground.resolution)
     row = math.floor((ground.y_max - y) / ground.resolution)
     height, width = ground.surface.shape

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltm_core.base.kernels import helper, in_parallel, kernel
+from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
@@ -28,7 +28,6 @@ PLUMB_SINE = 1e-9
 # Cells: a hole that is crossed over less than this is only touched at a corner, and does not count.
 TOUCH = 1e-9
 START_LEVEL = 3
-_CHUNK = 2048
 
 
 class TerrainRaster(NamedTuple):
@@ -304,6 +303,7 @@ def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     return h
 
 
+@kernel(fastmath=FASTMATH, nogil=True)
 def trace_directions(
     ground: TerrainRaster,
     stage: RasterStage,
@@ -315,22 +315,6 @@ def trace_directions(
     """Take rays from one origin through one stage. `rotation`: (3, 3) ray frame -> (east, north, up). `rays`: (N, 3)
     unit vectors; NaN gives NaN. `first`: vertical rays end here. `out`: (N,) float32, slant ranges in metres, or the
     states of rays that have met nothing, before this stage on entry, after it on return."""
-
-    def trace(begin: int, end: int) -> None:
-        _trace_directions(ground, stage, rotation, rays[begin:end], first, out[begin:end])
-
-    in_parallel(trace, rays.shape[0], _CHUNK)
-
-
-@kernel(fastmath=FASTMATH, nogil=True)
-def _trace_directions(
-    ground: TerrainRaster,
-    stage: RasterStage,
-    rotation: Float64Array,
-    rays: Float64Array,
-    first: bool,
-    out: Float32Array,
-) -> None:
     for k in range(rays.shape[0]):
         state = float(out[k])
         if not state < 0.0:

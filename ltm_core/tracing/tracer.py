@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
+from ltm_core.base.kernels import in_parallel
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
@@ -100,6 +101,8 @@ class BoundedCache(Generic[_Value]):
 # Fewer pixels than this do not repay the profile of a position that may never be seen again.
 _FEW_PIXELS = 40_000
 _MARK_EVERY = 8  # pixels
+_FEWEST_RAYS = 2048
+"""Minimum number of rays for a thread."""
 PROFILE_BYTES = 64 * 2**20
 FRAME_BYTES = 48 * 2**20
 
@@ -216,8 +219,14 @@ class TerrainTracer:
     def _trace(self, origin: Float64Array, rotation: Float64Array, rays: Float64Array) -> Float32Array:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
-        for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend, *self._beyond)):
-            trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
+        passed = stages(self.dem, origin, self.bend, *self._beyond)
+
+        def trace(begin: int, end: int) -> None:
+            part = slice(begin, end)
+            for number, (level, stage) in enumerate(passed):
+                trace_directions(self._grounds[level], stage, turned, rays[part], number == 0, ranges[part])
+
+        in_parallel(trace, len(rays), _FEWEST_RAYS)
         return ranges
 
     def _check(self, origin: Float64Array, rotation: Float64Array) -> None:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -196,13 +197,19 @@ def _known_words(manifest: NetworkManifest) -> dict[str, Float32Array]:
 def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) -> str:
     """Return the digest of all that the embeddings of prompts depend on."""
     found = hashlib.sha256(json.dumps([(name, *group) for name, group in groups.items()]).encode())
-    if manifest.prompts is not None:
-        files = filter(None, (manifest.prompts.tokenizer, manifest.prompts.encoder))
-        for path in map(manifest.file_of, files):
-            found.update((NetworkFile.read(path).digest if path.suffix == ".onnx" else file_digest(path)).encode())
-    if manifest.text is not None and manifest.text.file is not None:
-        found.update(file_digest(manifest.text_file()).encode())
+    prompts, text = manifest.prompts, manifest.text
+    files = (prompts.tokenizer, prompts.encoder) if prompts is not None else ()
+    for file in (*files, None if text is None else text.file):
+        if file is not None:
+            path = manifest.file_of(file)
+            found.update(_file_digest(path, path.stat().st_mtime_ns).encode())
     return found.hexdigest()
+
+
+@lru_cache(maxsize=8)
+def _file_digest(path: Path, changed_ns: int) -> str:
+    """Return the digest of a file, computed once per process: each camera has its segmenter, and encoders are large."""
+    return NetworkFile.read(path).digest if path.suffix == ".onnx" else file_digest(path)
 
 
 def _cache_folder() -> Path:

@@ -130,8 +130,7 @@ def _magic(path: Path) -> bytes:
 
 
 def _plain(raw: bytes) -> bytes:
-    """Return a message's CDR, which rosbag2 may compress message by message; unchanged if it is invalid or too large.
-    """
+    """Return a message's CDR, which rosbag2 may compress message by message; unchanged if invalid or too large."""
     if not raw.startswith(zstandard.FRAME_HEADER):
         return raw
     try:

@@ -5,7 +5,6 @@ All give the same files; the worker, time and number of attempts of a task have 
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ltm_core.base.errors import ArchiveError, LtmError
+from ltm_core.base.redaction import is_loopback
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport, work
 from ltm_ros.runtime.ros_environment import available_cores
@@ -54,7 +54,7 @@ class Cluster:
         if place.scheme == "tls":
             if not (self.ca and self.certificate and self.key):
                 raise ArchiveError(f"{self.address}: give --tls CA CERT KEY, PEM files")
-        elif place.scheme != "tcp" or not _loopback(place.hostname or ""):
+        elif place.scheme != "tcp" or not is_loopback(place.hostname or ""):
             raise ArchiveError(
                 f"{self.address}: a scheduler executes any code it is sent, so other hosts must use tls://"
             )
@@ -198,10 +198,3 @@ def _said(error: BaseException | None, status: str) -> str:
     if type(error).__name__ == "KilledWorker":
         return "several workers died of it: out of memory, or an image that crashes the process"
     return str(error)
-
-
-def _loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

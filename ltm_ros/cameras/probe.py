@@ -13,14 +13,13 @@ from urllib.parse import urlsplit
 from pydantic import TypeAdapter
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.redaction import redacted
+from ltm_core.base.redaction import redacted, url_without_secrets
 from ltm_core.site.source_config import (
     HttpSettings,
     MjpegConfig,
     PtzConfig,
     RtspConfig,
     SecretConfig,
-    url_without_secrets,
 )
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError

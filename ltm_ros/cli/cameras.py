@@ -196,8 +196,7 @@ def snapshot(
 def _checked_address(url: str) -> str:
     """Return the checked address. Raises ConfigError if it is invalid or contains a password."""
     from ltm_core.base.errors import ConfigError
-    from ltm_core.base.redaction import redacted
-    from ltm_core.site.source_config import url_without_secrets
+    from ltm_core.base.redaction import redacted, url_without_secrets
 
     if "://" not in url:
         url = f"http://{url}"

@@ -85,15 +85,15 @@ def _fusion_of_a_photo(_: str) -> None:
     fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
 
 
-def _looks(_: str) -> None:
-    """How a frame's cells are told by their looks."""
+def _appearance(_: str) -> None:
+    """Compile the classification of a frame's cells by their appearance."""
     none, own = np.zeros(0, np.int64), np.zeros((0, FORMS))
     look = np.array([0.1, 0.5]), np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_)
     form_by_appearance(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
 
 
 def _parts_of_an_archive(_: str) -> None:
-    """Counted apart and merged."""
+    """Compile the merging of evidence that was counted in parts."""
     part, other = (
         PartialEvidence({name: np.array([second * 10**9])}, {(0, 0): fuel_map(seen).tile_state((0, 0))})
         for name, second in (("north", NOW), ("south", NOW + HOUR))
@@ -103,7 +103,7 @@ def _parts_of_an_archive(_: str) -> None:
 
 
 def _samples(_: str) -> None:
-    """That fusion is fitted to."""
+    """Compile the samples that fusion is fitted to."""
     scene, step = depth_scene(), 2
     true = scene.truth[::step, ::step].astype(np.float32)
     frame = scene.traced, scene.network(), scene.photo, scene.labels, true, None
@@ -119,7 +119,7 @@ ALL = NODES | {
     "poses": _poses,
     "rays": _rays,
     "fusion of a photo": _fusion_of_a_photo,
-    "looks": _looks,
+    "appearance": _appearance,
     "parts of an archive": _parts_of_an_archive,
     "samples": _samples,
 }
