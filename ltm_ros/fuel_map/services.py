@@ -1,4 +1,6 @@
-"""Serve requests of the node `fuel_map`: query a point, mark a region burned, clear a region, write landscapes."""
+"""What the node `fuel_map` offers: its parameters, its topics, and its services (query a point, mark a region burned,
+clear a region, write landscapes).
+"""
 
 from __future__ import annotations
 

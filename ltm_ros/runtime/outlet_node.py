@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Set
+from dataclasses import replace
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -57,6 +58,7 @@ class OutletNode(Node):  # type: ignore[misc]
         self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
         self._undecided: dict[str, Callable[[type], None]] = {}
+        """Functions that subscribe to a topic once its type is known, by the topic's name."""
 
     def publish(self, topic: Topic, message: Any) -> None:
         """Implement Outlet."""
@@ -124,13 +126,16 @@ class OutletNode(Node):  # type: ignore[misc]
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
 
-        if topic.any_pose:
-            self._undecided[name] = lambda kind: self.create_subscription(kind, name, with_info(take), _qos(topic))
-        else:
+        def subscribe(kind: type) -> None:
             callback = with_info(take)
-            subscription = self.create_subscription(topic.type, name, callback, _qos(topic))
+            subscription = self.create_subscription(kind, name, callback, _qos(topic))
             if not topic.latched:
-                self._reliable[subscription.topic_name] = subscription, topic, callback
+                self._reliable[subscription.topic_name] = subscription, replace(topic, type=kind), callback
+
+        if topic.any_pose:
+            self._undecided[name] = subscribe
+        else:
+            subscribe(topic.type)
 
     def _settle_types(self) -> None:
         """Subscribe to topics of several accepted types once a publisher shows which."""

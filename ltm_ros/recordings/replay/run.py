@@ -149,7 +149,8 @@ class LivePlayer:
                         self._pause_until(self._first_frames_done(), stopped)
                     begun.add(message.topic)
                 self._sleep_until(message.log_time_ns + shift, stopped)
-                self._wait_for_room(stopped)
+                # A live camera's frames are shed if the graph is behind, but all recorded frames are processed.
+                self._pause_until(lambda: not self._behind(), stopped)
                 if stopped():
                     return published
                 self._publish_clock()  # no node may receive a message from its future
@@ -175,12 +176,6 @@ class LivePlayer:
         """Return the replay's time."""
         real, bag_ns = self._epoch
         return bag_ns + round(max(0.0, time.monotonic() - real) * self._rate * 1e9)
-
-    def _wait_for_room(self, stopped: Callable[[], bool]) -> None:
-        """Wait for the graph: a live camera's frames are shed if it is behind, but all recorded frames are
-        processed.
-        """
-        self._pause_until(lambda: not self._behind(), stopped)
 
     def _pause_until(self, done: Callable[[], bool], stopped: Callable[[], bool]) -> None:
         at = self.now_ns()
@@ -282,12 +277,8 @@ class ReplayOptions:
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     """Return the site's graph with the given options."""
-    fuel_map: NodeParameters = {}
-    if options.export is not None:
-        fuel_map["export_path"] = str(options.export.resolve())
-    kept: NodeParameters = {}
-    if options.state is not None:
-        kept["folder"] = str(options.state.resolve())
+    fuel_map: NodeParameters = {} if options.export is None else {"export_path": str(options.export.resolve())}
+    kept: NodeParameters = {} if options.state is None else {"folder": str(options.state.resolve())}
     return describe(
         load_site(site_path),
         site_path,
