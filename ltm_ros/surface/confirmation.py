@@ -1,4 +1,4 @@
-"""Publish the changes of a terrain map and the versions of the surface that it confirms; follow these in other nodes."""
+"""Publish the changes of a terrain map and the surface versions that it confirms; follow these in other nodes."""
 
 from __future__ import annotations
 
