@@ -113,9 +113,9 @@ PARTS = 4
 """Number of parts per side of a fuel cell, 7.5 m for a cell of 30 m. The terrain is checked for each part."""
 _PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 WATER_STEEPEST_DEG: Final = 10.0
-"""Slope in degrees over the width of a fuel cell above which water labels are ignored. Of LANDFIRE's water cells that
-lie among water, at most 0.3 % are steeper (Vermont, Tubbs, Santa Ana), of all others, with their banks, 0.4 to 6.6 %;
-of the land there, 40 to 63 %."""
+"""Slope in degrees over the width of a fuel cell above which water labels are ignored. Of LANDFIRE's water cells in
+Vermont, at Tubbs and in the Santa Ana Mountains, 0.4 to 6.6 % are steeper, nearly all on banks (0.3 % at most of those amid water), and of
+the land there 40 to 63 %."""
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
 
