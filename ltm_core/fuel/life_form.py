@@ -114,8 +114,8 @@ PARTS = 4
 _PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 WATER_STEEPEST_DEG: Final = 10.0
 """Slope in degrees over the width of a fuel cell above which water labels are ignored. Of LANDFIRE's water cells in
-Vermont, at Tubbs and in the Santa Ana Mountains, 0.4 to 6.6 % are steeper, nearly all on banks (0.3 % at most of those amid water), and of
-the land there 40 to 63 %."""
+Vermont, at Tubbs and in the Santa Ana Mountains, 0.4 to 6.6 % are steeper, nearly all on banks (at most 0.3 % of those
+amid water). Of the land there, 40 to 63 % is steeper."""
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
 
