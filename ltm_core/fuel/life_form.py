@@ -1,6 +1,7 @@
-"""Define life forms (grass, shrub, tree, bare), and terrain without plants: rock walls, and trees above the tree line.
+"""Define life forms (grass, shrub, tree, bare), and terrain without them: plants on rock walls, trees above the tree
+line, water on slopes.
 
-A pixel that shows a plant there is a network's error: it does not vote, for this form or another.
+A pixel that shows one there is a network's error: it does not vote, for this form or another.
 """
 
 from __future__ import annotations
@@ -111,6 +112,10 @@ def life_form_labels(labels: LabelSet) -> LabelSet:
 PARTS = 4
 """Number of parts per side of a fuel cell, 7.5 m for a cell of 30 m. The terrain is checked for each part."""
 _PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
+WATER_STEEPEST_DEG: Final = 10.0
+"""Slope in degrees over the width of a fuel cell above which water labels are ignored. Of LANDFIRE's water cells in
+Vermont, at Tubbs and in the Santa Ana Mountains, 0.4 to 6.6 % are steeper, nearly all on banks (at most 0.3 % of those
+amid water). Of the land there, 40 to 63 % is steeper."""
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
 
@@ -125,57 +130,53 @@ class GrowthLimits(StrictModel):
     """Elevation in metres in the DEM's datum above which tree labels are ignored. Give the highest elevation of stands
     on the site, not their mean: anything above it is ignored."""
 
-    @property
-    def any(self) -> bool:
-        return self.steepest_deg is not None or self.tree_line_m is not None
-
 
 class GroundLimits:
     """Parts of the fuel grid's cells that are beyond the limits. The terrain is read once per cell, when a frame first
     sees it.
 
-    `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
-    each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
-    `any`: whether a bit is set yet.
+    `masks`: (3, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west: where no
+    plant is believed, where no tree, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees,
+    3 for water, each as soon as its mask has a bit; 0 for all else.
     """
 
     def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
         self._limits, self._geometry, self._dem = limits, geometry, dem
         # calloc'ed: cells that no frame sees take no memory.
         self._known = np.zeros(geometry.shape, np.bool_)
-        self.masks: UInt16Array = np.zeros((2, *geometry.shape), np.uint16)
-        self.any = False
+        self.masks: UInt16Array = np.zeros((3, *geometry.shape), np.uint16)
         self.kinds: UInt8Array = np.zeros(256, np.uint8)
         forms = label_forms(labels)
-        self.kinds[np.flatnonzero(np.isin(forms, [form - 1 for form in _PLANTS]))] = 1
-        self.kinds[np.flatnonzero(forms == LifeForm.TREE - 1)] = 2
+        limited = _PLANTS, (LifeForm.TREE,), (LifeForm.WATER,)
+        self._labels = [np.flatnonzero(np.isin(forms, [form - 1 for form in some])) for some in limited]
 
-    def learn(self, cells: Int64Array) -> bool:
-        """Read the terrain of those of the cells, (N,) row * width + col, that are new; return whether any of these has
-        a part beyond a limit."""
+    def learn(self, cells: Int64Array) -> BoolArray:
+        """Read the terrain of those of the cells, (N,) row * width + col, that are new; return (256,) the labels that
+        have a limit in one of these."""
         new = cells[~self._known.ravel()[cells]]
         masks = self._asked(new)
-        self.masks.reshape(2, -1)[:, new] = masks
+        self.masks.reshape(3, -1)[:, new] = masks
         self._known.ravel()[new] = True
-        found = bool(masks.any())
-        self.any |= found
+        found = np.zeros(256, np.bool_)
+        for kind, labels in enumerate(self._labels, start=1):
+            if masks[kind - 1].any():
+                found[labels] = True
+                self.kinds[labels] = np.maximum(self.kinds[labels], np.uint8(kind))
         return found
 
     def _asked(self, cells: Int64Array) -> UInt16Array:
-        """Return (2, N) masks of cells, by the terrain."""
+        """Return (3, N) masks of cells, by the terrain."""
         heights = self._heights(cells)
         inner = slice(PARTS // 2, PARTS // 2 + PARTS)
-        none = np.zeros((len(cells), PARTS, PARTS), np.bool_)
-        steep, above = none, none
+        east = heights[:, inner, PARTS:] - heights[:, inner, :PARTS]
+        south = heights[:, PARTS:, inner] - heights[:, :PARTS, inner]
+        slope = np.degrees(np.arctan(np.hypot(east, south) / self._geometry.resolution))
         # A height that is not known is no limit: comparisons with NaN are false.
-        if self._limits.steepest_deg is not None:
-            rise = np.tan(np.radians(self._limits.steepest_deg)) * self._geometry.resolution
-            east = heights[:, inner, PARTS:] - heights[:, inner, :PARTS]
-            south = heights[:, PARTS:, inner] - heights[:, :PARTS, inner]
-            steep = np.hypot(east, south) > rise
-        if self._limits.tree_line_m is not None:
-            above = heights[:, inner, inner] > self._limits.tree_line_m
-        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above)])
+        steepest, line = self._limits.steepest_deg, self._limits.tree_line_m
+        steep = slope > (np.inf if steepest is None else steepest)
+        above = heights[:, inner, inner] > (np.inf if line is None else line)
+        wet = slope > WATER_STEEPEST_DEG
+        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above, wet)])
 
     def _heights(self, cells: Int64Array) -> Float64Array:
         """Return (N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""

@@ -16,7 +16,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 
-_NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
+_NO_MASKS, _NO_KINDS = np.zeros((3, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class VoteSums(NamedTuple):
@@ -24,7 +24,7 @@ class VoteSums(NamedTuple):
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
     mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
-    (2,) int64 pixels that were not counted: of plants where it is too steep, of trees above the tree line.
+    (2,) int64 pixels that were not counted: where it is too steep for their class, of trees above the tree line.
     """
 
     cells: Int64Array
@@ -51,7 +51,7 @@ def sum_pixels(
     """Sum over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
-    to float32, as `RangeImage.points` gives it. `limits`: pixels of plants beyond them are withdrawn, and cells of
+    to float32, as `RangeImage.points` gives it. `limits`: pixels of classes beyond them are withdrawn, and cells of
     which half of the pixels or more are: what is left of these would stand for what it is not.
     """
     x_tangent, y_tangent = _tangents(camera)
@@ -231,16 +231,16 @@ def _scan(
 
 @helper()
 def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
-    """Return which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1
+    """Return which limit a class at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1
     none."""
     row, col = cell // masks.shape[2], cell % masks.shape[2]
-    no_plant, no_tree = masks[0, row, col], masks[1, row, col]
-    if no_plant == 0 and (kind < 2 or no_tree == 0):
+    too_steep, no_tree = masks[2 if kind == 3 else 0, row, col], masks[1, row, col]
+    if too_steep == 0 and (kind != 2 or no_tree == 0):
         return -1
     x_min, y_max, resolution = grid
     east = min(max(int(((np.float64(x) - x_min) / resolution - col) * PARTS), 0), PARTS - 1)
     south = min(max(int(((y_max - np.float64(y)) / resolution - row) * PARTS), 0), PARTS - 1)
     bit = np.uint16(1 << (south * PARTS + east))
-    if no_plant & bit:
+    if too_steep & bit:
         return 0
-    return 1 if kind > 1 and no_tree & bit else -1
+    return 1 if kind == 2 and no_tree & bit else -1

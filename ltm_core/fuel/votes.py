@@ -137,7 +137,7 @@ class CellVotes:
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
     `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `visibility`: how the
     frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed. `too_steep`,
-    `above_tree_line`: pixels of plants that the terrain withdrew (`growth_limits`), for whoever watches; no evidence.
+    `above_tree_line`: pixels that the terrain withdrew (`GroundLimits`), for whoever watches; no evidence.
     """
 
     geometry: GridGeometry
@@ -210,7 +210,7 @@ class VoteCaster:
         votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
         max_range: slant metres beyond which pixels are too coarse to vote.
         bend: of sight by curvature and refraction (`geodesy.ray_bend`).
-        limits: where plants cannot stand; None: anywhere they can.
+        limits: where classes cannot be; None: they can be anywhere.
     """
 
     def __init__(
@@ -264,10 +264,11 @@ class VoteCaster:
 
         of_frame = distance, along_axis, camera, pose, labels, confidence
         grid = self._counted, self._classes, self.geometry, self._max_range
-        limits = self._limits
-        sums = sum_pixels(*of_frame, *grid, limits if limits is not None and limits.any else None)
-        if limits is not None and limits.learn(sums.cells):
-            sums = sum_pixels(*of_frame, *grid, limits)
+        sums = sum_pixels(*of_frame, *grid, self._limits)
+        if self._limits is not None:
+            learnt = self._limits.learn(sums.cells)
+            if sums.counts[:, learnt[: self._classes]].any():
+                sums = sum_pixels(*of_frame, *grid, self._limits)
         rows = (sums.cells // self.geometry.width).astype(np.int32)
         cols = (sums.cells % self.geometry.width).astype(np.int32)
         x, y = self.geometry.to_map(rows, cols)

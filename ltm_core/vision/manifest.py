@@ -48,6 +48,14 @@ class CoarseLook(StrictModel):
         return first.model_copy(update={"width": self.width, "height": self.height})
 
 
+class SecondNetwork(StrictModel):
+    """Second network, by name or path, whose log probabilities of labels count by `share`. It has no say where it has
+    no label, nor with a label head."""
+
+    model: str
+    share: float = Field(gt=0, lt=1)
+
+
 class Withdrawal(StrictModel):
     """Thresholds below which labels are withdrawn and do not vote. `confidence`: of the probability. `tree_contrast`:
     of the photo's local contrast (`label_rules.contrast`) for *tree*, as on hazy far slopes, if the image shows more
@@ -169,6 +177,7 @@ class NetworkManifest(StrictModel):
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
     maps: dict[str, int] = Field(default_factory=dict)
     coarse_look: CoarseLook | None = None
+    second: SecondNetwork | None = None
     # The network, by name or path, that answers in this one's place where a camera has a head.
     heads_of: str = ""
     _folder: Path = PrivateAttr(default=Path())

@@ -1,4 +1,4 @@
-"""Combine class probabilities of several scales, and upsample them to the photo's resolution.
+"""Combine class probabilities of several scales and networks, and upsample them to the photo's resolution.
 
 A network runs at a second scale: on the whole image coarser, and on request on distant slopes finer, in tiles.
 
@@ -122,6 +122,17 @@ def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, s
     mixed = scores.copy()
     mixed[land] = mean + (own - _log_sum(mean))
     return mixed
+
+
+def with_second_network(probabilities: Float32Array, other: Float32Array, share: float) -> Float32Array:
+    """Return label probabilities (K, h, w) averaged in the logarithm with those of another network (K, h', w'), which
+    counts by `share`. Its classes without a label, the rest up to 1, repeat the first network's answer."""
+    size = probabilities.shape[:0:-1]
+    enlarged = np.stack([cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR) for plane in other])
+    enlarged += np.maximum(1.0 - enlarged.sum(axis=0), 0.0) * probabilities
+    least = np.float32(1e-4)
+    mean = np.maximum(probabilities, least) ** (1.0 - share) * np.maximum(enlarged, least) ** share
+    return np.asarray(mean / mean.sum(axis=0), np.float32)
 
 
 def _beyond_crest(sky: BoolArray) -> Float32Array:

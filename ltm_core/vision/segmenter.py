@@ -25,7 +25,12 @@ from ltm_core.vision.manifest import (
 from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.prompts import prompted
-from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, with_distant_tiles
+from ltm_core.vision.second_scale import (
+    upsampled_winner,
+    with_coarse_look,
+    with_distant_tiles,
+    with_second_network,
+)
 from ltm_core.vision.vocabulary import load_text
 
 
@@ -74,6 +79,13 @@ class Segmenter:
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
         self.head = head
+        second = manifest.second
+        self._second: Segmenter | None = None
+        if second is not None and head is None:
+            other = NetworkManifest.find(second.model).model_copy(update={"second": None})
+            if "ids" in (manifest.output.kind, other.output.kind):
+                raise ModelError(f"model {manifest.name!r}: second: {other.name!r}: neither network may output ids")
+            self._second = Segmenter(other, threads, self.labels)
         self.withdraw_otherwise: Mapping[str, float] = {}
         """Fields of `withdrawal` that override those of the label head or the network."""
 
@@ -111,6 +123,8 @@ class Segmenter:
     def described(self) -> str:
         """Return the names and checksums of network and label head, for `labels/info`."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
+        if self._second is not None:
+            network += f", second network {self._second.described}"
         return network if self.head is None else f"{network}, label head {self.head.described}"
 
     @property
@@ -130,7 +144,7 @@ class Segmenter:
         if self.manifest.output.kind == "ids":
             return self._from_ids(fitted(image, self.manifest.input), height, width)
         scores, maps = self._answer(image)
-        probabilities = self._label_probabilities(self._of_whole(image, scores, maps))
+        probabilities = self._with_second(image, self._label_probabilities(self._of_whole(image, scores, maps)))
         if zoom > 1.0 and Label.SKY in self._group_labels:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
             probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile)
@@ -144,6 +158,18 @@ class Segmenter:
             confidence = np.asarray(cv2.resize(sure, (width, height)), np.uint8)
             confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
+
+    def _with_second(self, image: UInt8Array, probabilities: Float32Array) -> Float32Array:
+        """Return the label probabilities (G, h, w) of an image, averaged with the second network's if there is one."""
+        second = self._second
+        if second is None or self.manifest.second is None:
+            return probabilities
+        known = second._label_probabilities(second.logits(image))
+        other = np.zeros((len(probabilities), *known.shape[1:]), np.float32)
+        for label, plane in zip(second._group_labels, known, strict=True):
+            if label != UNLABELLED:
+                other[self._group_labels == label] = plane
+        return with_second_network(probabilities, other, self.manifest.second.share)
 
     def _from_ids(self, photo: FittedImage, height: int, width: int) -> Segmentation:
         output = self._model.run(as_tensor(photo.pixels, self.manifest.input))

@@ -1,4 +1,4 @@
-"""Plants that are labelled where the terrain says that none can stand."""
+"""Plants and water that are labelled where the terrain says that none can be."""
 
 from __future__ import annotations
 
@@ -95,7 +95,16 @@ def test_a_slope_that_plants_hold_on_loses_none() -> None:
     assert not same(cast(Label.TREE, None, wall_deg=52.0), cast(Label.TREE, GrowthLimits(), wall_deg=52.0))
 
 
-@pytest.mark.parametrize("label", [Label.BARE, Label.BUILT, Label.WATER])
+def test_water_votes_on_level_ground_alone() -> None:
+    plain, votes = (cast(Label.WATER, limits, wall_deg=0.0) for limits in (None, GrowthLimits(steepest_deg=None)))
+    slope, level = west_of(plain, FOOT - 30), plain.only(plain.centres()[:, 0] > FOOT + 30)
+    assert min(len(slope), len(level)) > 3
+    assert len(west_of(votes, FOOT - 30)) == 0
+    assert same(level, votes.only(votes.centres()[:, 0] > FOOT + 30))
+    assert votes.too_steep >= slope.counts.sum()
+
+
+@pytest.mark.parametrize("label", [Label.BARE, Label.BUILT])
 def test_what_is_no_plant_votes_anywhere(label: Label) -> None:
     assert same(cast(label, None), cast(label, GrowthLimits(tree_line_m=-100.0)))
 
@@ -134,7 +143,7 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(arrays(np.uint8, (64, 96), elements=st.sampled_from([0, 1, 2, 3, 4, 5, 6, 255]), fill=st.just(3)))
+@given(arrays(np.uint8, (64, 96), elements=st.sampled_from([0, 1, 2, 3, 4, 6, 255]), fill=st.just(3)))
 def test_no_vote_is_lost_on_gentle_terrain_and_no_label_wins_one(labels: np.ndarray) -> None:
     plain, votes = cast(labels, None), cast(labels, GrowthLimits())
     assert same(west_of(plain, FOOT - 30), west_of(votes, FOOT - 30))
@@ -148,8 +157,8 @@ def test_each_part_of_a_cell_is_asked() -> None:
     and 18.75 m of wall about them, and level ground for the rest: 60, 60, 56.6 and 47.3 degrees."""
     ground = GroundLimits(GrowthLimits(tree_line_m=1e4), FUEL, hillside(WALL_DEG), LABELS)
     last = 3 * FUEL.width + round(TOP / 30) - 1
-    assert not ground.learn(np.array([last - 4, last + 2]))
-    assert ground.learn(np.array([last - 5, last]))
+    assert not ground.learn(np.array([last - 4, last + 2]))[Label.TREE]
+    assert ground.learn(np.array([last - 5, last]))[[Label.GRASS, Label.SHRUB, Label.TREE]].all()
     parts = (int(ground.masks[0].ravel()[last]) >> np.arange(PARTS * PARTS)) & 1
     assert parts.reshape(PARTS, PARTS).tolist() == [[1, 1, 1, 0]] * PARTS
     assert not ground.masks[1].any()
@@ -178,8 +187,8 @@ def test_ground_of_unknown_height_has_no_limit() -> None:
     elevation = dem.elevation.copy()
     elevation[:, 60:] = np.nan
     ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
-    assert not ground.learn(np.array([10, 11, FUEL.width + 12]))
-    assert ground.learn(np.array([3]))
+    assert not ground.learn(np.array([10, 11, FUEL.width + 12])).any()
+    assert ground.learn(np.array([3]))[[Label.TREE, Label.WATER]].all()
 
 
 @pytest.mark.parametrize("slope", [0.0, 90.0, -3.0])
