@@ -1,0 +1,45 @@
+"""`ltm assess look` and `ltm assess learn`: name what grows in sampled cells, and let the network learn from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+PlanFolder = Annotated[Path, typer.Argument(help="Folder of the plan, written by `ltm assess plan`.")]
+SiteFile = Annotated[Path, typer.Option(help="Site file of the cameras.")]
+Recordings = Annotated[list[Path], typer.Option(help="Recording of the site's cameras. Repeatable.", metavar="FOLDER")]
+
+
+def look(
+    plan: PlanFolder,
+    site: SiteFile,
+    recordings: Recordings,
+    interpreter: Annotated[
+        str, typer.Option(help="Name of the interpreter; each has a file of answers.", metavar="NAME")
+    ] = "first",
+    imagery: Annotated[
+        str, typer.Option(help="Orthophoto: GeoTIFF, or URL of tiles with {z}, {x}, {y}.", metavar="FILE|URL")
+    ] = "",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+) -> None:
+    """Name what grows in the sampled cells, on a web page that only this machine can open.
+
+    Each cell is outlined in its three best photos. Answers are stored at once in PLAN/answers/NAME.csv; the page
+    continues where you stopped. It never shows the map's answer. Ctrl-C ends the program.
+    """
+    from functools import partial
+
+    from ltm_core.site.site_io import load_site
+    from ltm_core.storage.disk_io import require_files
+    from ltm_ros.assessment.answers_io import read_plan
+    from ltm_ros.assessment.cell_photos import PhotoIndex
+    from ltm_ros.assessment.look_session import LookServer, LookSession
+    from ltm_ros.labelling.server import serve
+
+    sampled, loaded = read_plan(plan), load_site(site)
+    require_files([sampled.answers_file(interpreter)], what="answers")
+    session = LookSession(sampled, loaded, PhotoIndex(loaded, recordings), interpreter, imagery)
+    serve(partial(LookServer, session), port, browser)
