@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,13 +16,14 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.pictures import to_jpeg
+from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_core.visibility.footprint import arrival_directions, ground_normals
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
 from ltm_ros.assessment.answers_io import SampledCell
-from ltm_ros.recordings.frame_stream import PARTS, FrameStream
+from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame
 
 MOST_FRAMES: Final = 600
 """Photos of all recordings that are kept, evenly in time; JPEGs of 2 megapixels need 0.5 MB each."""
@@ -72,7 +73,9 @@ class PhotoIndex:
         self._frame = site.frame
         self._ground = site.open_dem()
         self._sight = PointVisibility(site.open_surface(self._ground), site.curvature, site.refraction)
-        self._shots = [shot for bag in recordings for shot in _shots(bag, site, MOST_FRAMES // len(recordings))]
+        self._shots = [
+            shot for bag in recordings for shot in _shots(bag, site, self._ground, MOST_FRAMES // len(recordings))
+        ]
         if not self._shots:
             names = ", ".join(str(bag) for bag in recordings)
             raise RecordingError(f"{names}: no clear photo with a pose of the cameras of site {site.name}")
@@ -174,33 +177,39 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
     return sorted(chosen, key=lambda one: one[1].stamp_ns)
 
 
-def _shots(bag: Path, site: Site, most: int) -> list[_Shot]:
+def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:
     """Return a recording's clear photos; of more than `most`, evenly chosen ones of each camera."""
-    parts = {part: PARTS[part] for part in ("photo", "camera", "pose")}
-    stream = FrameStream.open(bag, site, parts)
-    stamps: dict[str, list[int]] = defaultdict(list)
-    for frame in stream.frames(("photo", "pose")):
-        stamps[frame.camera_name].append(frame.stamp_ns)
-    wanted = {
-        (name, stamp) for name, of in stamps.items() for stamp in evenly(of, max(1, most // max(1, len(stamps))))
-    }
+    stream = FrameStream.open(bag, site, {part: PARTS[part] for part in ("photo", "camera", "pose")})
+    fixed = {name: c.pose.pose(dem, site.frame) for name, c in site.cameras.items() if c.pose is not None}
     cameras: dict[str, Camera] = {
         name: config.calibration.camera() for name, config in site.cameras.items() if config.calibration is not None
     }
-    found = []
-    for frame in stream.frames(("photo", "pose")):
+    stamps: dict[str, list[int]] = defaultdict(list)
+    for frame in stream.frames(("photo",)):
         name = frame.camera_name
-        try:
-            if name not in cameras or site.cameras[name].calibration is None:
-                cameras[name] = frame.take("camera") or cameras[name]
-            if (name, frame.stamp_ns) not in wanted:
-                continue
-            photo, pose = frame.take("photo"), frame.take("pose")
-            if judge(photo).reason is None:
-                camera = cameras[name]
-                if photo.shape[:2] != (camera.height, camera.width):
-                    camera = camera.resized(photo.shape[1], photo.shape[0])
-                found.append(_Shot(name, frame.stamp_ns, camera, pose, to_jpeg(photo, quality=92)))
-        except (LtmError, KeyError):  # a damaged message, or a photo before its calibration
+        if name not in cameras and (camera := _taken(frame, "camera")) is not None:
+            cameras[name] = camera
+        if "pose" in frame or name in fixed:
+            stamps[name].append(frame.stamp_ns)
+    wanted = {(name, stamp) for name, of in stamps.items() for stamp in evenly(of, max(1, most // len(stamps)))}
+    found = []
+    for frame in stream.frames(("photo",)):
+        name = frame.camera_name
+        if (name, frame.stamp_ns) not in wanted or name not in cameras:
             continue
+        photo, pose = _taken(frame, "photo"), _taken(frame, "pose") or fixed.get(name)
+        if photo is None or pose is None or judge(photo).reason is not None:
+            continue
+        camera = _taken(frame, "camera") or cameras[name]  # the zoom of this frame
+        if photo.shape[:2] != (camera.height, camera.width):
+            camera = camera.resized(photo.shape[1], photo.shape[0])
+        found.append(_Shot(name, frame.stamp_ns, camera, pose, to_jpeg(photo, quality=92)))
     return found
+
+
+def _taken(frame: StreamedFrame, part: str) -> Any:
+    """Return a part of a frame; None if it is missing or damaged."""
+    try:
+        return frame.take(part)
+    except LtmError:
+        return None

@@ -43,3 +43,27 @@ def look(
     require_files([sampled.answers_file(interpreter)], what="answers")
     session = LookSession(sampled, loaded, PhotoIndex(loaded, recordings), interpreter, imagery)
     serve(partial(LookServer, session), port, browser)
+
+
+def learn(plan: PlanFolder, site: SiteFile, recordings: Recordings) -> None:
+    """Turn half of the answers into labelled photos for `ltm train head`; these cells no longer count in the report.
+
+    Only cells on which all interpreters agree, and are not unsure, are used.
+    """
+    from ltm_core.site.networks import label_model
+    from ltm_core.site.site_io import load_site
+    from ltm_core.storage.disk_io import require_folder
+    from ltm_ros.assessment.answers_io import read_plan
+    from ltm_ros.assessment.cell_photos import PhotoIndex
+    from ltm_ros.assessment.learning import learn as learn_from
+
+    sampled, loaded = read_plan(plan), load_site(site)
+    require_folder(plan)
+    found = learn_from(sampled, PhotoIndex(loaded, recordings))
+    model = Path(label_model(loaded)).stem
+    typer.echo(
+        f"{found.areas} areas of {found.cells} cells in {found.photos} photos: {found.folder}\n"
+        f"{found.report_cells} cells remain for the report\n"
+        f"train a label head:      ltm train head {found.folder} --out {loaded.name}\n"
+        f"measure its reliability: ltm models measure {model} {recordings[0]} --site {site} --photos {found.folder}"
+    )

@@ -113,7 +113,9 @@ def test_an_invalid_answer_is_rejected_and_nothing_written(
     assert not (plan.folder / "answers").exists()
 
 
-@pytest.mark.parametrize("path", ["answer/20", "answer/-1", "photo/0/3", "../cells.csv", "strata.csv", "photo/0/..%2f0"])
+@pytest.mark.parametrize(
+    "path", ["answer/20", "answer/-1", "photo/0/3", "../cells.csv", "strata.csv", "photo/0/..%2f0"]
+)
 def test_only_places_of_the_plan_have_an_address(server: LookServer, path: str) -> None:
     assert ask(server, path)[0] == 404
     assert ask(server, path, "PUT", {"life_form": "grass", "certainty": "sure", "seconds": 1})[0] == 404
@@ -173,7 +175,9 @@ def test_the_outline_contains_what_the_trace_finds_at_its_pixels(
             assert abs(y + site.origin[1] - cell.y) < reach
 
 
-def test_photos_without_the_cell_are_not_shown(photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]]) -> None:
+def test_photos_without_the_cell_are_not_shown(
+    photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]]
+) -> None:
     cell = sampled[0][0]
     assert len(photos.best(cell, 30.0)) in (1, 2, 3)
     assert photos.best(replace(cell, x=cell.x + 50_000), 30.0) == []
