@@ -21,6 +21,7 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import to_jpeg
 from ltm_core.pictures.maps import relief, view_of
 from ltm_core.raster.dem import Dem
+from ltm_core.raster.raster_io import open_raster
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_core.vision.labels import LabelSet
@@ -190,23 +191,18 @@ def _tiles(imagery: str) -> str:
 
 
 def _orthophoto(path: Path, cell: SampledCell, crs: str) -> UInt8Array:
-    """Return the part of a GeoTIFF around a cell (P, P, 3); black outside. Raises ConfigError for another file."""
-    import rasterio
+    """Return the part of a GeoTIFF around a cell (P, P, 3); black outside. Raises RasterError, ConfigError for another
+    file."""
     from rasterio.enums import Resampling
-    from rasterio.errors import RasterioError
     from rasterio.transform import from_bounds
     from rasterio.vrt import WarpedVRT
 
-    if not path.is_file():
-        raise ConfigError(f"--imagery {path}: no such file; give a GeoTIFF, or the URL of map tiles")
     half = _IMAGERY_M / 2
     transform = from_bounds(cell.x - half, cell.y - half, cell.x + half, cell.y + half, _PIXELS, _PIXELS)
     size = {"width": _PIXELS, "height": _PIXELS, "resampling": Resampling.bilinear}
-    try:
-        with rasterio.open(path) as source, WarpedVRT(source, crs=crs, transform=transform, **size) as warped:
-            if source.crs is None or set(source.dtypes) != {"uint8"}:
-                raise ConfigError(f"--imagery {path}: expected a georeferenced image of 8 bits; convert it with GDAL")
-            bands = (1, 2, 3) if source.count >= 3 else (1, 1, 1)
+    with open_raster(path) as source:
+        if source.crs is None or set(source.dtypes) != {"uint8"}:
+            raise ConfigError(f"--imagery {path}: expected a georeferenced image of 8 bits; convert it with GDAL")
+        bands = (1, 2, 3) if source.count >= 3 else (1, 1, 1)
+        with WarpedVRT(source, crs=crs, transform=transform, **size) as warped:
             return np.ascontiguousarray(np.moveaxis(warped.read(bands), 0, -1), np.uint8)
-    except (RasterioError, ValueError) as error:
-        raise ConfigError(f"--imagery {path}: is not a GeoTIFF ({error}); give one, or the URL of map tiles") from error

@@ -16,11 +16,14 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import rasterio
+from rasterio.transform import from_origin
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
+from ltm_core.storage.image_io import decode_rgb
+from ltm_core.tracing import TerrainTracer
 from ltm_ros.assessment.answers_io import Plan, SampledCell, read_answers, read_plan, write_table
 from ltm_ros.assessment.cell_photos import PhotoIndex
 from ltm_ros.assessment.look_session import KEYS, LookServer, LookSession
@@ -47,7 +50,7 @@ def sampled(site: Site, photos: PhotoIndex) -> tuple[list[SampledCell], list[str
     cells: list[SampledCell] = []
     for place in np.random.default_rng(5).permutation(truth.size):
         row, column = divmod(int(place), truth.shape[1])
-        x, y = to_map * (column + 0.5, row + 0.5)
+        x, y = rasterio.transform.xy(to_map, row, column)
         lon, lat = site.frame.to_lonlat(x - site.origin[0], y - site.origin[1])
         cell = SampledCell(1000 + int(place), row, column, float(lon), float(lat), x, y)
         if 1 <= truth[row, column] <= len(LifeForm) and photos.best(cell, 30.0):
@@ -149,24 +152,37 @@ def test_only_stated_hosts_of_tiles_may_be_contacted(plan: Plan, site: Site, pho
             hosts = [part for part in policy.replace(";", " ").split() if part.startswith("http")]
             assert hosts == ([] if expected is None else [expected])
     for wrong in ("https://tiles.example/a.png", "https://a.example; script-src *//{z}{x}{y}", "/no/such.tif"):
-        with pytest.raises(ConfigError):
+        with pytest.raises(LtmError):
             LookSession(plan, site, photos, "first", wrong)
+
+
+def test_an_orthophoto_lies_where_its_coordinates_say(
+    tmp_path: Path, plan: Plan, site: Site, photos: PhotoIndex
+) -> None:
+    """An image that is bright east of the first cell's middle is bright in the right half of what the page shows."""
+    cell, path = plan.cells[0], tmp_path / "orthophoto.tif"
+    values = np.zeros((1, 100, 100), np.uint8)
+    values[:, :, 50:] = 200
+    corner = from_origin(cell.x - 500, cell.y + 500, 10, 10)
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, dtype="uint8", width=100, height=100, crs=site.crs, transform=corner
+    ) as file:
+        file.write(values)
+    shown = decode_rgb(LookSession(plan, site, photos, "first", str(path)).imagery(0))
+    middle = shown.shape[1] // 2
+    assert shown[:, : middle - 20].max() < 20
+    assert shown[:, middle + 20 :].min() > 180
 
 
 def test_the_outline_contains_what_the_trace_finds_at_its_pixels(
     site: Site, photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]]
 ) -> None:
     """The ray through the middle of the outline meets the ground in the cell, or in front of its far part."""
-    from ltm_core.tracing import TerrainTracer
-
     tracer = TerrainTracer(site.open_dem())
     for cell in sampled[0][:5]:
         for photo in photos.best(cell, 30.0):
-            from ltm_core.geometry.camera import Camera
-
             height, width = photo.image.shape[:2]
             camera = next(shot.camera for shot in photos._shots if shot.camera_name == photo.camera)
-            assert isinstance(camera, Camera)
             assert (camera.height, camera.width) == (height, width)
             u, v = np.clip(photo.outline.mean(axis=0).round().astype(int), 0, (width - 1, height - 1))
             x, y, _ = tracer.trace(camera, photo.pose).points()[v, u]
