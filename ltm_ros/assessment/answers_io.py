@@ -76,12 +76,14 @@ class SampledCell:
 
 @dataclass(frozen=True)
 class Plan:
-    """The part of a plan that interpreters may know. `cells`: in the order in which they are shown."""
+    """The part of a plan that interpreters may know. `cells`: in the order in which they are shown. `site`: path of the
+    site file; empty: not stated."""
 
     folder: Path
     crs: str
     cell_m: float
     cells: tuple[SampledCell, ...]
+    site: str = ""
 
     def answers_file(self, interpreter: str) -> Path:
         """Return the file of an interpreter. Raises ConfigError for a name that cannot be a file's."""
@@ -104,8 +106,8 @@ def read_plan(folder: Path) -> Plan:
     path = folder / "plan.json"
     try:
         about = json.loads(read_text(path, LARGEST_TABLE, ConfigError))
-        crs, cell_m = str(about["crs"]), float(about["cell_m"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        crs, cell_m, site = str(about["crs"]), float(about["cell_m"]), str(about.get("site", ""))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{path}: is not a plan ({error}); make one with `ltm assess plan`") from error
     if not 0 < cell_m < math.inf:
         raise ConfigError(f"{path}: cell_m is {cell_m}; make the plan again with `ltm assess plan`")
@@ -119,7 +121,7 @@ def read_plan(folder: Path) -> Plan:
             raise ConfigError(f"{table}: line {number}: {error}; make the plan again with `ltm assess plan`") from error
     if len({cell.cell for cell in cells}) != len(cells) or not cells:
         raise ConfigError(f"{table}: has no cells, or a cell twice; make the plan again with `ltm assess plan`")
-    return Plan(folder, crs, cell_m, tuple(cells))
+    return Plan(folder, crs, cell_m, tuple(cells), site)
 
 
 def read_answers(path: Path) -> list[Answer]:

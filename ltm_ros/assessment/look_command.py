@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 PlanFolder = Annotated[Path, typer.Argument(help="Folder of the plan, written by `ltm assess plan`.")]
-SiteFile = Annotated[Path, typer.Option(help="Site file of the cameras.")]
+SiteFile = Annotated[Path | None, typer.Option(help="Site file of the cameras. Default: the plan's.")]
 Recordings = Annotated[list[Path], typer.Option(help="Recording of the site's cameras. Repeatable.", metavar="FOLDER")]
 
 
 def look(
     plan: PlanFolder,
-    site: SiteFile,
     recordings: Recordings,
+    site: SiteFile = None,
     interpreter: Annotated[
         str, typer.Option(help="Name of the interpreter; each has a file of answers.", metavar="NAME")
     ] = "first",
@@ -39,13 +39,15 @@ def look(
     from ltm_ros.assessment.look_session import LookServer, LookSession
     from ltm_ros.labelling.server import serve
 
-    sampled, loaded = read_plan(plan), load_site(site)
+    sampled = read_plan(plan)
+    path = site or Path(sampled.site or "site.yaml")
+    loaded = load_site(path)
     require_files([sampled.answers_file(interpreter)], what="answers")
     session = LookSession(sampled, loaded, PhotoIndex(loaded, recordings), interpreter, imagery)
     serve(partial(LookServer, session), port, browser)
 
 
-def learn(plan: PlanFolder, site: SiteFile, recordings: Recordings) -> None:
+def learn(plan: PlanFolder, recordings: Recordings, site: SiteFile = None) -> None:
     """Turn half of the answers into labelled photos for `ltm train head`; these cells no longer count in the report.
 
     Only cells on which all interpreters agree, and are not unsure, are used.
@@ -57,7 +59,9 @@ def learn(plan: PlanFolder, site: SiteFile, recordings: Recordings) -> None:
     from ltm_ros.assessment.cell_photos import PhotoIndex
     from ltm_ros.assessment.learning import learn as learn_from
 
-    sampled, loaded = read_plan(plan), load_site(site)
+    sampled = read_plan(plan)
+    path = site or Path(sampled.site or "site.yaml")
+    loaded = load_site(path)
     require_folder(plan)
     found = learn_from(sampled, PhotoIndex(loaded, recordings))
     model = Path(label_model(loaded)).stem
@@ -65,5 +69,5 @@ def learn(plan: PlanFolder, site: SiteFile, recordings: Recordings) -> None:
         f"{found.areas} areas of {found.cells} cells in {found.photos} photos: {found.folder}\n"
         f"{found.report_cells} cells remain for the report\n"
         f"train a label head:      ltm train head {found.folder} --out {loaded.name}\n"
-        f"measure its reliability: ltm models measure {model} {recordings[0]} --site {site} --photos {found.folder}"
+        f"measure its reliability: ltm models measure {model} {recordings[0]} --site {path} --photos {found.folder}"
     )
