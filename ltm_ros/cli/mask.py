@@ -27,32 +27,19 @@ def label(
 
     A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program.
     """
-    import threading
-    import webbrowser
+    from functools import partial
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_ros.labelling.server import LabelServer, LabelSession
+    from ltm_ros.labelling.server import LabelServer, LabelSession, serve
 
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     require_folder(folder)
     session = LabelSession(folder, None if model == "none" else Segmenter.open(model or DEFAULT_MODEL))
-    try:
-        server = LabelServer(session, port)
-    except OSError as error:
-        raise ConfigError(f"--port {port}: cannot be used ({error.strerror}); 0 takes a free one") from error
-    typer.echo(f"{server.url}\nCtrl-C ends it")
-    if browser:
-        webbrowser.open(server.url)
-    try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        typer.echo("ended")
-    finally:
-        server.close()
+    serve(partial(LabelServer, session), port, browser)
 
 
 def mask(

@@ -46,6 +46,11 @@ class ShownLayers:
         """Return the number of changed cells (`changed_cells`)."""
         return int(self._changed.sum())
 
+    @property
+    def unchanged(self) -> BoolArray:
+        """Return (H, W) which cells have evidence and agree with the prior map."""
+        return self._seen & ~self._changed
+
     def tells(self, window: Window) -> bool:
         """Return whether a part of the map has evidence, or had some at the last refresh."""
         row, col, height, width = window

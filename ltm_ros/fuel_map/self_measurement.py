@@ -1,4 +1,4 @@
-"""Measure a site's labels from its own votes while the fuel map runs, if they were never measured."""
+"""Measure a site's labels from its own votes while the fuel map runs, and watch whether they drift."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.types import Float64Array
+from ltm_core.fuel.label_drift import LabelDrift
 from ltm_core.fuel.label_errors import ReliabilityRecord, record_of, write_record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -19,9 +20,13 @@ from ltm_core.pipeline.site_fuel import measured_errors
 from ltm_core.site.networks import label_model, unmeasured_labels
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.fuel_map.layers import ShownLayers
+from ltm_ros.runtime.health import Health
 
 MEASURED_AT: Final = (12, 24, 48)
 """Numbers of views at which labels are measured; the last result is final. 48 views take 15 MB until then."""
+DRIFT_FILE: Final = "label_drift.json"
+"""Charts of label drift in the folder of the fuel map."""
 _SECTORS: Final = 24
 """Number of viewing directions per camera that count as different views: one for 15 degrees."""
 
@@ -102,6 +107,44 @@ class SelfMeasurement:
         live = f"{day}, {len(frames)} views, {cells} cells"
         about = {"network": Path(label_model(site)).stem, "labels": self._digest, "site": site.name, "live": live}
         return record_of(errors, source, **about)
+
+
+class DriftWatch:
+    """Counts frames into the charts of `LabelDrift` and reports a drift until it ends. The charts survive a restart,
+    but for the days since the last closed week."""
+
+    def __init__(self, labels: LabelSet, folder: Path | None, health: Health) -> None:
+        file = None if folder is None else folder / DRIFT_FILE
+        self._health = health
+        try:
+            self._drift = LabelDrift(labels, file)
+        except LtmError as error:
+            health.trouble("label_drift", f"{error}; the charts start again")
+            self._drift = LabelDrift(labels, file, fresh=True)
+        self._report()
+
+    def take(self, votes: CellVotes, model: str, shown: ShownLayers) -> None:
+        """Take a counted frame; `shown`: layers of the map before it."""
+        if self._drift.wants_reference(votes.stamp_ns):
+            if not shown.seen_cells:
+                return
+            self._drift.set_reference(shown.life_form, shown.unchanged, votes.stamp_ns)
+        if self._drift.take(votes, model):
+            self._report()
+            self.save()
+
+    def _report(self) -> None:
+        for camera, share in self._drift.agreement().items():
+            self._health.gauge(f"label_agreement.{camera}", f"{share:.4f}")
+            self._health.gauge(f"label_drift_sigmas.{camera}", f"{self._drift.sigmas(camera):.2f}")
+        self._health.lasting(self._drift.problem())
+
+    def save(self) -> None:
+        """Write the charts; a failure is reported and loses nothing in memory."""
+        try:
+            self._drift.save()
+        except LtmError as error:
+            self._health.trouble("label_drift", str(error))
 
 
 def _settle(future: Future[ReliabilityRecord], measure: Callable[[], ReliabilityRecord]) -> None:

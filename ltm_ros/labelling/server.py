@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import secrets
 import threading
-from collections.abc import Callable, Sequence
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
@@ -169,35 +170,72 @@ REQUEST_S = 600.0
 """Time limit of a request: on a slow machine the network needs a while for a large photo."""
 
 
-class LabelServer(WebServer):
-    """Serve a folder's photos on the loopback interface; its `url` holds a random token."""
+class PageServer(WebServer):
+    """Serve a page and its data on the loopback interface; its `url` holds a random token.
 
-    def __init__(self, session: LabelSession, port: int = 0) -> None:
+    `page`: HTML in which NONCE marks its own script and style. `routes`: by method and path below the page, as
+    "GET photos". `tiles`: origin of a map that the page may load images from, such as https://tiles.example; "": none.
+    """
+
+    def __init__(self, page: str, routes: Mapping[str, Route], port: int = 0, tiles: str = "") -> None:
         root = f"/{secrets.token_urlsafe(24)}/"
-        routes = {f"GET {root}": _page, f"GET {root}photos": _json(session.overview)}
-        for number in range(len(session)):
-            routes[f"GET {root}photo/{number}"] = partial(_photo, session, number)
-            routes[f"GET {root}areas/{number}"] = _json(partial(session.areas, number))
-            routes[f"GET {root}suggested/{number}"] = _json(partial(session.suggested, number))
-            routes[f"PUT {root}areas/{number}"] = partial(_save, session, number)
-        super().__init__(routes, port=port, body_bytes=MOST_BYTES, request_s=REQUEST_S)
+        rooted = {name.replace(" ", f" {root}", 1): route for name, route in routes.items()}
+        rooted[f"GET {root}"] = lambda _: _page(page, tiles)
+        super().__init__(rooted, port=port, body_bytes=MOST_BYTES, request_s=REQUEST_S)
         self.url += root
 
 
-def _json(make: Callable[[], object]) -> Route:
+class LabelServer(PageServer):
+    """Serve a folder's photos and their areas."""
+
+    def __init__(self, session: LabelSession, port: int = 0) -> None:
+        routes: dict[str, Route] = {"GET photos": json_route(session.overview)}
+        for number in range(len(session)):
+            routes[f"GET photo/{number}"] = jpeg_route(partial(session.photo, number))
+            routes[f"GET areas/{number}"] = json_route(partial(session.areas, number))
+            routes[f"GET suggested/{number}"] = json_route(partial(session.suggested, number))
+            routes[f"PUT areas/{number}"] = save_route(partial(session.save, number))
+        super().__init__(files("ltm_ros.labelling").joinpath("page.html").read_text("utf-8"), routes, port)
+
+
+def serve(make: Callable[[int], PageServer], port: int, browser: bool) -> None:
+    """Serve a page until Ctrl-C. Raises ConfigError if the port cannot be used."""
+    try:
+        server = make(port)
+    except OSError as error:
+        raise ConfigError(f"--port {port}: cannot be used ({error.strerror}); 0 takes a free one") from error
+    print(f"{server.url}\nCtrl-C ends it", flush=True)
+    if browser:
+        webbrowser.open(server.url)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        print("ended")
+    finally:
+        server.close()
+
+
+def json_route(make: Callable[[], object]) -> Route:
+    """Return the handler that sends a value as JSON."""
     return lambda _: _checked(lambda: WebResponse.json(make()))
 
 
-def _photo(session: LabelSession, number: int, _: bytes) -> WebResponse:
-    return _checked(lambda: WebResponse(session.photo(number), "image/jpeg"))
+def jpeg_route(make: Callable[[], bytes]) -> Route:
+    """Return the handler that sends a JPEG."""
+    return lambda _: _checked(lambda: WebResponse(make(), "image/jpeg"))
 
 
-def _save(session: LabelSession, number: int, body: bytes) -> WebResponse:
-    try:
-        content: object = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        return WebResponse.error(HTTPStatus.BAD_REQUEST, f"not JSON ({error})")
-    return _checked(lambda: WebResponse.json(session.save(number, content)))
+def save_route(save: Callable[[object], object]) -> Route:
+    """Return the handler that saves the JSON it receives, and sends what is stored."""
+
+    def respond(body: bytes) -> WebResponse:
+        try:
+            content: object = json.loads(body)
+        except (ValueError, RecursionError) as error:
+            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"not JSON ({error})")
+        return _checked(lambda: WebResponse.json(save(content)))
+
+    return respond
 
 
 def _checked(respond: Callable[[], WebResponse]) -> WebResponse:
@@ -209,11 +247,10 @@ def _checked(respond: Callable[[], WebResponse]) -> WebResponse:
         return WebResponse.error(HTTPStatus.INSUFFICIENT_STORAGE, f"cannot be written: {error.strerror}")
 
 
-def _page(_: bytes) -> WebResponse:
+def _page(page: str, tiles: str) -> WebResponse:
     nonce = secrets.token_urlsafe(16)
-    page = files("ltm_ros.labelling").joinpath("page.html").read_text("utf-8").replace("NONCE", nonce)
     policy = (
-        f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' data:; "
+        f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' data: {tiles}; "
         "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    return WebResponse(page.encode(), "text/html; charset=utf-8", policy=policy)
+    return WebResponse(page.replace("NONCE", nonce).encode(), "text/html; charset=utf-8", policy=policy)

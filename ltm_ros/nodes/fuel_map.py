@@ -27,7 +27,7 @@ from ltm_msgs_py.json_topics import FuelMapAnswer, FuelMapInfo, msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
-from ltm_ros.fuel_map.self_measurement import SelfMeasurement
+from ltm_ros.fuel_map.self_measurement import DriftWatch, SelfMeasurement
 from ltm_ros.fuel_map.services import (
     DrawnRegion,
     FuelMapConfig,
@@ -77,6 +77,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         dem = self._site.open_dem()
         self._geometry = self._site.fuel_geometry(dem)
         self._measuring = SelfMeasurement(self._site, self._geometry, self._labels, self._folder)
+        self._drift = DriftWatch(self._labels, self._folder, health)
         self._measured: LabelErrors | None = None
         self.persistence = FuelMapPersistence(
             lambda: empty_maps(self._site, self._geometry, self._labels, self._measured)(),
@@ -161,6 +162,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             counting = self.persistence.count(votes, self._models.get(camera, ""))
             if counting is Counting.COUNTED and camera in self._site.cameras:
                 self._measuring.take(votes)
+                self._drift.take(votes, self._models.get(camera, ""), self.persistence.shown)
         if counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"duplicate votes of {camera} of stamp {stamp} ns; counted once")
         elif counting is Counting.TOO_OLD:
@@ -215,6 +217,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def finish(self) -> None:
         """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
         self._measure(at_once=True)
+        self._drift.save()
         self._publisher.announce(self.persistence.close())
         self._publisher.send_map()
         self._publisher.send_cells()
