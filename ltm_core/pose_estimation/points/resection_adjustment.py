@@ -112,7 +112,7 @@ class Adjustment:
         step = 1e-6
         columns = []
         for change in step * np.eye(3 + size_of(all_of)):
-            moved = self._residuals(*_applied(change, fit.camera, fit.pose, all_of))
+            moved = self._residuals(*applied(change, fit.camera, fit.pose, all_of))
             columns.append((fit.residuals - moved)[fit.used].ravel() / step)
         slopes = np.column_stack(columns)
         errors = fit.residuals[fit.used].ravel()
@@ -130,7 +130,7 @@ class Adjustment:
         far = 2 * diagonal(start.camera)
 
         def errors(x: Float64Array) -> Float64Array:
-            camera, pose = _applied(x, start.camera, start.pose, free)
+            camera, pose = applied(x, start.camera, start.pose, free)
             # A point behind the camera has no pixel; a constant keeps it from pulling.
             rows = np.nan_to_num(self._residuals(camera, pose)[used], nan=far).ravel() / sigma_px
             if "position" in free and self.position_sigma is not None:
@@ -142,11 +142,11 @@ class Adjustment:
 
         x0 = np.zeros(3 + size_of(free))
         solved = least_squares(errors, x0, jac="3-point", x_scale="jac", loss=loss, max_nfev=100)
-        camera, pose = _applied(solved.x, start.camera, start.pose, free)
+        camera, pose = applied(solved.x, start.camera, start.pose, free)
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 
 
-def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
+def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
     """Return the camera and pose moved by x: rotation vector in the map frame, then the free parameters, the
     focal length by its logarithm."""
     rest = list(x[3:])
