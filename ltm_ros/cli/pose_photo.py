@@ -140,7 +140,8 @@ def photo(
     for f in found:
         if not f.result.accepted:
             kept = "the given pose is kept" if f.usable else "no pose was written"
-            fix = "; --free lens fits it" if "lens distortion" in f.reason and not lens else ""
+            uncalibrated = not lens and not any(f.setup.camera.distortion)
+            fix = "; if the lens is not calibrated, --free lens fits it" if uncalibrated else ""
             console.print(f"[yellow]{f.name}: {f.word}, {kept}: {f.reason}{fix}", highlight=False)
     if any(f.usable for f in found):
         console.print(f"  {out}", highlight=False)

@@ -113,14 +113,18 @@ def find_pose(
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
     search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
-    trend = None if result.accepted else skyline_bending(search, config)
-    if trend is None or not trend.clear or abs(trend.k) * corner_radius(evidence.camera) ** 2 > _MOST_BENT:
+    trend = skyline_bending(search, config)
+    least = _BENT_SIGMAS[result.accepted]
+    if trend is None or not least * trend.sigma < abs(trend.k) < _MOST_BENT / corner_radius(evidence.camera) ** 2:
         return search
     # How much cannot be said: a pose that is fitted with a wrong lens is itself off.
     bent = f"{search.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
-    return replace(search, verdict=replace(search.verdict, reason=bent))
+    word = "ambiguous" if result.accepted else search.verdict.word
+    return replace(search, verdict=replace(search.verdict, word=word, reason=bent))
 
 
+_BENT_SIGMAS = {True: 4.0, False: 2.5}
+"""Minimum trend in standard deviations that rejects an accepted pose, or is named as a reason for another one."""
 _MOST_BENT = 0.6
 """Maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's."""
 
