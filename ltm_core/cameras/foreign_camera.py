@@ -51,24 +51,24 @@ class ForeignPose:
         return replace(self, rotation=rotation)
 
     def pose(self, frame: SiteFrame, ground: Callable[[float, float], float], undulation: float) -> Pose:
-        """Return the pose in a map frame. `undulation`: of the geoid, metres, subtracted from ellipsoidal heights, which
-        Earth-centred coordinates have."""
-        u, _, vt = np.linalg.svd(self.rotation)
-        rotation = u @ vt
+        """Return the pose in a map frame. `undulation`: of the geoid, metres, subtracted from ellipsoidal heights, as
+        Earth-centred coordinates have them."""
+        left, _, right = np.linalg.svd(self.rotation)
+        rotation = left @ right
         if self.crs == "EPSG:4978" or _EARTH[0] < np.linalg.norm(self.position) < _EARTH[1]:
             lon, lat, height = _geodetic().transform(*self.position)
             rotation = east_north_up(lon, lat) @ rotation
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            return Pose((x, y, height - undulation), grid_turn(frame, x, y) @ rotation)
+            return Pose(np.array([x, y, height - undulation]), grid_turn(frame, x, y) @ rotation)
         x, y, z = self.position
         if self.crs is not None and self.crs != frame.crs:
             lon, lat = Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True).transform(x, y)
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
             if self.crs == "EPSG:4326":
-                return Pose((x, y, z - undulation), grid_turn(frame, x, y) @ rotation)
+                return Pose(np.array([x, y, z - undulation]), grid_turn(frame, x, y) @ rotation)
         else:
             x, y = x - frame.x_origin, y - frame.y_origin
-        return Pose((x, y, z + (ground(x, y) if self.above_ground else 0.0)), rotation)
+        return Pose(np.array([x, y, z + (ground(x, y) if self.above_ground else 0.0)]), rotation)
 
 
 @lru_cache(maxsize=1)
@@ -89,7 +89,7 @@ def east_north_up(lon: float, lat: float) -> Float64Array:
 
 
 def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
-    """Return Earth-centred coordinates (3,) of metres east, north, up of a reference (latitude, longitude, altitude)."""
+    """Return Earth-centred coordinates (3,) of metres east, north, up of a (latitude, longitude, altitude)."""
     lat, lon, altitude = reference
     origin = _geodetic().transform(lon, lat, altitude, direction="INVERSE")
     return np.asarray(np.array(origin) + east_north_up(lon, lat).T @ local, np.float64)

@@ -85,7 +85,7 @@ def radial_trend(errors: Float64Array, fitted: Float64Array, by_k: Float64Array,
     """Return the radial term that explains residuals beyond what the fitted parameters could.
 
     `errors`: (N,) pixels; `fitted`: (N, P) their slopes by the fitted parameters; `by_k`: (N,) by the radial term;
-    `sigma`: (N,) smallest standard deviations. Least squares over the part of `by_k` that is orthogonal to `fitted`; the
+    `sigma`: (N,) smallest standard deviations. Least squares over the part of `by_k` orthogonal to `fitted`; the
     scale is that of the misfits that remain.
     """
     rows = np.column_stack([fitted, by_k]) / sigma[:, None]

@@ -31,7 +31,9 @@ def import_poses(
     crs: Annotated[str | None, typer.Option(help="CRS of the poses, if neither file nor DEM states it.")] = None,
     focal: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help="Focal length: 1484px, 24/36 (mm/sensor width), or 0.9 of the longer side."),
+        typer.Option(
+            metavar="LENGTH", help="Focal length: 1484px, 24/36 (mm/sensor width), or 0.9 of the longer side."
+        ),
     ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size. Default: that of the photos.")] = None,
     transform: Annotated[

@@ -82,7 +82,9 @@ def photo(
     mount: Annotated[
         bool, typer.Option("--mount", help="All photos are of one fixed camera or PTZ head: find one correction.")
     ] = False,
-    free: Annotated[str, typer.Option(metavar="NAMES", help="Also fit focal, position, lens, lens:phone (ptz, action, slr).")] = "none",
+    free: Annotated[
+        str, typer.Option(metavar="NAMES", help="Also fit focal, position, lens, lens:phone (ptz, action, slr).")
+    ] = "none",
     labels: Annotated[
         Path | None, typer.Option(metavar="FILE", help="PNG of class ids, replaces the segmentation network.")
     ] = None,
@@ -153,6 +155,7 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
     """Return the photos of a folder that a photo list names, with their known values. Raises ConfigError."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.config_io import checked
+    from ltm_core.storage.image_io import read_rgb
     from ltm_core.tracing.trace_io import GuessConfig
     from ltm_ros.recordings.importing.pose_file import read_pose_file
 
@@ -161,10 +164,11 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
         file = photos / name
         if not file.is_file():
             raise ConfigError(f"{poses} names {name}, which is not in {photos}")
-        known = {
-            "pose": row.pose.model_dump(exclude_none=True),
-            "calibration": row.calibration.model_dump(exclude_none=True),
-        }
+        lens = row.calibration.model_dump(exclude_none=True)
+        if row.calibration.width is None:
+            height, width = read_rgb(file).shape[:2]
+            lens |= {"width": width, "height": height}
+        known = {"pose": row.pose.model_dump(exclude_none=True), "calibration": lens}
         found[file] = checked(GuessConfig, known, f"{poses}: {name}")
     return found
 

@@ -41,9 +41,7 @@ def points(
             help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
         ),
     ] = None,
-    force: Annotated[
-        str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined.")
-    ] = "none",
+    force: Annotated[str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined.")] = "none",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,

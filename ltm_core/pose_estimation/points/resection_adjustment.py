@@ -105,10 +105,10 @@ class Adjustment:
     def bending(self, fit: Fit, free: tuple[Parameter, ...]) -> tuple[Parameter, RadialTrend] | None:
         """Return the first radial term that is not free, and its value by the residuals of the points that were used;
         None if all are free."""
-        term = next((name for name in RADIAL if name not in free), None)
+        term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
-        all_of: tuple[Parameter, ...] = (*free, term)  # type: ignore[assignment]
+        all_of: tuple[Parameter, ...] = (*free, term)
         step = 1e-6
         columns = []
         for change in step * np.eye(3 + size_of(all_of)):
@@ -120,7 +120,7 @@ class Adjustment:
         if good.sum() <= slopes.shape[1]:
             return None
         sigma = np.full(int(good.sum()), fit.sigma_px)
-        return term, radial_trend(errors[good], slopes[good, :-1], slopes[good, -1], sigma)  # type: ignore[return-value]
+        return term, radial_trend(errors[good], slopes[good, :-1], slopes[good, -1], sigma)
 
     def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
@@ -158,7 +158,8 @@ def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, 
         elif name in RADIAL:
             terms = list(camera.distortion)
             terms[RADIAL[name]] += float(rest.pop(0))
-            camera = replace(camera, distortion=tuple(terms))
+            k1, k2, p1, p2, k3 = terms
+            camera = replace(camera, distortion=(k1, k2, p1, p2, k3))
         elif name == "centre":
             camera = replace(camera, cx=camera.cx + float(rest.pop(0)), cy=camera.cy + float(rest.pop(0)))
         else:
@@ -315,4 +316,3 @@ def unbearable(
 def _in_line(places: Float64Array) -> bool:
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(spread[1] < 0.02 * spread[0])
-

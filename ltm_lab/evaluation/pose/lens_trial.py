@@ -27,11 +27,11 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE,
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config, read_photo
-from ltm_core.vision.segmenter import Segmenter
 from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
 from ltm_lab.evaluation.pose.pose_trial import Angles, Sensor, disturbed, sigmas_deg, three
 from ltm_lab.evaluation.pose.rendered_terrain_io import RenderedSite
-from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
 
 STARTS = 12
 _OFF_DEG = 10.0, 3.0, 1.0
@@ -94,9 +94,7 @@ def run_finse(folder: Path, kind: str, starts: int) -> list[LensTrial]:
         off = np.multiply(_OFF_DEG, (1 if k % 2 else -1, 1 if k // 2 % 2 else -1, k // 4 % 3 - 1))
         start = Pose.from_angles(true.position, *three(np.add(true.angles_deg, off)))
         prior = PosePrior(start, UNKNOWN_DEG if k == starts else _OFF_DEG[0], *_OFF_DEG[1:])
-        search, lens = find_pose_and_lens(
-            evidence_of, stated, terrain, prior, LensPrior.of(kind, stated), config
-        )
+        search, lens = find_pose_and_lens(evidence_of, stated, terrain, prior, LensPrior.of(kind, stated), config)
         case = "Finse, no azimuth" if k == starts else "Finse, {:+.0f} {:+.0f} {:+.0f} deg".format(*off)
         trials.append(_trial(case, true, search, lens.distortion[0]))
     return trials
@@ -117,7 +115,9 @@ def bent(values: UInt8Array, camera: Camera, k1: float, interpolation: int) -> U
     lens = replace(camera, distortion=(k1, 0.0, 0.0, 0.0, 0.0))
     at = camera.project(lens.rays()).astype(np.float32)
     at[~np.isfinite(at)] = -1
-    return np.asarray(cv2.remap(values, at[..., 0], at[..., 1], interpolation, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.remap(values, at[..., 0], at[..., 1], interpolation, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 def run_rendered(folder: Path, k1: float, every: int, seed: int) -> list[LensTrial]:
@@ -151,7 +151,9 @@ def score_held_out(folder: Path, kind: str) -> list[HeldOutScore]:
         distances, squares, own = [], [], []
         for fold in range(_FOLDS):
             left = np.arange(len(marked.names)) % _FOLDS == fold
-            fit = resect(_some(marked, ~left), stated, position, None, ("focal", "k1", "position"), bend, 3.0, lens=lens)
+            fit = resect(
+                _some(marked, ~left), stated, position, None, ("focal", "k1", "position"), bend, 3.0, lens=lens
+            )
             error, square = _predicted(fit, _some(marked, left), bend)
             distances += list(np.hypot(*error.T))
             squares += list(square)
@@ -182,5 +184,3 @@ def _predicted(fit: Resection, points: ControlPoints, bend: float) -> tuple[Floa
     covariance = slopes @ fit.covariance @ np.swapaxes(slopes, 1, 2) + fit.sigma_px**2 * np.eye(2)
     error = points.pixels - middle
     return error, np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
-
-

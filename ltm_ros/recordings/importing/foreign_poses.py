@@ -65,7 +65,9 @@ def read_foreign_poses(
     try:
         poses = read()
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
-        raise PoseError(f"{path}: is not a file of {tool} that can be read ({type(error).__name__}: {error})") from error
+        raise PoseError(
+            f"{path}: is not a file of {tool} that can be read ({type(error).__name__}: {error})"
+        ) from error
     if not poses:
         raise PoseError(f"{path}: contains no pose ({tool})")
     return tool, poses
@@ -78,6 +80,9 @@ def _alproj(path: Path, text: str) -> list[ForeignPose]:
     return [_alproj_pose(name, values, f"{path}: {name}") for name, values in many.items()]
 
 
+_ALPROJ_TERMS = ("a1", "a2", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4")
+
+
 def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
     if p.get("model") == "fisheye":
         raise PoseError(f"{place} is a fisheye; only its pinhole model is imported")
@@ -86,7 +91,7 @@ def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
     cx, cy = (float(p[key] if p.get(key) is not None else side / 2) for key, side in (("cx", width), ("cy", height)))
     # Its image is mirrored, and then its columns.
     start = Camera(width, height, f, f, width - cx, cy)
-    terms = {key: float(p.get(key) or 0.0) for key in "a1 a2 k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4".split()}
+    terms = {key: float(p.get(key) or 0.0) for key in _ALPROJ_TERMS}
     camera = start
     if any(terms.values()):
         middle = np.array([cx, cy])
@@ -103,7 +108,11 @@ def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
 
         camera = closest_camera(start, project, place)
     pan, tilt, roll = (math.radians(float(p[key])) for key in ("pan", "tilt", "roll"))
-    turn = Rotation.from_euler("x", -(tilt + math.pi / 2)) * Rotation.from_euler("y", -roll) * Rotation.from_euler("z", pan)
+    turn = (
+        Rotation.from_euler("x", -(tilt + math.pi / 2))
+        * Rotation.from_euler("y", -roll)
+        * Rotation.from_euler("z", pan)
+    )
     position = np.array([float(p[key]) for key in "xyz"])
     return ForeignPose(name, place, position, (UPWARD @ turn.as_matrix()).T, camera)
 
@@ -165,7 +174,9 @@ def _practise(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]
                         angles=np.array([*target[:2], off[1]]))]  # fmt: skip
 
 
-def aimed(foreign: ForeignPose, pose: Pose, ground: Callable[[float, float], float], origin: tuple[float, float]) -> Pose:
+def aimed(
+    foreign: ForeignPose, pose: Pose, ground: Callable[[float, float], float], origin: tuple[float, float]
+) -> Pose:
     """Return a pose of PRACTISE pitched at its target, which stands above the DEM."""
     if not foreign.above_ground or foreign.angles is None:
         return pose
@@ -208,7 +219,7 @@ def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[Forei
     another unit."""
     head = " ".join(line for line in text.splitlines()[:5] if re.match(r"\W*[A-Za-z#]", line)).lower()
     unit = next((name for name in ("gon", "radians", "degrees") if name in head or f"[{name[:3]}]" in head), "degrees")
-    poses = []
+    poses: list[ForeignPose] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = re.split(r"[\s,;]+", line.strip())
         if line.startswith("#") or len(words) < 7:

@@ -131,7 +131,9 @@ def readings(
                 costs.append(fit.cost)
                 shares.append(fit.support)
         known = bool(costs) and problem is None
-        found.append(Reading(how, problem, float(np.mean(costs)) if known else None, float(np.mean(shares)) if known else None))
+        found.append(
+            Reading(how, problem, float(np.mean(costs)) if known else None, float(np.mean(shares)) if known else None)
+        )
     return found
 
 
@@ -141,11 +143,15 @@ def chosen_reading(found: Sequence[Reading]) -> Reading:
     stated = found[0]
     measured = [reading for reading in found if reading.cost is not None]
     best = min(measured, key=lambda reading: reading.cost or 0.0, default=None)
-    if best is not None and (stated.cost is None or (best.cost or 0.0) < stated.cost - _LEAST_GAP):
-        if stated.problem is not None or stated.cost is not None:
-            return best
+    if best is not None and (
+        stated.problem is not None
+        or (stated.cost is not None and best.cost is not None and best.cost < stated.cost - _LEAST_GAP)
+    ):
+        return best
     if stated.problem is not None:
         others = [reading.how for reading in found[1:] if reading.problem is None]
         possible = f"; possible {', or '.join(others)}" if others else ""
-        raise PoseError(f"{stated.problem}{possible}. Check axes, units and heights; give --dem and --photos to test them")
+        raise PoseError(
+            f"{stated.problem}{possible}. Check axes, units and heights; give --dem and --photos to test them"
+        )
     return stated

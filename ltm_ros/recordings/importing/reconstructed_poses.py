@@ -47,7 +47,8 @@ def numbers_of(text: str) -> list[float]:
 
 
 def metashape_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the cameras of an XML export. Its camera axes are the optical ones; pixels count from the image's corner, the centre from its middle."""
+    """Return the cameras of an XML export. Its camera axes are the optical ones; pixels count from the image's
+    corner, the centre from its middle."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise PoseError(f"{path}: XML with a document type is not read")
     try:
@@ -123,7 +124,13 @@ def colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[Fo
         fx = p.get("fx", p.get("f", 0.0))
         lens = tuple(p.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
         cameras[number] = Camera(
-            int(width), int(height), fx, p.get("fy", fx), p["cx"] - 0.5, p["cy"] - 0.5, lens  # type: ignore[arg-type]
+            int(width),
+            int(height),
+            fx,
+            p.get("fy", fx),
+            p["cx"] - 0.5,
+            p["cy"] - 0.5,
+            lens,  # type: ignore[arg-type]
         )
     poses = []
     # Each image has a second line, of its points, which may be empty.
@@ -147,7 +154,8 @@ def _lines(text: str) -> Iterator[str]:
 
 
 def opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the shots, world to camera, metres east, north, up of a reference; focal lengths are shares of the longer side."""
+    """Return the shots, world to camera, metres east, north, up of a reference; focal lengths are shares of the
+    longer side."""
     parts = json.loads(text)
     beside = path.with_name("reference_lla.json")
     reference: Any = parts[0].get("reference_lla")
@@ -177,5 +185,8 @@ def _opensfm_camera(values: dict[str, Any], place: str) -> Camera:
     fx = float(values.get("focal_x", values.get("focal", 0.0))) * size
     fy = float(values["focal_y"]) * size if "focal_y" in values else fx
     lens = tuple(float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3"))
-    cx, cy = (width - 1) / 2 + float(values.get("c_x", 0.0)) * size, (height - 1) / 2 + float(values.get("c_y", 0)) * size
+    cx, cy = (
+        (width - 1) / 2 + float(values.get("c_x", 0.0)) * size,
+        (height - 1) / 2 + float(values.get("c_y", 0)) * size,
+    )
     return Camera(width, height, fx, fy, cx, cy, lens)  # type: ignore[arg-type]
