@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,13 +21,16 @@ UPWARD = np.diag([1.0, -1.0, -1.0])
 """Rotation between camera axes x right, y down, z forward, and x right, y up, z backward."""
 _EARTH = 6.3e6, 6.4e6
 """Distances from the origin in metres between which coordinates are Earth-centred (EPSG:4978)."""
+_HIGHEST = 10e3
+"""Height in metres above which a coordinate is no height on a map, whose northings may be as long as that distance."""
 MOST_LENS_ERROR = 0.5
 """Maximum distance in pixels between another lens model and the closest one of LTM."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForeignPose:
-    """A photo's pose and camera as another tool states them. `position`: (3,) in `crs`, without an origin;
+    """A photo's pose and camera as another tool states them. `position`: (3,) map coordinates without an
+    origin, or Earth-centred;
     `rotation`: (3, 3) from optical axes to east, north, up; `place`: file and entry, for errors. `camera`: None if the
     file states no lens. `angles`: (3,) the stated rotation angles, by which `turned` makes the rotation."""
 
@@ -35,7 +39,7 @@ class ForeignPose:
     position: Float64Array
     rotation: Float64Array
     camera: Camera | None
-    crs: str | None = None
+    earth: bool = False
     angles: Float64Array | None = None
     turned: Callable[[Float64Array], Float64Array] | None = None
     above_ground: bool = False
@@ -55,19 +59,13 @@ class ForeignPose:
         Earth-centred coordinates have them."""
         left, _, right = np.linalg.svd(self.rotation)
         rotation = left @ right
-        if self.crs == "EPSG:4978" or _EARTH[0] < np.linalg.norm(self.position) < _EARTH[1]:
-            lon, lat, height = _geodetic().transform(*self.position)
+        x, y, z = (float(v) for v in self.position)
+        if self.earth or (_EARTH[0] < math.hypot(x, y, z) < _EARTH[1] and abs(z) > _HIGHEST):
+            lon, lat, height = _geodetic().transform(x, y, z)
             rotation = east_north_up(lon, lat) @ rotation
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
             return Pose(np.array([x, y, height - undulation]), grid_turn(frame, x, y) @ rotation)
-        x, y, z = self.position
-        if self.crs is not None and self.crs != frame.crs:
-            lon, lat = Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True).transform(x, y)
-            x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            if self.crs == "EPSG:4326":
-                return Pose(np.array([x, y, z - undulation]), grid_turn(frame, x, y) @ rotation)
-        else:
-            x, y = x - frame.x_origin, y - frame.y_origin
+        x, y = x - frame.x_origin, y - frame.y_origin
         return Pose(np.array([x, y, z + (ground(x, y) if self.above_ground else 0.0)]), rotation)
 
 

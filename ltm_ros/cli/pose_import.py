@@ -65,8 +65,8 @@ def import_poses(
         raise PoseError(f"{file}: several photos have the same name without suffix; rename them")
     require_files((out / name for name in names), overwrite)
     terrain = open_dems(dem, crs) if dem else None
-    placed_in = crs or (terrain.geometry.crs if terrain is not None else None) or poses[0].crs
-    if placed_in is None or placed_in == "EPSG:4978":
+    placed_in = crs or (terrain.geometry.crs if terrain is not None else None)
+    if placed_in is None:
         raise ConfigError(f"{file}: the poses have no projected CRS; give --crs EPSG:... or --dem")
     x, y = poses[0].pose(SiteFrame(placed_in), lambda x, y: 0.0, 0.0).position[:2]
     frame = SiteFrame(placed_in, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)

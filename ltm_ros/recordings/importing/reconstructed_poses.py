@@ -172,7 +172,7 @@ def opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
             position = earth_centred(lla, -turn.T @ np.array(shot["translation"], np.float64))
             rotation = east_north_up(lla[1], lla[0]).T @ turn.T
             place = f"{path}: shot {name}"
-            poses.append(ForeignPose(name, place, position, rotation, cameras[shot["camera"]], "EPSG:4978"))
+            poses.append(ForeignPose(name, place, position, rotation, cameras[shot["camera"]], True))
     return poses
 
 
