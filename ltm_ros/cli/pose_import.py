@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _MOST_TESTED = 3
 """Maximum number of photos by which axes and units are tested."""
+_LEAST_FIT = 0.35
+"""Minimum share of the photos' skylines on the terrain's below which a warning is printed."""
 
 
 def import_poses(
@@ -88,6 +90,8 @@ def import_poses(
     how = chosen_reading(found)
     if how is not found[0]:
         console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
+    elif how.fits is not None and how.fits < _LEAST_FIT:
+        console.print("[yellow]No reading fits the photos. Check position, focal length, distortion and the DEM.")
     rejected = 0
     for pose, name in zip(poses, names, strict=True):
         chosen = alternatives(pose)[how.how]

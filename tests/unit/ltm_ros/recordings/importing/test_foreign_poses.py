@@ -28,7 +28,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
-from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
+from ltm_ros.recordings.importing.pose_check import Placement, Reading, chosen_reading, readings
 from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
 FRAME = SiteFrame("EPSG:32632", 419_000.0, 6_718_000.0)
@@ -262,6 +262,12 @@ def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
     below = ForeignPose("a", "a", np.array([x, y, ground - 5.0]), TRUE.rotation, LENS)
     with pytest.raises(PoseError, match=r"5\.0 m|below|under"):
         chosen_reading(readings([below], placement, {}))
+
+
+@pytest.mark.parametrize(("stated", "other", "taken"), [(-7.2, -52.0, "gon"), (-50.0, -52.0, "as stated")])
+def test_another_reading_is_used_only_if_it_fits_clearly_better(stated: float, other: float, taken: str) -> None:
+    found = [Reading("as stated", None, stated, 0.5), Reading("gon", None, other, 0.9)]
+    assert chosen_reading(found).how == taken
 
 
 def test_the_command_writes_pose_files(tmp_path: Path) -> None:
