@@ -247,7 +247,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     if site is not None and photo.width * photo.height > site.limits.pixels:
         raise ImageError(
             f"{photo.path} has {photo.width} x {photo.height} pixels, but the site's limit is {site.limits.pixels}: "
-            "reduce the photo, or raise pixels under `limits`"
+            "reduce the photo, or raise pixels under `expert.limits`"
         )
     if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
         return

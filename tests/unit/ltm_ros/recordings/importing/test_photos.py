@@ -531,7 +531,7 @@ def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path
 
 def test_a_photo_above_the_sites_limit_is_rejected_at_import(tmp_path: Path, site: Site) -> None:
     """Replay would reject it, and leave an empty bag."""
-    document = yaml.safe_load((tmp_path / "site.yaml").read_text()) | {"limits": {"pixels": W * H - 1}}
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text()) | {"expert": {"limits": {"pixels": W * H - 1}}}
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
     with pytest.raises(ImageError, match=str(W * H - 1)):
         import_photos(
