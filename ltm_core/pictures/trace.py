@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ltm_core.base.number_text import percent
-from ltm_core.base.types import Float32Array, Float64Array, RgbImage, UInt32Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt32Array
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.camera import Camera
@@ -61,6 +61,37 @@ def pose_fit_picture(
                 _draw(drawn, here, there, _HALO if halo else color, width + 2 if halo else width)
         sheets.append(draw_texts(drawn, [(title, 8, 6, "lt")], max(13, small.shape[1] / 60), (255, 255, 255), _HALO))
     return np.concatenate(sheets)
+
+
+_MEDIAN_ARROW = 0.03
+"""Length of the median arrow of a residual picture, as a share of its width."""
+
+
+def residual_picture(
+    camera: Camera, pixels: Float64Array, errors: Float64Array, used: BoolArray, photo: RgbImage | None = None
+) -> RgbImage:
+    """Return the photo, or a grey frame, with an arrow from each marked pixel (N, 2) to its projection, enlarged by the
+    factor in the title. Points that were not `used` are red. Arrows along the radius show an error of the lens."""
+    scale = min(1.0, _WIDEST / camera.width)
+    size = (round(camera.width * scale), round(camera.height * scale))
+    if photo is None:
+        drawn = np.full((size[1], size[0], 3), 60, np.uint8)
+    else:
+        drawn = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) // 2
+    known = np.isfinite(errors).all(axis=1)
+    typical = float(np.median(np.hypot(*errors[known].T))) if known.any() else 1.0
+    wanted = _MEDIAN_ARROW * size[0] / max(typical * scale, 1e-6)
+    factor = max(f for f in (1, 2, 5, 10, 20, 50, 100, 200, 500) if f <= max(wanted, 1))
+    for at, error, kept in zip(pixels[known], errors[known], used[known], strict=True):
+        color = _HORIZON if kept else (255, 80, 60)
+        # errors are marked minus projected
+        tail, head = ((p * scale).round().astype(int).tolist() for p in (at, at - factor * error))
+        for halo in (True, False):
+            line = (_HALO, 5) if halo else (color, 2)
+            cv2.arrowedLine(drawn, tail, head, *line, cv2.LINE_AA, tipLength=0.2)
+        cv2.circle(drawn, tail, 3, (255, 255, 255), -1, cv2.LINE_AA)
+    title = f"marked to projected, x {factor}; median residual {typical:.2f} px"
+    return draw_texts(drawn, [(title, 8, 6, "lt")], max(13, size[0] / 60), (255, 255, 255), _HALO)
 
 
 def _pixels(

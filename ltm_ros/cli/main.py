@@ -22,6 +22,7 @@ from ltm_ros.cli.init import init
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import label, mask
 from ltm_ros.cli.models import models
+from ltm_ros.cli.pose_import import import_poses
 from ltm_ros.cli.pose_mount import mount
 from ltm_ros.cli.pose_photo import photo
 from ltm_ros.cli.pose_points import points
@@ -81,6 +82,7 @@ EXAMPLES = {
     "cameras snapshot": ("ltm cameras snapshot site.yaml north --out presets",),
     "pose points": ("ltm pose points points.csv --guess guess.yaml --dem dem.tif --out pose.yaml",),
     "pose photo": ("ltm pose photo photo.jpg --guess guess.yaml --dem dem.tif --out pose.yaml --picture found.png",),
+    "pose import": ("ltm pose import cameras.xml --dem dem.tif --photos photos --out poses --picture drawn",),
     "pose mount": ("ltm pose mount site.yaml north --photos presets",),
     "mask": (
         "ltm mask west_photos/ --site site.yaml --camera west",
@@ -232,6 +234,7 @@ def _options(
 pose = typer.Typer(no_args_is_help=True, help="Find a camera's pose from points, from a photo, or for a PTZ head.")
 for method in (points, photo, mount):
     pose.command()(method)
+pose.command("import")(import_poses)
 
 START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
     "Start here",

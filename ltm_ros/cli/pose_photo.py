@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltm_ros.cli.output import Overwrite, open_dems, print_table
-from ltm_ros.cli.pose_points import parameter_names
+from ltm_ros.cli.pose_points import lens_kind, parameter_names
 
 if TYPE_CHECKING:
     from ltm_core.base.types import UInt8Array
+    from ltm_core.geometry.camera import Camera
     from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
+    from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import PoseResult, SearchSetup
     from ltm_core.raster.dem import Dem
     from ltm_core.tracing.trace_io import GuessConfig
@@ -39,6 +41,8 @@ class PhotoOptions:
     free: tuple[str, ...]
     canopy: bool
     mount: bool
+    lens: str | None = None
+    """Kind of lens whose focal length and k1 are fitted; None: they are as stated."""
     mask: Path | None = None
     """Mask PNG: non-zero pixels are ignored in all photos."""
 
@@ -78,7 +82,9 @@ def photo(
     mount: Annotated[
         bool, typer.Option("--mount", help="All photos are of one fixed camera or PTZ head: find one correction.")
     ] = False,
-    free: Annotated[str, typer.Option(metavar="NAMES", help="Also fit these: focal, position.")] = "none",
+    free: Annotated[
+        str, typer.Option(metavar="NAMES", help="Also fit focal, position, lens, lens:phone (ptz, action, slr).")
+    ] = "none",
     labels: Annotated[
         Path | None, typer.Option(metavar="FILE", help="PNG of class ids, replaces the segmentation network.")
     ] = None,
@@ -114,11 +120,12 @@ def photo(
         require_folder(out)
     require_files([place for place in (None if many else out, report, None if many else picture) if place], overwrite)
     chosen = parameter_names(free)
-    if set(chosen) - {"focal", "position"}:
-        raise ConfigError(f"--free {free}: a photo's skyline fits focal and position; `ltm pose points` fits k1")
+    lens = lens_kind(chosen)
+    if set(chosen) - {"focal", "position"} or (lens and mount):
+        raise ConfigError(f"--free {free}: a skyline fits focal, position and, without --mount, lens")
     guesses = guesses_of(photo, guess) if many else {photo: load_yaml(guess, GuessConfig)}
     terrain = open_dems(dem, crs)
-    found = search_photos(guesses, terrain, PhotoOptions(labels, model, tuple(chosen), canopy, mount, mask))
+    found = search_photos(guesses, terrain, PhotoOptions(labels, model, tuple(chosen), canopy, mount, lens, mask))
     write_photos(found, out, picture, report, many)
     rows = []
     for f in found:
@@ -135,7 +142,9 @@ def photo(
     for f in found:
         if not f.result.accepted:
             kept = "the given pose is kept" if f.usable else "no pose was written"
-            console.print(f"[yellow]{f.name}: {f.word}, {kept}: {f.reason}", highlight=False)
+            uncalibrated = not lens and not any(f.setup.camera.distortion)
+            fix = "; if the lens is not calibrated, --free lens fits it" if uncalibrated else ""
+            console.print(f"[yellow]{f.name}: {f.word}, {kept}: {f.reason}{fix}", highlight=False)
     if any(f.usable for f in found):
         console.print(f"  {out}", highlight=False)
     if not all(f.result.accepted for f in found):
@@ -146,6 +155,7 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
     """Return the photos of a folder that a photo list names, with their known values. Raises ConfigError."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.config_io import checked
+    from ltm_core.storage.image_io import read_rgb
     from ltm_core.tracing.trace_io import GuessConfig
     from ltm_ros.recordings.importing.pose_file import read_pose_file
 
@@ -154,10 +164,11 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
         file = photos / name
         if not file.is_file():
             raise ConfigError(f"{poses} names {name}, which is not in {photos}")
-        known = {
-            "pose": row.pose.model_dump(exclude_none=True),
-            "calibration": row.calibration.model_dump(exclude_none=True),
-        }
+        lens = row.calibration.model_dump(exclude_none=True)
+        if row.calibration.width is None:
+            height, width = read_rgb(file).shape[:2]
+            lens |= {"width": width, "height": height}
+        known = {"pose": row.pose.model_dump(exclude_none=True), "calibration": lens}
         found[file] = checked(GuessConfig, known, f"{poses}: {name}")
     return found
 
@@ -186,7 +197,9 @@ def _find(
     config: Any,
 ) -> FoundPhoto:
     from ltm_core.base.errors import ImageError
+    from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
+    from ltm_core.pose_estimation.skyline.lens_search import find_pose_and_lens
     from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.tracing.trace_io import read_photo
@@ -206,9 +219,19 @@ def _find(
     if doubt is not None:
         raise ImageError(f"{file}: {doubt}")
     begin = time.process_time()
-    evidence = picture_evidence(photo, labels, setup.camera, config, view.hidden)
-    search = find_pose(evidence, setup.terrain, prior, config, FOCAL_SIGMA if "focal" in options.free else 0.0)
-    result = result_of(search, prior, setup.camera)
+
+    def evidence_of(camera: Camera) -> PictureEvidence:
+        return picture_evidence(photo, labels, camera, config, view.hidden)
+
+    camera = setup.camera
+    if options.lens is not None:
+        known = LensPrior.of(options.lens, camera)
+        search, camera = find_pose_and_lens(evidence_of, camera, setup.terrain, prior, known, config)
+    else:
+        search = find_pose(
+            evidence_of(camera), setup.terrain, prior, config, FOCAL_SIGMA if "focal" in options.free else 0.0
+        )
+    result = result_of(search, prior, camera if search.verdict.word == "accepted" else setup.camera)
     spent = time.process_time() - begin
     verdict = search.verdict
     return FoundPhoto(file.name, guess, setup, photo, search, result, verdict.word, verdict.reason, spent)

@@ -38,15 +38,15 @@ def points(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Fit these too: focal, k1, position, or none. Default: focal, k1, and a position with a sigma.",
+            help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
         ),
     ] = None,
-    force: Annotated[
-        str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined: focal, k1, position.")
-    ] = "none",
+    force: Annotated[str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined.")] = "none",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="PNG of the residuals as arrows.")] = None,
+    image: Annotated[Path | None, typer.Option(metavar="FILE", help="Photo, background of --picture.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the control points, if no DEM states it.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -58,6 +58,7 @@ def points(
 
     from ltm_core.base.errors import PoseError
     from ltm_core.geometry.geodesy import ray_bend
+    from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.points.resection import resect
     from ltm_core.pose_estimation.points.resection_adjustment import Parameter
     from ltm_core.pose_estimation.points.resection_io import (
@@ -71,13 +72,17 @@ def points(
     from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing.trace_io import GuessConfig
 
-    require_files([place for place in (out, report) if place is not None], overwrite)
+    require_files([place for place in (out, report, picture) if place is not None], overwrite)
     known = load_yaml(guess, GuessConfig)
     terrain = open_dems(dem, crs) if dem else None
     setup = set_up_resection(known, terrain, crs)
     marked = read_control_points(control_points, setup.frame, first_pixel)
     sigma = known.pose.sigmas_of_place()
     chosen = parameter_names(free) if free is not None else ["focal", "k1", *(["position"] if sigma else [])]
+    kind = lens_kind(chosen)
+    lens = LensPrior.of(kind, setup.camera) if kind else None
+    if sigma and kind:
+        chosen.append("position")
 
     def fitted(names: list[str], pixels: float) -> Resection:
         return resect(
@@ -90,18 +95,26 @@ def points(
             sigma,
             pixels,
             cast("list[Parameter]", parameter_names(force)),
+            lens,
         )
 
     try:
         result = fitted(chosen, sigma_px)
     except PoseError as error:
         raise PoseError(f"{error}{_what_fits(fitted, chosen, sigma_px, len(marked.names), setup)}") from error
-    for place in (out, report):
+    for place in (out, report, picture):
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
     write_pose(out, result, known, setup.frame)
     if report is not None:
         write_report(report, result, setup.frame)
+    if picture is not None:
+        from ltm_core.pictures import to_png
+        from ltm_core.pictures.trace import residual_picture
+        from ltm_core.tracing.trace_io import read_photo
+
+        photo = read_photo(image, setup.camera) if image is not None else None
+        picture.write_bytes(to_png(residual_picture(setup.camera, marked.pixels, result.residuals, result.used, photo)))
     console = Console()
     for note in held_notes(result, setup.position, setup.frame):
         console.print(f"[yellow]{escape(note)}", highlight=False)
@@ -116,6 +129,14 @@ def points(
 def parameter_names(listed: str) -> list[str]:
     """Return the names of a comma-separated list of parameters to fit; none for `none`."""
     return [name.strip() for name in listed.split(",") if name.strip() not in ("", "none", "angles")]
+
+
+def lens_kind(chosen: list[str]) -> str | None:
+    """Take `lens` or `lens:KIND` out of the chosen parameters and return the kind, `any` without one; None: neither."""
+    named = [name for name in chosen if name.partition(":")[0] == "lens"]
+    for name in named:
+        chosen.remove(name)
+    return (named[0].partition(":")[2] or "any") if named else None
 
 
 def _what_fits(
@@ -156,6 +177,10 @@ def _print_parameters(console: Console, result: Resection, start: Camera, setup:
         "roll_deg": f"{roll:.4f}",
         "fx": f"{result.camera.fx:.2f}",
         "k1": f"{result.camera.distortion[0]:.5f}",
+        "k2": f"{result.camera.distortion[1]:.5f}",
+        "k3": f"{result.camera.distortion[4]:.5f}",
+        "cx": f"{result.camera.cx:.2f}",
+        "cy": f"{result.camera.cy:.2f}",
         "x": f"{x + setup.frame.x_origin:.2f}",
         "y": f"{y + setup.frame.y_origin:.2f}",
         "z": f"{z:.2f}",
@@ -169,6 +194,8 @@ def _print_parameters(console: Console, result: Resection, start: Camera, setup:
     rows = []
     for name, value in values.items():
         sigma = result.sigmas.get(name)
+        if sigma is None and name in ("k2", "k3", "cx", "cy"):
+            continue
         rows.append((name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, "")))
     print_table(console, "camera", ("parameter", ">fitted", ">sigma", ">given"), rows)
 

@@ -8,7 +8,7 @@ Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -18,8 +18,10 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector
+from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend
 from ltm_core.pose_estimation.points.control_points import ControlPoints, coarse_poses
 from ltm_core.pose_estimation.points.resection_adjustment import (
+    LENS,
     PARAMETERS,
     Adjustment,
     Fit,
@@ -38,8 +40,8 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 @dataclass(frozen=True)
 class Rejected:
-    """Parameter that the points determine too poorly, with its estimate. `values`, `sigmas`: of fx (pixels), of k1, or
-    of x, y, z (map metres). `median_px`: median residual of the points."""
+    """Parameter that the points determine too poorly, with its estimate. `values`, `sigmas`: of fx, cx, cy
+    (pixels), k1, k2, k3, or x, y, z (map metres). `median_px`: median residual of the points."""
 
     values: dict[str, float]
     sigmas: dict[str, float]
@@ -54,10 +56,11 @@ class Resection:
     were not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals but not below the
     stated one. `held`: parameters that were asked for but not fitted, with the reason. `rejected`: those of `held` that
     could be fitted, but too badly, with the values that they would have had. `sigmas`: standard deviations by
-    name: azimuth_deg, pitch_deg, roll_deg, and where they were fitted fx (pixels), k1, x, y, z (metres).
+    name: azimuth_deg, pitch_deg, roll_deg, and of the fitted ones fx, cx, cy (pixels), k1, k2, k3, x, y, z (metres).
     `pose_covariance`: (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
     geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `covariance`: of
-    the fitted parameters in the order rotation x, y, z (rad), then `fitted`: focal (as a share), k1, position (m).
+    the fitted parameters in the order rotation x, y, z (rad), then `fitted`: focal (as a share), k1, k2, k3, centre
+    (pixels), position (m). `bending`: the first radial term that is not fitted, if the residuals bend with the radius.
     """
 
     points: ControlPoints
@@ -72,6 +75,7 @@ class Resection:
     sigmas: dict[str, float]
     covariance: Float64Array
     pose_covariance: Float64Array
+    bending: tuple[Parameter, RadialTrend] | None = None
 
     @property
     def residual_px(self) -> Float64Array:
@@ -93,12 +97,13 @@ def resect(
     position_sigma: ArrayLike | None = None,
     sigma_px: float = 1.0,
     force: Sequence[Parameter] = (),
+    lens: LensPrior | None = None,
 ) -> Resection:
     """Fit the camera to the points.
 
     Args:
         points: control points; pixels counted as everywhere here, (0, 0) the centre of the top-left pixel.
-        camera: start of focal length and k1; its other values are kept, and fy / fx too.
+        camera: start of the lens; parameters that are not free are kept, and fy / fx too.
         position: (3,) map metres: held, or roughly known where "position" is free: then all places are searched, and
             of poses that explain the points alike the nearest is taken.
         angles_deg: (azimuth, pitch, roll) where they are roughly known; they only help the search.
@@ -109,6 +114,7 @@ def resect(
             the position is free, which it then stays, and its variance where it is not.
         sigma_px: smallest standard deviation of a marked pixel; it is doubled if the points do not fit one pose.
         force: parameters to fit however badly the points bear them; they count as free. Too few points stay too few.
+        lens: what is known of the lens; it frees all its parameters, which are then never held.
 
     Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
     do not follow from them, behind the camera, or so wrong that no pose explains them.
@@ -121,12 +127,13 @@ def resect(
     origin = np.asarray(position, np.float64)
     sigma = _position_sigma(position_sigma)
     check_points(points, camera, origin)
-    chosen = [name for name in PARAMETERS if name in free or name in force]
-    held = hold_for_redundancy(chosen, len(points.names), sigma is not None)
+    problem = Adjustment(points, bend, origin, sigma, lens)
+    asked = {*free, *force, *(LENS if lens is not None else ())}
+    chosen = [name for name in PARAMETERS if name in asked]
+    held = hold_for_redundancy(chosen, len(points.names), problem.known)
     rejected: dict[Parameter, Rejected] = {}
-    kept: list[Parameter] = list(force) if sigma is None else [*force, "position"]
+    kept: list[Parameter] = [*force, *problem.known]
 
-    problem = Adjustment(points, bend, origin, sigma)
     misfit: NoCommonPoseError | None = None
     while True:
         try:
@@ -150,7 +157,9 @@ def resect(
         name, why = reason
         held[name], rejected[name] = why, _rejected(name, fit, tuple(chosen))
         chosen.remove(name)
-    return _result(points, fit, tuple(chosen), held, rejected, sigma)
+    bending = problem.bending(fit, tuple(chosen))
+    result = _result(points, fit, tuple(chosen), held, rejected, sigma)
+    return replace(result, bending=bending if bending is not None and bending[1].clear else None)
 
 
 def _rough_fit(
@@ -165,7 +174,7 @@ def _rough_fit(
     starts = coarse_poses(
         problem.points, camera, problem.position, angles_deg, "focal" in free, "position" in free, problem.bend
     )
-    rough = tuple(name for name in free if name != "k1")
+    rough = tuple(name for name in free if name in ("focal", "position"))
     fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
     medians = [median_px(fit.residuals) for fit in fits]
     alike = [fit for fit, median in zip(fits, medians, strict=True) if median <= max(min(medians), sigma_px)]
@@ -173,9 +182,12 @@ def _rough_fit(
 
 
 def _rejected(name: Parameter, fit: Fit, free: tuple[Parameter, ...]) -> Rejected:
-    values = {"focal": {"fx": fit.camera.fx}, "k1": {"k1": fit.camera.distortion[0]}}.get(
+    camera = fit.camera
+    values = {"focal": {"fx": camera.fx}, "centre": {"cx": camera.cx, "cy": camera.cy}}.get(
         name, dict(zip("xyz", map(float, fit.pose.position), strict=True))
     )
+    if name in RADIAL:
+        values = {name: camera.distortion[RADIAL[name]]}
     sigmas = _parameter_sigmas(fit, free)
     return Rejected(values, {key: sigmas[key] for key in values}, median_px(fit.residuals))
 
@@ -216,16 +228,15 @@ def _result(
 
 
 def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, float]:
-    """Return the deviations of fx (pixels), k1 and x, y, z (metres), of those that were fitted."""
+    """Return the deviations of fx, cx, cy (pixels), k1, k2, k3 and x, y, z (metres), of those that were fitted."""
     deviations = list(map(float, np.sqrt(np.diag(fit.covariance))[3:]))
     sigmas: dict[str, float] = {}
     for name in fitted:
         if name == "focal":
             sigmas["fx"] = deviations.pop(0) * fit.camera.fx
-        elif name == "k1":
-            sigmas["k1"] = deviations.pop(0)
         else:
-            sigmas |= {axis: deviations.pop(0) for axis in "xyz"}
+            axes = {"centre": ("cx", "cy"), "position": ("x", "y", "z")}.get(name, (name,))
+            sigmas |= {axis: deviations.pop(0) for axis in axes}
     return sigmas
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,14 +13,16 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector
+from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner_radius, radial_trend
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.footprint import line_of_sight_vectors
 
-Parameter = Literal["focal", "k1", "position"]
+Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]
 """Parameters that may be fitted in addition to the angles, which always are."""
 
-PARAMETERS: tuple[Parameter, ...] = ("focal", "k1", "position")
-SIZE = {"focal": 1, "k1": 1, "position": 3}
+PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
+LENS: tuple[Parameter, ...] = PARAMETERS[:-1]
+SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}
 """Number of values of each parameter."""
 
 MIN_REDUNDANCY = 2
@@ -55,6 +57,13 @@ class Adjustment:
     bend: float
     position: Float64Array
     position_sigma: Float64Array | None
+    lens: LensPrior | None = None
+    """Prior of the lens parameters that are free; without one, the points alone determine them."""
+
+    @property
+    def known(self) -> tuple[Parameter, ...]:
+        """Return the parameters that are observed besides the points, if they are free."""
+        return (LENS if self.lens else ()) + (("position",) if self.position_sigma is not None else ())
 
     def robust_fit(
         self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
@@ -90,9 +99,28 @@ class Adjustment:
         return fit
 
     def _unknowns(self, free: tuple[Parameter, ...]) -> int:
-        """Return the number of parameters that the pixels alone determine: a position with a sigma is observed too."""
-        known = "position" in free and self.position_sigma is not None
-        return 3 + size_of(free) - (SIZE["position"] if known else 0)
+        """Return the number of parameters that the pixels alone determine; those with a prior are observed too."""
+        return 3 + size_of(tuple(name for name in free if name not in self.known))
+
+    def bending(self, fit: Fit, free: tuple[Parameter, ...]) -> tuple[Parameter, RadialTrend] | None:
+        """Return the first radial term that is not free, and its value by the residuals of the points that were used;
+        None if all are free."""
+        term = next((name for name in LENS if name in RADIAL and name not in free), None)
+        if term is None:
+            return None
+        all_of: tuple[Parameter, ...] = (*free, term)
+        step = 1e-6
+        columns = []
+        for change in step * np.eye(3 + size_of(all_of)):
+            moved = self._residuals(*applied(change, fit.camera, fit.pose, all_of))
+            columns.append((fit.residuals - moved)[fit.used].ravel() / step)
+        slopes = np.column_stack(columns)
+        errors = fit.residuals[fit.used].ravel()
+        good = np.isfinite(errors) & np.isfinite(slopes).all(axis=1)
+        if good.sum() <= slopes.shape[1]:
+            return None
+        sigma = np.full(int(good.sum()), fit.sigma_px)
+        return term, radial_trend(errors[good], slopes[good, :-1], slopes[good, -1], sigma)
 
     def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
@@ -102,30 +130,38 @@ class Adjustment:
         far = 2 * diagonal(start.camera)
 
         def errors(x: Float64Array) -> Float64Array:
-            camera, pose = _applied(x, start.camera, start.pose, free)
+            camera, pose = applied(x, start.camera, start.pose, free)
             # A point behind the camera has no pixel; a constant keeps it from pulling.
             rows = np.nan_to_num(self._residuals(camera, pose)[used], nan=far).ravel() / sigma_px
             if "position" in free and self.position_sigma is not None:
                 rows = np.concatenate([rows, (pose.position - self.position) / self.position_sigma])
+            if self.lens is not None:
+                away = self.lens.deviations(camera)
+                rows = np.concatenate([rows, *(away[name] for name in free if name in away)])
             return rows
 
         x0 = np.zeros(3 + size_of(free))
         solved = least_squares(errors, x0, jac="3-point", x_scale="jac", loss=loss, max_nfev=100)
-        camera, pose = _applied(solved.x, start.camera, start.pose, free)
+        camera, pose = applied(solved.x, start.camera, start.pose, free)
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 
 
-def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
-    """Return the camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1,
-    position."""
+def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
+    """Return the camera and pose moved by x: rotation vector in the map frame, then the free parameters, the
+    focal length by its logarithm."""
     rest = list(x[3:])
     position = pose.position
     for name in free:
         if name == "focal":
             factor = float(np.exp(np.clip(rest.pop(0), -5, 5)))
             camera = camera.zoomed(factor)
-        elif name == "k1":
-            camera = replace(camera, distortion=(camera.distortion[0] + float(rest.pop(0)), *camera.distortion[1:]))
+        elif name in RADIAL:
+            terms = list(camera.distortion)
+            terms[RADIAL[name]] += float(rest.pop(0))
+            k1, k2, p1, p2, k3 = terms
+            camera = replace(camera, distortion=(k1, k2, p1, p2, k3))
+        elif name == "centre":
+            camera = replace(camera, cx=camera.cx + float(rest.pop(0)), cy=camera.cy + float(rest.pop(0)))
         else:
             position = position + np.array([rest.pop(0) for _ in range(3)])
     return camera, Pose(position, matrix_of_vector(x[:3]) @ pose.rotation)
@@ -180,8 +216,8 @@ MAX_MEDIAN_SHARE = 0.02
 MAX_ANGLE_SIGMA_DEG = 1.0
 MAX_FOCAL_SIGMA = 0.03
 """Maximum standard deviation of the focal length, as a share of it."""
-MAX_K1_SHIFT = 0.01
-"""Maximum shift at the image's corner by one sigma of k1, as a share of the image's diagonal."""
+MAX_LENS_SHIFT = 0.01
+"""Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
 MAX_POSITION_SIGMA = 0.02
 """Maximum standard deviation of the position, as a share of the median distance of the points."""
 
@@ -205,15 +241,16 @@ def check_points(points: ControlPoints, camera: Camera, position: Float64Array) 
         raise PoseError(f"control points within 1 m of the camera: {', '.join(names[near])}; check the position")
 
 
-def hold_for_redundancy(chosen: list[Parameter], count: int, prior: bool) -> dict[Parameter, str]:
-    """Take parameters out of `chosen` that so few points cannot fit, k1 first."""
+def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Parameter]) -> dict[Parameter, str]:
+    """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`, the last radial one
+    first."""
     held: dict[Parameter, str] = {}
-    for name in ("k1", "position", "focal"):
-        observed = 2 * count + (3 if prior and "position" in chosen else 0)
-        needed = 3 + size_of(tuple(chosen)) + MIN_REDUNDANCY
-        if observed >= needed:
+    order: tuple[Parameter, ...] = ("k3", "k2", "centre", "k1", "position", "focal")
+    for name in order:
+        needed = 3 + size_of(tuple(other for other in chosen if other not in known)) + MIN_REDUNDANCY
+        if 2 * count >= needed:
             break
-        if name in chosen:
+        if name in chosen and name not in known:
             chosen.remove(name)
             held[name] = f"{count} points are too few to fit it: {(needed + 1) // 2} are needed"
     return held
@@ -245,10 +282,10 @@ def unbearable(
         at += SIZE[name]
         if name == "focal":
             excess, reason = own / MAX_FOCAL_SIGMA, f"its sigma would be {own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
-        elif name == "k1":
-            corner = _corner_radius(camera)
-            shift = own * corner**3 * camera.fx
-            limit = MAX_K1_SHIFT * diagonal(camera)
+        elif name != "position":
+            order = 2 * tuple(RADIAL).index(name) + 3 if name in RADIAL else 0
+            shift = own * corner_radius(camera) ** order * (camera.fx if order else 1.0)
+            limit = MAX_LENS_SHIFT * diagonal(camera)
             excess = shift / limit
             reason = f"its sigma would be {own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
         else:
@@ -279,10 +316,3 @@ def unbearable(
 def _in_line(places: Float64Array) -> bool:
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(spread[1] < 0.02 * spread[0])
-
-
-def _corner_radius(camera: Camera) -> float:
-    """Of the corner farthest from the principal point, in focal lengths."""
-    x = max(camera.cx, camera.width - 1 - camera.cx) / camera.fx
-    y = max(camera.cy, camera.height - 1 - camera.cy) / camera.fy
-    return float(np.hypot(x, y))

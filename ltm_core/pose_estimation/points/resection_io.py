@@ -169,7 +169,7 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
         rejected = result.rejected.get(name)
         if rejected is not None:
             values = ", ".join(
-                f"{key} {value:{'.5f' if key == 'k1' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
+                f"{key} {value:{'.5f' if key[0] == 'k' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
                 for key, value in _in_crs(rejected.values, frame).items()
             )
             if name == "position":
@@ -180,6 +180,12 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
                 f"{median:.2f} px; --force {name} fits it anyway"
             )
         notes.append(note)
+    if result.bending is not None:
+        term, trend = result.bending
+        notes.append(
+            f"the residuals bend with the radius: the lens has a {term} of about {trend.k:.2g} +- {trend.sigma:.1g}; "
+            "--free lens fits it"
+        )
     return notes
 
 
@@ -212,6 +218,7 @@ def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
             name: asdict(rejected) | {"values": _in_crs(rejected.values, frame)}
             for name, rejected in result.rejected.items()
         },
+        "bending": {"term": result.bending[0], **asdict(result.bending[1])} if result.bending else None,
         "sigmas": result.sigmas,
         "pose_covariance": result.pose_covariance.tolist(),
         "points": points,

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltm_core.geometry.camera import Camera
+from ltm_core.pose_estimation.lens import RadialTrend, corner_radius, radial_trend
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
@@ -28,6 +29,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     search_reach,
     widened_by_others,
 )
+from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
@@ -110,7 +112,45 @@ def find_pose(
     settles = evidence.plants >= config.settling.least_plants
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
-    return PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
+    search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
+    trend = skyline_bending(search, config)
+    least = _BENT_SIGMAS[result.accepted]
+    if trend is None or not least * trend.sigma < abs(trend.k) < _MOST_BENT / corner_radius(evidence.camera) ** 2:
+        return search
+    # How much cannot be said: a pose that is fitted with a wrong lens is itself off.
+    bent = f"{search.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
+    word = "ambiguous" if result.accepted else search.verdict.word
+    return replace(search, verdict=replace(search.verdict, word=word, reason=bent))
+
+
+_BENT_SIGMAS = {True: 4.0, False: 2.5}
+"""Minimum trend in standard deviations that rejects an accepted pose, or is named as a reason for another one."""
+_MOST_BENT = 0.6
+"""Maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's."""
+
+
+def skyline_bending(search: PictureSearch, config: PicturePoseConfig) -> RadialTrend | None:
+    """Return the k1 by which the skyline's misfits at the best hypothesis bend beyond angles and focal length; None
+    without a skyline or hypothesis."""
+    skyline = search.evidence.skyline
+    if skyline is None or not search.hypotheses:
+        return None
+    best = search.hypotheses[0].refined
+    camera = best.camera
+    rows = skyline_observations(best.pose, camera, search.evidence, search.horizon, 1.0, config)
+    if rows is None:
+        return None
+    x, y = (skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy
+    bent = x * x + y * y
+    steep = np.gradient(skyline.v, skyline.u)
+    by_k = (camera.fy * y - steep * camera.fx * x) * bent
+    kept = (rows.weight > 0) & (np.abs(rows.error) < 0.05 * camera.fy) & np.isfinite(by_k)
+    if kept.sum() < 24:
+        return None
+    # Neighbouring columns err together: each counts by its weight only.
+    sigma = rows.sigma[kept] / np.sqrt(rows.weight[kept])
+    # The terrain lies lower than the photo's skyline by what the lens moved that up.
+    return radial_trend(-rows.error[kept], rows.slopes[kept, 3:7], by_k[kept], sigma)
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,6 +151,7 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         "given": described(prior.pose, prior.covariance),
         "result": described(result.pose, result.covariance),
         "fx": result.camera.fx,
+        "k1": result.camera.distortion[0],
         "hypotheses": [
             {
                 "angles_deg": list(h.refined.pose.angles_deg),

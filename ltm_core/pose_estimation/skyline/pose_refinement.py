@@ -106,7 +106,7 @@ def refine(
 ) -> RefinedPose:
     """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it. `system`: else `picture_system`."""
     system = picture_system if system is None else system
-    pose, focal = start, 0.0
+    pose, focal = start, math.log(camera.fx / evidence.camera.fx)
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
         normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
@@ -125,7 +125,10 @@ def refine(
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
     covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
-    return RefinedPose(pose, camera, covariance, fit.cost + 0.5 * float(deviation @ deviation), fit)
+    cost = fit.cost + 0.5 * float(deviation @ deviation)
+    if focal_sigma > 0:
+        cost += 0.5 * (focal / focal_sigma) ** 2
+    return RefinedPose(pose, camera, covariance, cost, fit)
 
 
 def skyline_fit(

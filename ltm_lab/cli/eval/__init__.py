@@ -13,6 +13,7 @@ from ltm_lab.cli.eval.bag import bag
 from ltm_lab.cli.eval.depth import depth
 from ltm_lab.cli.eval.fuel import fuel
 from ltm_lab.cli.eval.gallery import gallery
+from ltm_lab.cli.eval.lens import lens
 from ltm_lab.cli.eval.locate import locate
 from ltm_lab.cli.eval.photo import photo
 from ltm_lab.cli.eval.pose import pose
@@ -43,6 +44,7 @@ evaluate.command()(gallery)
 evaluate.command()(photo)
 evaluate.command()(pose)
 evaluate.command()(pose_watch)
+evaluate.command()(lens)
 evaluate.command()(locate)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)

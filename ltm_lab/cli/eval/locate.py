@@ -61,7 +61,7 @@ def locate(
     if points is not None:
         if guess is None or not dem:
             raise ConfigError("--points has no camera and terrain: give --guess, a pose file, and --dem")
-        found, sigma = _located(points, guess, dem[0], first_pixel, dem_error)
+        found, sigma = _located(points, guess, dem, first_pixel, dem_error)
         _print_points(console, found)
         report(console, f"each point by the others' pose; sigma of the heights {sigma:g} m", found, json_path)
         return
@@ -129,7 +129,7 @@ def _print_smoke(console: Console, trials: Sequence[SmokeTrial], boxed: bool) ->
 
 
 def _located(
-    points: Path, guess: Path, raster: Path, first_pixel: float, dem_error: float | None
+    points: Path, guess: Path, rasters: Sequence[Path], first_pixel: float, dem_error: float | None
 ) -> tuple[list[LocatedPoint], float]:
     """Return the located points and the sigma of the terrain's heights."""
     from ltm_core.geometry.geodesy import ray_bend
@@ -141,7 +141,7 @@ def _located(
     from ltm_lab.evaluation.locating.control_points import located_points
 
     known = load_yaml(guess, GuessConfig)
-    setup = set_up_resection(known, open_terrain([(raster, None)]), None)
+    setup = set_up_resection(known, open_terrain([(raster, None) for raster in rasters]), None)
     assert setup.dem is not None  # nosec B101 # tells the type checker what holds
     read = read_control_points(points, setup.frame, first_pixel)
     config = LocatingConfig() if dem_error is None else LocatingConfig(dem_sigma=dem_error)

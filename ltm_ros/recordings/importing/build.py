@@ -240,9 +240,15 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
 
 
 def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
-    """Raise ImageError for a photo that the graph would drop, because the site's calibration is for another size."""
+    """Raise ImageError for a photo that the graph would drop, because it is too large, or of another size than the
+    site's calibration."""
     calibration = site.camera(name).calibration if site is not None else None
     photo = item.photo
+    if site is not None and photo.width * photo.height > site.limits.pixels:
+        raise ImageError(
+            f"{photo.path} has {photo.width} x {photo.height} pixels, but the site's limit is {site.limits.pixels}: "
+            "reduce the photo, or raise pixels under `expert.limits`"
+        )
     if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
         return
     why = f"has {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")

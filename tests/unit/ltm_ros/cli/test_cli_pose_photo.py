@@ -17,6 +17,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cli.main import cli
+from ltm_ros.cli.pose_photo import guesses_of
 
 CRS = "EPSG:32611"
 ORIGIN = (380_000.0, 3_800_000.0)
@@ -146,3 +147,9 @@ def test_a_photo_upside_down_is_refused(files: Path, tmp_path: Path) -> None:
     arguments = [str(tmp_path / "p.png"), "--guess", str(files / "guess.yaml")]
     with pytest.raises(LtmError, match="upside down"):
         run(files, *arguments, "--labels", str(tmp_path / "l.png"), "-o", str(tmp_path / "o.yaml"))
+
+
+def test_a_list_without_sizes_takes_those_of_the_photos(files: Path, tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text("name,x,y,z,fx\na.png,1,2,3,500\n", encoding="utf-8")
+    (known,) = guesses_of(files / "photos", tmp_path / "poses.csv").values()
+    assert (known.calibration.width, known.calibration.height) == (CAMERA.width, CAMERA.height)

@@ -348,7 +348,7 @@ def test_points_given_twice_or_not_finite_are_named() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"free": ("k2",)}, "cannot fit k2"),
+        ({"free": ("p1",)}, "cannot fit p1"),
         ({"sigma_px": 0.0}, "must be positive"),
         ({"position_sigma": -1.0}, "positive metres"),
         ({"position": (0.0, np.nan, 0.0)}, "three finite metres"),

@@ -529,6 +529,17 @@ def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path
         import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
 
 
+def test_a_photo_above_the_sites_limit_is_rejected_at_import(tmp_path: Path, site: Site) -> None:
+    """Replay would reject it, and leave an empty bag."""
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text()) | {"expert": {"limits": {"pixels": W * H - 1}}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(ImageError, match=str(W * H - 1)):
+        import_photos(
+            [save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=load_site(tmp_path / "site.yaml"), assumed=LEVEL
+        )
+    assert not (tmp_path / "bag").exists()
+
+
 def test_angles_and_heights_in_another_unit_are_noted(tmp_path: Path, site: Site) -> None:
     files = [save(tmp_path / f"{name}.jpg", phone()) for name in "ab"]
     poses = tmp_path / "poses.csv"
