@@ -235,17 +235,21 @@ def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, w
     have = set(journal.read_text().split()) if journal.exists() else set()
     missing = [(first, last) for first, last in ranges if f"{first}-{last}" not in have]
     done = sum(last - first for first, last in set(ranges) - set(missing))
-    with sparse.open("r+b") as file, journal.open("a") as noted, ThreadPoolExecutor(_CONNECTIONS) as pool:
-        for at in range(0, len(missing), _CONNECTIONS):
-            few = missing[at : at + _CONNECTIONS]
-            pieces = pool.map(lambda span: web.piece(remote, span[0], span[1] - span[0]), few)
-            for (first, last), piece in zip(few, pieces, strict=True):
-                file.seek(first)
-                file.write(piece)
-                file.flush()
-                noted.write(f"{first}-{last}\n")
-                done += len(piece)
-                progress(done, done)
+    pool = ThreadPoolExecutor(_CONNECTIONS)
+    try:
+        with sparse.open("r+b") as file, journal.open("a") as noted:
+            for at in range(0, len(missing), _CONNECTIONS):
+                few = missing[at : at + _CONNECTIONS]
+                pieces = pool.map(lambda span: web.piece(remote, span[0], span[1] - span[0]), few)
+                for (first, last), piece in zip(few, pieces, strict=True):
+                    file.seek(first)
+                    file.write(piece)
+                    file.flush()
+                    noted.write(f"{first}-{last}\n")
+                    done += len(piece)
+                    progress(done, done)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # requests in flight may take minutes
 
 
 def write_band(
