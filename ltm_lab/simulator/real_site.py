@@ -7,8 +7,9 @@ map says which vegetation stands where, not how single plants do: their places a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from PIL import Image
 from scipy import ndimage
@@ -17,6 +18,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, forms_of
 from ltm_core.fuel.prior_io import load_prior
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.camera_check import check_camera
@@ -102,32 +104,38 @@ def _cover(site: Site, ground: HeightField) -> LandCover:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """An image to render: its name, and the frame of a view, at most `_WIDEST` pixels wide."""
+    """An image to render: its name, the camera of the view, and the frame without the camera's distortion, at most
+    `_WIDEST` pixels wide."""
 
     name: str
+    camera: Camera
     shot: Shot
 
     @classmethod
     def of(cls, name: str, view: PosedCamera, dem: Dem) -> Rendered:
         """Return the image of a view. Raises ConfigError for a camera without terrain or under it."""
         share = min(1.0, _WIDEST / view.camera.width)
-        camera = view.camera.resized(round(view.camera.width * share), round(view.camera.height * share))
+        pinhole = replace(view.camera, distortion=(0.0,) * 5)
+        camera = pinhole.resized(round(view.camera.width * share), round(view.camera.height * share))
         mast = float(view.pose.position[2] - dem.elevation_at(*view.pose.position[:2]))
-        return cls(name, Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0)))
+        return cls(name, view.camera, Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0)))
 
     @property
     def place(self) -> tuple[float, ...]:
         return tuple(float(v) for v in self.shot.pose.position)
 
     def like(self, photo: UInt8Array) -> Image.Image:
-        """Return a photo at the size of the rendered image, edge to edge. Raises ConfigError for another shape."""
+        """Return a photo as the rendered image's camera would take it: without distortion, at its size. Raises
+        ConfigError for another shape."""
         (height, width), camera = photo.shape[:2], self.shot.camera
         if abs(width * camera.height - height * camera.width) > width + height:
             raise ConfigError(
                 f"{self.name}: the photo has {width} x {height} pixels, which is not the shape of its calibration; "
                 "correct `calibration` of the camera"
             )
-        size = (camera.width, camera.height)
-        return Image.fromarray(photo).resize(
-            size, Image.Resampling.BOX if width > size[0] else Image.Resampling.BICUBIC
-        )
+        if any(self.camera.distortion):
+            lens = self.camera.resized(width, height)
+            matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+            photo = np.asarray(cv2.undistort(photo, matrix, np.array(lens.distortion)), np.uint8)
+        kernel = Image.Resampling.BOX if width > camera.width else Image.Resampling.BICUBIC
+        return Image.fromarray(photo).resize((camera.width, camera.height), kernel)

@@ -2,6 +2,8 @@
 
 Only the directory of a file and the blocks of the window are fetched, into a sparse copy that GDAL then reads. Thus
 sizes are known before and exact afterwards, each request is repeated on its own, and an interrupted window continues.
+GDAL's `/vsicurl/` does neither, and held Python's lock in a stalled request, so that Ctrl-C had no effect. An `opener`
+of rasterio would replace the reading of directories and ranges, but an interrupted window would begin again.
 """
 
 from __future__ import annotations
@@ -26,8 +28,6 @@ from ltm_ros.site_setup.web import Web, check_room, digest, only_writer, put_int
 
 MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""
-MOST_CELLS = 190_000_000
-"""Maximum number of cells of an area: 13.8 km per side at 1 m. With margins, 200 million are joined for a site."""
 _HEADER_BYTES = 64 << 10
 """Cloud Optimized GeoTIFFs have their directories here."""
 _VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}

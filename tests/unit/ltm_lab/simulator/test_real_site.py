@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,25 @@ def test_a_photo_gets_the_size_of_its_rendering(site: Site) -> None:
     np.testing.assert_array_equal(small[270, 479:482, 0], [0, 100, 200])
     with pytest.raises(ConfigError):
         rendered.like(photo[:, :1080])
+
+
+def test_a_photo_is_paired_without_the_distortion_of_its_lens(site: Site) -> None:
+    dem = site.open_dem()
+    (view,) = views_of(site, dem)
+    bent = replace(view, camera=replace(view.camera, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)))
+    rendered = Rendered.of(view.name, bent, dem)
+    assert not any(rendered.shot.camera.distortion)
+    x, y = 0.4, -0.2  # a direction, by its tangents
+    r2 = x * x + y * y
+    radial = 1 - 0.2 * r2 + 0.05 * r2 * r2
+    camera = view.camera
+    u, v = camera.cx + camera.fx * x * radial, camera.cy + camera.fy * y * radial
+    photo = np.zeros((1080, 1920, 3), np.uint8)
+    photo[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3] = 255
+    rows, cols = np.nonzero(np.asarray(rendered.like(photo))[..., 0] > 100)
+    small = rendered.shot.camera
+    assert cols.mean() == pytest.approx(small.cx + small.fx * x, abs=0.6)
+    assert rows.mean() == pytest.approx(small.cy + small.fy * y, abs=0.6)
 
 
 def test_photos_belong_to_the_camera_that_they_name(tmp_path: Path) -> None:
