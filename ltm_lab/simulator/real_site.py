@@ -117,6 +117,7 @@ class Rendered:
         share = min(1.0, _WIDEST / view.camera.width)
         pinhole = replace(view.camera, distortion=(0.0,) * 5)
         camera = pinhole.resized(round(view.camera.width * share), round(view.camera.height * share))
+        camera = replace(camera, fy=camera.fx * pinhole.fy / pinhole.fx)  # rows are rounded, pixels stay square
         mast = float(view.pose.position[2] - dem.elevation_at(*view.pose.position[:2]))
         return cls(name, view.camera, Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0)))
 
