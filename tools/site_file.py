@@ -7,17 +7,15 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import inspect
 import textwrap
-from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydantic import BaseModel
+from site_reference import meanings
 
 from ltm_core.base.strict_model import is_expert
 from ltm_core.site.site import Site
@@ -104,18 +102,6 @@ EXAMPLE: dict[str, Any] = {
 }
 
 
-@cache
-def explained(owner: type) -> dict[str, str]:
-    """Return the docstring of each field that a class defines."""
-    (defined,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
-    body = defined.body if isinstance(defined, ast.ClassDef) else []
-    found = {}
-    for field, text in pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-            found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
-    return found
-
-
 class SiteFile:
     """The lines of a site file."""
 
@@ -136,7 +122,7 @@ class SiteFile:
             if not (new or name in model.model_fields_set):
                 continue
             self._shown.add((owner, name))
-            if new and (text := explained(owner).get(name)):
+            if new and (text := meanings(owner).get(name)):
                 width = 118 - indent
                 self.lines += [f"{' ' * indent}# {line}" for line in textwrap.wrap(text, width)]
             self._value(field.alias or name, getattr(model, name), indent)

@@ -33,7 +33,7 @@ def simulate(
         Path | None, typer.Option("--site", help="Site file: render the views of its cameras instead of a scenario.")
     ] = None,
     photos: Annotated[
-        Path | None, typer.Option(help="With --site: photos to pair with renderings, by names of cameras.")
+        Path | None, typer.Option(help="With --site: recording, or folder of photos named by camera, to pair.")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, help="With --site: light paths a pixel.")] = 24,
 ) -> None:
@@ -60,7 +60,7 @@ def simulate(
     from ltm_msgs_py.bag.writer import BagWriter
 
     if site_file is not None:
-        _render_site(site_file, out, photos, samples)
+        _render_site(site_file, out, photos, samples, limit)
         return
     if not scenario:
         raise ConfigError("give a scenario, or a site with --site")
@@ -120,30 +120,38 @@ def simulate(
             write_simulated_bag(out, place, config.name, progress=partial(show, task), date=name)
 
 
-def _render_site(site_file: Path, out: Path, photos: Path | None, samples: int) -> None:
-    """Write OUT/simulated/NAME.png for each camera, or for each photo beside a copy in OUT/real."""
-    import shutil
+def _render_site(site_file: Path, out: Path, photos: Path | None, samples: int, limit: int | None) -> None:
+    """Write OUT/simulated/NAME.png for each camera; or for each photo, beside the photo at that size in OUT/real."""
+    from itertools import groupby
 
+    import numpy as np
     from PIL import Image
-    from rich.progress import track
+    from rich.progress import Progress
 
     from ltm_core.site.site_io import load_site
-    from ltm_lab.simulator.real_site import photos_of, scenario_of, shot_of, simulated_site, views_of
+    from ltm_lab.frames.posed_photos import photos_with_views
+    from ltm_lab.simulator.real_site import Rendered, scenario_of, simulated_site, views_of
     from ltm_lab.simulator.run import render_shots
 
     site = load_site(site_file)
     dem = site.open_dem()
-    views = views_of(site, dem)
-    paired = None if photos is None else photos_of(photos, [view.name for view in views])
-    scenario = scenario_of(site, samples)
+    wanted: list[Rendered] = []
+    if photos is None:
+        wanted = [Rendered.of(view.name, view, dem) for view in views_of(site, dem)][:limit]
+    else:
+        (out / "real").mkdir(parents=True, exist_ok=True)
+        for name, view, photo in photos_with_views(photos, site, site_file, dem, limit):
+            wanted.append(Rendered.of(name, view, dem))
+            wanted[-1].like(photo).save(out / "real" / f"{name}.png")
     (out / "simulated").mkdir(parents=True, exist_ok=True)
-    for view in track([v for v in views if paired is None or paired[v.name]], "rendering"):
-        ground = simulated_site(site, dem, view.pose.position)
-        (frame,) = render_shots(scenario, ground, [shot_of(view, dem)])
-        image = Image.fromarray(frame.image)
-        for number, photo in enumerate([None] if paired is None else paired[view.name]):
-            name = view.name if photo is None else f"{view.name}_{number:04d}"
-            image.save(out / "simulated" / f"{name}.png")
-            if photo is not None:
-                (out / "real").mkdir(exist_ok=True)
-                shutil.copyfile(photo, out / "real" / f"{name}{photo.suffix.lower()}")
+    scenario = scenario_of(site, samples)
+    with Progress() as progress:
+        task = progress.add_task("rendering", total=len(wanted))
+        for place, group in groupby(sorted(wanted, key=lambda one: one.place), lambda one: one.place):
+            standing = list(group)
+            ground = simulated_site(site, dem, np.asarray(place))
+            for one, frame in zip(
+                standing, render_shots(scenario, ground, [one.shot for one in standing]), strict=True
+            ):
+                Image.fromarray(frame.image).save(out / "simulated" / f"{one.name}.png")
+                progress.advance(task)

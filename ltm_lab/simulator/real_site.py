@@ -7,16 +7,18 @@ map says which vegetation stands where, not how single plants do: their places a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import Float64Array
+from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, forms_of
 from ltm_core.fuel.prior_io import load_prior
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.camera_check import check_camera
@@ -34,7 +36,6 @@ _SIDES = ((4_000.0, 4.0), (12_000.0, 16.0), (80_000.0, 90.0))
 """Side and least cell size in metres of the ground near a camera, around it, and out to the horizon."""
 _WIDEST = 960
 """Maximum width of a rendered image in pixels; metrics compare squares of 256 and 299 pixels."""
-_PHOTOS = (".jpg", ".jpeg", ".png")
 
 
 def scenario_of(site: Site, samples: int) -> Scenario:
@@ -101,24 +102,41 @@ def _cover(site: Site, ground: HeightField) -> LandCover:
     )
 
 
-def shot_of(view: PosedCamera, dem: Dem) -> Shot:
-    """Return the frame that a view gives, at most `_WIDEST` pixels wide."""
-    camera = view.camera.scaled(max(1, math.ceil(view.camera.width / _WIDEST)))
-    mast = float(view.pose.position[2] - dem.elevation_at(*view.pose.position[:2]))
-    return Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0))
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """An image to render: its name, the camera of the view, and the frame without the camera's distortion, at most
+    `_WIDEST` pixels wide."""
 
+    name: str
+    camera: Camera
+    shot: Shot
 
-def photos_of(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
-    """Return the photos below a folder by camera: the one whose name a subfolder or the file's name begins with, or the
-    only one. Raises ConfigError if there are none."""
-    found: dict[str, list[Path]] = {name: [] for name in cameras}
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() in _PHOTOS:
-            parts = (*path.relative_to(folder).parts[:-1], path.stem)
-            names = [name for name in cameras if any(part.startswith(name) for part in parts)]
-            chosen = max(names, key=len, default=cameras[0] if len(cameras) == 1 else None)
-            if chosen is not None:
-                found[chosen].append(path)
-    if not any(found.values()):
-        raise ConfigError(f"{folder}: has no photo of {', '.join(cameras)}; name files or subfolders by camera")
-    return found
+    @classmethod
+    def of(cls, name: str, view: PosedCamera, dem: Dem) -> Rendered:
+        """Return the image of a view. Raises ConfigError for a camera without terrain or under it."""
+        share = min(1.0, _WIDEST / view.camera.width)
+        pinhole = replace(view.camera, distortion=(0.0,) * 5)
+        camera = pinhole.resized(round(view.camera.width * share), round(view.camera.height * share))
+        camera = replace(camera, fy=camera.fx * pinhole.fy / pinhole.fx)  # rows are rounded, pixels stay square
+        mast = float(view.pose.position[2] - dem.elevation_at(*view.pose.position[:2]))
+        return cls(name, view.camera, Shot(view.name, camera, view.pose, 0, mast, "now", Report.exact(view.pose, 0)))
+
+    @property
+    def place(self) -> tuple[float, ...]:
+        return tuple(float(v) for v in self.shot.pose.position)
+
+    def like(self, photo: UInt8Array) -> Image.Image:
+        """Return a photo as the rendered image's camera would take it: without distortion, at its size. Raises
+        ConfigError for another shape."""
+        (height, width), camera = photo.shape[:2], self.shot.camera
+        if abs(width * camera.height - height * camera.width) > width + height:
+            raise ConfigError(
+                f"{self.name}: the photo has {width} x {height} pixels, which is not the shape of its calibration; "
+                "correct `calibration` of the camera"
+            )
+        if any(self.camera.distortion):
+            lens = self.camera.resized(width, height)
+            matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+            photo = np.asarray(cv2.undistort(photo, matrix, np.array(lens.distortion)), np.uint8)
+        kernel = Image.Resampling.BOX if width > camera.width else Image.Resampling.BICUBIC
+        return Image.fromarray(photo).resize((camera.width, camera.height), kernel)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,7 +82,7 @@ def init(
         return
     if plan.expected_bytes > _ASK_FROM and not yes:
         typer.confirm(f"Fetch {plan.expected_bytes / 1e6:.0f} MB?", abort=True)
-    with _bars(console) as progress:
+    with _ended_by_signals(), _bars(console) as progress:
         layers, said = carry_out(plan, progress)
     for key, layer in layers.items():
         console.print(escape(f"{key}: {layer.path} ({layer.described})"), highlight=False)
@@ -89,6 +92,20 @@ def init(
     command = f"ltm run {wish.site_file} --state {wish.out / 'map'} --view"
     typer.echo(f"Next: {command}" if not wrong else f"Correct {wish.site_file}, then: ltm check {wish.site_file}")
     raise typer.Exit(1 if wrong else 0)
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """End the process after Ctrl-C or SIGTERM when files are removed, without waiting for requests in flight."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("Interrupted. The same command continues with what was fetched.", err=True)
+        sys.stdout.flush()
+        os._exit(130)
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _lonlat(text: str) -> tuple[float, float]:

@@ -32,8 +32,8 @@ _ROWS = 256
 """Number of rows that are interpolated at a time."""
 _SIZES = (0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0, 90.0)
 """Cell sizes in metres of a site's rasters."""
-_MOST_CELLS = 200_000_000
-"""Maximum number of cells of joined tiles."""
+MOST_CELLS = 300_000_000
+"""Maximum number of cells of an area that are fetched or joined: 17.3 km per side at 1 m."""
 _DEGREE = 111_320.0
 
 
@@ -204,19 +204,19 @@ def _groups(tiles: Sequence[Tile]) -> list[list[Tile]]:
 def _joined(group: list[Tile], grid: GridGeometry, elevation: bool, remarks: list[str]) -> tuple[Tile, Float32Array]:
     """Return the part of tiles on one grid that the site's grid needs, as one tile with its heights in metres.
 
-    Where the cells are less than half as large as the site's, blocks of them are averaged.
+    Where the cells are about half as large as the site's or smaller, blocks of them are averaged.
     """
     first = group[0]
-    step = max(1, int(grid.resolution / first.resolution + 1e-6))
+    step = max(1, int(grid.resolution / first.resolution + 0.1))
     bounds = Transformer.from_crs(grid.crs, first.crs, always_xy=True).transform_bounds(*grid.bounds, densify_pts=21)
     margin = 2 * step
     col0 = math.floor((bounds[0] - first.west) / first.dx) - margin
     row0 = math.floor((first.north - bounds[3]) / first.dy) - margin
     cols = math.ceil((math.ceil((bounds[2] - first.west) / first.dx) + margin - col0) / step)
     rows = math.ceil((math.ceil((first.north - bounds[1]) / first.dy) + margin - row0) / step)
-    if rows * cols > _MOST_CELLS:
+    if rows * cols > MOST_CELLS:
         raise RasterError(
-            f"{first.path}: {cols} x {rows} cells are too many for the site (at most {_MOST_CELLS}); reduce --radius"
+            f"{first.path}: {cols} x {rows} cells are too many for the site (at most {MOST_CELLS}); reduce --radius"
         )
     total, count = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32)
     for tile in group:

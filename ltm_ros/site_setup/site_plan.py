@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import math
+import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -276,16 +277,28 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
 
 @contextmanager
 def _temporary(out: Path) -> Iterator[Path]:
-    """Give a folder beside (or in) `out`, which is removed if it is still there at the end."""
+    """Give a folder beside (or in) `out`, which is removed if it is still there at the end; one that a killed process
+    left is removed first. Raises ConfigError if another process works on `out`, or the disk fails."""
     parent = out if is_folder(out) and any(out.iterdir()) else out.absolute().parent
-    parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=parent))
+    folder = parent / f".{out.name}.part"
     try:
-        yield folder
+        parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
+        lock = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for left in folder.iterdir():
+                shutil.rmtree(left) if is_folder(left) else left.unlink()
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            os.close(lock)
+    except BlockingIOError:
+        raise ConfigError(f"{out}: another `ltm init` is writing it; wait until it ends") from None
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({error.strerror or error}); nothing was changed") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _layers(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.redaction import plain, redacted
+from ltm_ros.site_setup.rasters import MOST_CELLS
 from ltm_ros.site_setup.request import (
     Area,
     Bounds,
@@ -26,7 +27,7 @@ from ltm_ros.site_setup.request import (
     no_progress,
 )
 from ltm_ros.site_setup.web import Web, put_into
-from ltm_ros.site_setup.windows import MOST_CELLS, fetch_parts, plan_window
+from ltm_ros.site_setup.windows import fetch_parts, plan_window
 
 _PAGE = 100
 _MOST_ITEMS = 1000

@@ -2,6 +2,8 @@
 
 Only the directory of a file and the blocks of the window are fetched, into a sparse copy that GDAL then reads. Thus
 sizes are known before and exact afterwards, each request is repeated on its own, and an interrupted window continues.
+GDAL's `/vsicurl/` does neither, and held Python's lock in a stalled request, so that Ctrl-C had no effect. An `opener`
+of rasterio would replace the reading of directories and ranges, but an interrupted window would begin again.
 """
 
 from __future__ import annotations
@@ -26,8 +28,6 @@ from ltm_ros.site_setup.web import Web, check_room, digest, only_writer, put_int
 
 MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""
-MOST_CELLS = 190_000_000
-"""Maximum number of cells of an area: 13.8 km per side at 1 m. With margins, 200 million are joined for a site."""
 _HEADER_BYTES = 64 << 10
 """Cloud Optimized GeoTIFFs have their directories here."""
 _VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
@@ -235,17 +235,21 @@ def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, w
     have = set(journal.read_text().split()) if journal.exists() else set()
     missing = [(first, last) for first, last in ranges if f"{first}-{last}" not in have]
     done = sum(last - first for first, last in set(ranges) - set(missing))
-    with sparse.open("r+b") as file, journal.open("a") as noted, ThreadPoolExecutor(_CONNECTIONS) as pool:
-        for at in range(0, len(missing), _CONNECTIONS):
-            few = missing[at : at + _CONNECTIONS]
-            pieces = pool.map(lambda span: web.piece(remote, span[0], span[1] - span[0]), few)
-            for (first, last), piece in zip(few, pieces, strict=True):
-                file.seek(first)
-                file.write(piece)
-                file.flush()
-                noted.write(f"{first}-{last}\n")
-                done += len(piece)
-                progress(done, done)
+    pool = ThreadPoolExecutor(_CONNECTIONS)
+    try:
+        with sparse.open("r+b") as file, journal.open("a") as noted:
+            for at in range(0, len(missing), _CONNECTIONS):
+                few = missing[at : at + _CONNECTIONS]
+                pieces = pool.map(lambda span: web.piece(remote, span[0], span[1] - span[0]), few)
+                for (first, last), piece in zip(few, pieces, strict=True):
+                    file.seek(first)
+                    file.write(piece)
+                    file.flush()
+                    noted.write(f"{first}-{last}\n")
+                    done += len(piece)
+                    progress(done, done)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # requests in flight may take minutes
 
 
 def write_band(

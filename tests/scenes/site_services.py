@@ -96,6 +96,10 @@ class SiteServices:
         """How many answers end after half of the body, by a part of the path."""
         self.ranges = True
         self.stall_s = 0.0
+        self.stalls: Callable[[str], bool] = lambda path: False
+        """Whether the request of a path gets no answer for now."""
+        self.stalled = 0
+        """Number of requests that have stalled."""
         self.retry_after = ""
         self.requests: list[str] = []
         self.bytes_sent = 0
@@ -284,6 +288,9 @@ def _handler(services: SiteServices) -> type[BaseHTTPRequestHandler]:
                 status = next((s.pop(0) for at, s in services.statuses.items() if at in self.path and s), 200)
                 cut = next((at for at, left in services.cut.items() if at in self.path and left), None)
             time.sleep(services.stall_s)
+            services.stalled += services.stalls(self.path)
+            while services.stalls(self.path):
+                time.sleep(0.02)
             if status != 200:
                 return self._send(status, b"<error>busy</error>", "application/xml")
             status, body, kind = services.answer(parts.path, query)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
+from ltm_lab.frames.posed_photos import photos_of
 from ltm_lab.simulator.landcover import GRASS, TREE
-from ltm_lab.simulator.real_site import photos_of, scenario_of, shot_of, simulated_site, views_of
+from ltm_lab.simulator.real_site import Rendered, scenario_of, simulated_site, views_of
 
 CRS = "EPSG:32611"
 X, Y = 346_000.0, 3_783_000.0
@@ -54,12 +56,43 @@ def test_ground_and_vegetation_are_the_sites(site: Site) -> None:
 def test_a_frame_has_the_pose_of_its_camera(site: Site) -> None:
     dem = site.open_dem()
     (view,) = views_of(site, dem)
-    shot = shot_of(view, dem)
+    shot = Rendered.of(view.name, view, dem).shot
     assert shot.mast == pytest.approx(20, abs=1e-3)
-    assert shot.camera.width == 960
+    assert (shot.camera.width, shot.camera.height) == (960, 540)
     assert shot.camera.width / shot.camera.fx == pytest.approx(view.camera.width / view.camera.fx, rel=1e-6)
     scenario = scenario_of(site, 4)
     assert (scenario.crs, scenario.origin, scenario.imaging.samples) == (CRS, (X, Y), 4)
+
+
+def test_a_photo_gets_the_size_of_its_rendering(site: Site) -> None:
+    dem = site.open_dem()
+    (view,) = views_of(site, dem)
+    rendered = Rendered.of(view.name, view, dem)
+    photo = np.zeros((1080, 1920, 3), np.uint8)
+    photo[:, 961:] = 200  # an edge between the two pixels of one in the rendering
+    small = np.asarray(rendered.like(photo))
+    np.testing.assert_array_equal(small[270, 479:482, 0], [0, 100, 200])
+    with pytest.raises(ConfigError):
+        rendered.like(photo[:, :1080])
+
+
+def test_a_photo_is_paired_without_the_distortion_of_its_lens(site: Site) -> None:
+    dem = site.open_dem()
+    (view,) = views_of(site, dem)
+    bent = replace(view, camera=replace(view.camera, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)))
+    rendered = Rendered.of(view.name, bent, dem)
+    assert not any(rendered.shot.camera.distortion)
+    x, y = 0.4, -0.2  # a direction, by its tangents
+    r2 = x * x + y * y
+    radial = 1 - 0.2 * r2 + 0.05 * r2 * r2
+    camera = view.camera
+    u, v = camera.cx + camera.fx * x * radial, camera.cy + camera.fy * y * radial
+    photo = np.zeros((1080, 1920, 3), np.uint8)
+    photo[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3] = 255
+    rows, cols = np.nonzero(np.asarray(rendered.like(photo))[..., 0] > 100)
+    small = rendered.shot.camera
+    assert cols.mean() == pytest.approx(small.cx + small.fx * x, abs=0.6)
+    assert rows.mean() == pytest.approx(small.cy + small.fy * y, abs=0.6)
 
 
 def test_photos_belong_to_the_camera_that_they_name(tmp_path: Path) -> None:

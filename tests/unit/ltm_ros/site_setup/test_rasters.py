@@ -157,9 +157,10 @@ def test_tiles_of_two_grids_are_whole_where_they_overlap(tmp_path: Path) -> None
     np.testing.assert_allclose(found, expected(DEGREES, grid), atol=0.02)  # the plane bends between the zones
 
 
-def test_much_finer_cells_are_averaged(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cell", [15.0, 4.0, 3.9])
+def test_finer_cells_are_averaged(cell: float, tmp_path: Path) -> None:
     source = Source("EPSG:32611", 2.0, DEGREES.lon, DEGREES.lat, DEGREES.site)
-    grid = grid_of(source, 600.0, 15.0)
+    grid = grid_of(source, 600.0, cell)
     tile = write(tmp_path / "a.tif", source, 400)
     with rasterio.open(tile, "r+") as file:
         rough = file.read(1)
