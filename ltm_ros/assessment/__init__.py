@@ -1,1 +1,1 @@
-"""Assess a fuel map's accuracy: the sampled cells, the interpreters' answers, the report."""
+"""Assess the accuracy of a fuel map: sampled cells, their reference answers, and what the map learns from them."""

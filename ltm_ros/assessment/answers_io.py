@@ -1,0 +1,256 @@
+"""Read and write reference answers for the sampled cells of a plan: of interpreters, and of field plots.
+
+A plan is a folder: `plan.json`, `cells.csv` (sampled cells without the map's answer), `answers/NAME.csv` (one file for
+each interpreter) and `learned.csv` (cells that the network has learned from).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+import sqlite3
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, fields
+from datetime import date
+from pathlib import Path
+from typing import Any, Final, Literal, cast, get_args
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.storage.disk_io import make_folder
+from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.vision.areas import replace_file
+
+Certainty = Literal["sure", "likely", "unsure", "cannot_be_seen"]
+FORM_NAMES: Final = tuple(form.name.lower() for form in LifeForm)
+_CERTAINTIES: Final[tuple[Certainty, ...]] = get_args(Certainty)
+_LONGEST_S = 86400.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `before_life_form`: cover in the earlier
+    photos; None: not stated. `seconds`: time taken for the answer. `time`: when it was given, ISO 8601 UTC.
+
+    Raises ConfigError for another life form, certainty or number.
+    """
+
+    cell: int
+    life_form: str
+    certainty: Certainty
+    before_life_form: str | None
+    seconds: float
+    time: str
+
+    def __post_init__(self) -> None:
+        hidden = self.certainty == "cannot_be_seen"
+        for form in (self.life_form, self.before_life_form):
+            if form not in FORM_NAMES and form is not None and not (hidden and form == ""):
+                raise ConfigError(f"cell {self.cell}: life form {form!r} is unknown; use {', '.join(FORM_NAMES)}")
+        if self.certainty not in _CERTAINTIES:
+            raise ConfigError(f"cell {self.cell}: certainty is {self.certainty!r}; use {', '.join(_CERTAINTIES)}")
+        if hidden and self.life_form:
+            raise ConfigError(f"cell {self.cell}: has a life form, {self.life_form}, and cannot be seen; give one")
+        if not 0 <= self.seconds <= _LONGEST_S:
+            raise ConfigError(f"cell {self.cell}: seconds is {self.seconds}; give 0 to {_LONGEST_S:.0f}")
+
+
+@dataclass(frozen=True)
+class SampledCell:
+    """A row of `cells.csv`. `x`, `y`: centre in the plan's CRS, metres."""
+
+    cell: int
+    row: int
+    column: int
+    lon: float
+    lat: float
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The part of a plan that interpreters may know. `cells`: in the order in which they are shown."""
+
+    folder: Path
+    crs: str
+    cell_m: float
+    cells: tuple[SampledCell, ...]
+
+    def answers_file(self, interpreter: str) -> Path:
+        """Return the file of an interpreter. Raises ConfigError for a name that cannot be a file's."""
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", interpreter):
+            raise ConfigError(f"interpreter {interpreter[:60]!r}: use 1 to 40 letters, digits, - and _")
+        return self.folder / "answers" / f"{interpreter}.csv"
+
+    def interpreters(self) -> list[str]:
+        """Return the names of all who have given answers."""
+        return sorted(path.stem for path in (self.folder / "answers").glob("*.csv"))
+
+    def learned(self) -> frozenset[int]:
+        """Return the cells that the network has learned from; they must not count in a report."""
+        path = self.folder / "learned.csv"
+        return frozenset(int(row["cell"]) for row in _rows(path, ("cell",))) if path.exists() else frozenset()
+
+
+def read_plan(folder: Path) -> Plan:
+    """Read a plan without the map's answers. Raises ConfigError for a missing or invalid file."""
+    path = folder / "plan.json"
+    try:
+        about = json.loads(read_text(path, LARGEST_TABLE, ConfigError))
+        crs, cell_m = str(about["crs"]), float(about["cell_m"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ConfigError(f"{path}: is not a plan ({error}); make one with `ltm assess plan`") from error
+    if not 0 < cell_m < math.inf:
+        raise ConfigError(f"{path}: cell_m is {cell_m}; make the plan again with `ltm assess plan`")
+    columns = {field.name: float if field.type == "float" else int for field in fields(SampledCell)}
+    table = folder / "cells.csv"
+    cells = []
+    for number, row in enumerate(_rows(table, columns), 2):
+        try:
+            cells.append(SampledCell(**{name: kind(row[name]) for name, kind in columns.items()}))  # type: ignore[arg-type]
+        except ValueError as error:
+            raise ConfigError(f"{table}: line {number}: {error}; make the plan again with `ltm assess plan`") from error
+    if len({cell.cell for cell in cells}) != len(cells) or not cells:
+        raise ConfigError(f"{table}: has no cells, or a cell twice; make the plan again with `ltm assess plan`")
+    return Plan(folder, crs, cell_m, tuple(cells))
+
+
+def read_answers(path: Path) -> list[Answer]:
+    """Read an interpreter's answers, at most one for each cell. Raises ConfigError with the line of an invalid one."""
+    answers: dict[int, Answer] = {}
+    for number, row in enumerate(_rows(path, [field.name for field in fields(Answer)]), 2):
+        try:
+            answer = Answer(
+                int(row["cell"]),
+                row["life_form"],
+                cast(Certainty, row["certainty"]),
+                row["before_life_form"] or None,
+                float(row["seconds"]),
+                row["time"],
+            )
+        except (ValueError, ConfigError) as error:
+            raise ConfigError(f"{path}: line {number}: {error}") from error
+        if answer.cell in answers:
+            raise ConfigError(f"{path}: line {number}: cell {answer.cell} has two answers; delete one")
+        answers[answer.cell] = answer
+    return list(answers.values())
+
+
+def write_answers(path: Path, answers: Iterable[Answer]) -> None:
+    """Write an interpreter's answers, atomically. Raises OSError, ConfigError."""
+    make_folder(path.parent)
+    write_table(path, [field.name for field in fields(Answer)], map(asdict, answers))
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a CSV file, atomically; None becomes an empty value. Raises OSError."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    replace_file(path, text.getvalue().encode())
+
+
+@dataclass(frozen=True)
+class FieldPlot:
+    """A plot that was visited. `cell`: the sampled cell that it lies in; None: it lies in none."""
+
+    lon: float
+    lat: float
+    life_form: str
+    date: str
+    cell: int | None
+
+
+def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
+    """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage, and find their sampled cells.
+
+    A plot in a sampled cell counts as a sure answer (`plot_answers`). Plots elsewhere were not drawn at random, so no
+    design-based estimate may use them: report them apart. Raises ConfigError for an invalid file, place or life form.
+    """
+    rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
+    half, frame, plots = plan.cell_m / 2, SiteFrame(plan.crs), []
+    for number, row in enumerate(rows, 1):
+        form, day = str(row["life_form"]).strip().lower(), str(row["date"])[:10]
+        try:
+            lon, lat = float(row["lon"]), float(row["lat"])
+            date.fromisoformat(day)
+            if not (abs(lon) <= 180 and abs(lat) <= 90):
+                raise ValueError(f"lon {lon}, lat {lat} are not degrees")
+            if form not in FORM_NAMES:
+                raise ValueError(f"life form {form!r} is unknown; use {', '.join(FORM_NAMES)}")
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"{path}: plot {number}: {error}") from error
+        x, y = (float(value) for value in frame.from_lonlat(lon, lat))
+        inside = (c.cell for c in plan.cells if -half <= x - c.x < half and -half < y - c.y <= half)
+        plots.append(FieldPlot(lon, lat, form, day, next(inside, None)))
+    return plots
+
+
+def plot_answers(plots: Iterable[FieldPlot]) -> list[Answer]:
+    """Return the answers that field plots give for sampled cells; of several plots in a cell, the latest."""
+    latest = {plot.cell: plot for plot in sorted(plots, key=lambda plot: plot.date) if plot.cell is not None}
+    return [Answer(cell, plot.life_form, "sure", None, 0.0, plot.date) for cell, plot in latest.items()]
+
+
+_PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")
+
+
+def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file with at least these columns; a space in a heading counts as an underscore."""
+    reader = csv.reader(io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig")))
+    try:
+        head = [name.strip().lower().replace(" ", "_") for name in next(reader, [])]
+        if missing := [name for name in columns if name not in head]:
+            raise ConfigError(f"{path}: has no column {missing[0]}; its columns are {', '.join(head) or '(none)'}")
+        rows = [row for row in reader if row]
+    except csv.Error as error:
+        raise ConfigError(f"{path}: line {reader.line_num}: {error}") from error
+    if short := next((row for row in rows if len(row) != len(head)), None):
+        raise ConfigError(f"{path}: row {','.join(short)[:60]!r} has {len(short)} values, expected {len(head)}")
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def _geopackage(path: Path) -> list[dict[str, Any]]:
+    """Return the points of a GeoPackage's first layer of features in degrees, with their life forms and dates."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file")
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
+            table, shape, epsg = base.execute(
+                "SELECT g.table_name, g.column_name, s.organization_coordsys_id FROM gpkg_geometry_columns g "
+                "JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id"
+            ).fetchone()
+            name, column = (str(text).replace('"', '""') for text in (table, shape))
+            cursor = base.execute(f'SELECT *, "{column}" FROM "{name}"')  # noqa: S608 # nosec B608 # quoted
+            head = [str(part[0]).lower().replace(" ", "_") for part in cursor.description]
+            rows = [dict(zip(head, row, strict=True)) | {"": row[-1]} for row in cursor]
+            points = [_point(row[""]) for row in rows]
+    except (sqlite3.Error, TypeError, struct.error, ValueError) as error:
+        raise ConfigError(f"{path}: is not a GeoPackage with a layer of points ({error})") from error
+    if missing := [part for part in ("life_form", "date") if rows and part not in rows[0]]:
+        raise ConfigError(f"{path}: layer {table} has no column {missing[0]}")
+    from pyproj import Transformer
+
+    to_degrees = Transformer.from_crs(int(epsg), 4326, always_xy=True)
+    places = [to_degrees.transform(*point) for point in points]
+    return [row | {"lon": lon, "lat": lat} for row, (lon, lat) in zip(rows, places, strict=True)]
+
+
+def _point(blob: bytes) -> tuple[float, float]:
+    """Return x and y of a GeoPackage's point (OGC 12-128, 2.1.3). Raises ValueError for another geometry."""
+    if blob[:2] != b"GP":
+        raise ValueError("a geometry is not a GeoPackage's")
+    start = 8 + (0, 32, 48, 48, 64)[min(blob[3] >> 1 & 7, 4)]
+    order = "<" if blob[start] else ">"
+    kind, x, y = struct.unpack_from(f"{order}Idd", blob, start + 1)
+    if kind % 1000 != 1:
+        raise ValueError("a geometry is not a point")
+    return x, y
