@@ -148,7 +148,9 @@ def joined(stratum: Int64Array, sizes: ArrayLike, place: Int64Array | None = Non
         answered, cells = int(counts[group].sum()), int(each[group].sum())
         return answered < min(2, cells)
 
-    while len(merged) > 1 and (short := next((g for g, group in enumerate(merged) if lacking(group)), None)) is not None:
+    while (
+        len(merged) > 1 and (short := next((g for g, group in enumerate(merged) if lacking(group)), None)) is not None
+    ):
         beside = [g for g in (short - 1, short + 1) if 0 <= g < len(merged)]
         other = min(beside, key=lambda g: int(each[merged[g]].sum()))
         low, high = sorted((short, other))

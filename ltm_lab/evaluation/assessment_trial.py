@@ -102,7 +102,9 @@ def coverage(population: Population, cells: int, samples: int) -> list[Coverage]
         "user's accuracy of change": (differs, changed, "whole"),
         "producer's accuracy of change": (changed, differs, "part"),
     }
-    truths = {name: float((part & whole & inside).sum() / (whole & inside).sum()) for name, (part, whole, _) in pairs.items()}
+    truths = {
+        name: float((part & whole & inside).sum() / (whole & inside).sum()) for name, (part, whole, _) in pairs.items()
+    }
     hits, widths = dict.fromkeys(pairs, 0), dict.fromkeys(pairs, 0.0)
     for seed in range(samples):
         sample = drawn(of.map, changed, inside, NAMES, cells, seed)

@@ -229,7 +229,7 @@ def _geopackage(path: Path) -> list[dict[str, Any]]:
                 "JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id"
             ).fetchone()
             name, column = (str(text).replace('"', '""') for text in (table, shape))
-            cursor = base.execute(f'SELECT *, "{column}" FROM "{name}"')  # noqa: S608 # nosec B608 # quoted
+            cursor = base.execute(f'SELECT *, "{column}" FROM "{name}"')  # nosec B608 # quoted
             head = [str(part[0]).lower().replace(" ", "_") for part in cursor.description]
             rows = [dict(zip(head, row, strict=True)) | {"": row[-1]} for row in cursor]
             points = [_point(row[""]) for row in rows]

@@ -181,9 +181,7 @@ def _shots(bag: Path, site: Site, most: int) -> list[_Shot]:
     stamps: dict[str, list[int]] = defaultdict(list)
     for frame in stream.frames(("photo", "pose")):
         stamps[frame.camera_name].append(frame.stamp_ns)
-    wanted = {
-        (name, stamp) for name, of in stamps.items() for stamp in evenly(of, max(1, most // max(1, len(stamps))))
-    }
+    wanted = {(name, stamp) for name, of in stamps.items() for stamp in evenly(of, max(1, most // max(1, len(stamps))))}
     cameras: dict[str, Camera] = {
         name: config.calibration.camera() for name, config in site.cameras.items() if config.calibration is not None
     }

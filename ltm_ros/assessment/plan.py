@@ -97,7 +97,9 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     out.mkdir(parents=True, exist_ok=True)
     places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
     columns = ("cell", "row", "column", "lon", "lat", "x", "y")
-    rows = [(*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places]
+    rows = [
+        (*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places
+    ]
     _write_csv(out / "cells.csv", columns, rows)
     at = sample.rows, sample.columns
     answers = zip(

@@ -153,9 +153,7 @@ def _wrong(plan: MapPlan, figures: Figures, seen: Sequence[Sequence[CellPhoto]])
 Row = tuple[str, int, Any]
 
 
-def _tables(
-    figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhoto]]
-) -> list[tuple[str, list[Row]]]:
+def _tables(figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhoto]]) -> list[tuple[str, list[Row]]]:
     """Return accuracies by range, incidence and camera of each cell's best photo, and of cells without a photo."""
 
     def best(value: Callable[[CellPhoto], float]) -> Float64Array:

@@ -33,7 +33,9 @@ def plan(
     with FuelSource.open(path, load_site(site)) as source:
         about = write_plan(source, path, site, cells, seed, out)
     widths = about["expected_half_width"]
-    rows = [(s["name"], f"{s['cells']:,}", str(s["sampled"]), f"{100 * widths[s['name']]:.0f} %") for s in about["strata"]]
+    rows = [
+        (s["name"], f"{s['cells']:,}", str(s["sampled"]), f"{100 * widths[s['name']]:.0f} %") for s in about["strata"]
+    ]
     total = sum(s["cells"] for s in about["strata"]), sum(s["sampled"] for s in about["strata"])
     rows.append(("all", f"{total[0]:,}", str(total[1]), f"{100 * widths['overall']:.1f} %"))
     console = Console()

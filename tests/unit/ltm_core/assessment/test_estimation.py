@@ -69,7 +69,10 @@ def test_a_spread_sample_of_clustered_errors_has_the_error_of_its_successive_dif
     stratum, every = np.zeros(100, np.int64), np.ones(100, np.bool_)
     right = np.arange(100) >= 30
     sizes = np.array([10**6])
-    plain, spread = (StratifiedSample(stratum, sizes, place).ratio(right, every, "whole") for place in (None, stratum + np.arange(100)))
+    plain, spread = (
+        StratifiedSample(stratum, sizes, place).ratio(right, every, "whole")
+        for place in (None, stratum + np.arange(100))
+    )
     assert plain.error == pytest.approx(np.sqrt(0.3 * 0.7 / 99), rel=1e-3)
     # One pair of neighbours differs; no less than a quarter of the variance is credited.
     assert spread.error == pytest.approx(plain.error / 2)

@@ -58,9 +58,7 @@ def test_true_answers_give_a_right_map_and_a_page(plan: MapPlan, tmp_path: Path)
     assert figures["prior_map"]["overall"]["low"] <= right <= figures["prior_map"]["overall"]["high"]
 
 
-def test_hidden_learned_and_missing_cells_do_not_count_and_plots_replace_answers(
-    plan: MapPlan, tmp_path: Path
-) -> None:
+def test_hidden_learned_and_missing_cells_do_not_count_and_plots_replace_answers(plan: MapPlan, tmp_path: Path) -> None:
     cells = plan.shown.cells
     forms = ["" if k < 5 else true_form(c) for k, c in enumerate(cells[:90])]
     write_answers(plan.shown.answers_file("a"), [answer(c.cell, f) for c, f in zip(cells[:90], forms, strict=True)])
