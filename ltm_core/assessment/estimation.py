@@ -93,7 +93,9 @@ class StratifiedSample:
         table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
         possible = table.any(axis=2, keepdims=True)
         rng = np.random.default_rng(0)
-        shape = np.where(possible, table + _PRIOR, 0.0).reshape(strata, 4)
+        # One prior for the whole map: a full one in each of many strata would add errors that no stratum has.
+        weight = np.maximum(self.sizes / self.sizes.sum(), 1e-3)[:, None, None]
+        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
         weights = rng.standard_gamma(shape, (draws, strata, 4))
         weights /= weights.sum(axis=2, keepdims=True)
         rest = self.sizes - table.sum(axis=(1, 2))

@@ -47,8 +47,12 @@ class Coverage:
     half_width: float
 
 
-def drawn_population(name: str, changed: float = 0.05, cluster: float = 0.0, accuracy: float = 1.0) -> Population:
-    """Return a map of three clustered classes that is right in 88 % of the cells.
+def drawn_population(
+    name: str, changed: float = 0.05, cluster: float = 0.0, accuracy: float = 1.0, errors: float = 0.11
+) -> Population:
+    """Return a map of three clustered classes.
+
+    `errors`: share of cells in which both the map and its prior are wrong, so that the prior does not hold.
 
     `changed`: true share of change; the map misses a fifth of it and shows as much false change. `cluster`: radius of
     the errors in cells; 0: independent cells. `accuracy`: of the interpreter.
@@ -63,7 +67,7 @@ def drawn_population(name: str, changed: float = 0.05, cluster: float = 0.0, acc
     mapped = np.where(burned & ~missed, truth, prior).astype(np.uint8)
     false = ~burned & _marked(rng, cluster, 0.2 * changed)
     mapped[false] = _other(truth[false], rng)
-    both = ~burned & ~false & _marked(rng, cluster, 0.11)
+    both = ~burned & ~false & _marked(rng, cluster, errors)
     mapped[both] = prior[both] = _other(truth[both], rng)  # errors that the map has from its prior
     return Population(name, mapped, prior, answered(truth, accuracy, rng), np.ones(truth.shape, np.bool_))
 

@@ -121,7 +121,7 @@ def compute_figures(plan: MapPlan, plots: Path | None) -> Figures:
     classes = tuple(np.unique(np.concatenate([mapped, reference, before[has_prior]])).tolist())
     place = {form: k for k, form in enumerate(classes)} | {UNSEEN: 0}
     codes, of_map, of_prior = (np.array([place[int(v)] for v in form]) for form in (reference, mapped, before))
-    within = set(cell.cell for cell in plan.shown.cells)
+    within = {cell.cell for cell in plan.shown.cells}
     hidden = sum(a.certainty == "cannot_be_seen" for cell, a in answers.items() if cell in within)
     return Figures(
         first or "field plots",

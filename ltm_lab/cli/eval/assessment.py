@@ -33,7 +33,7 @@ def assessment(
 
     populations = [
         drawn_population("standard"),
-        drawn_population("1 % change", changed=0.01),
+        drawn_population("1 % change", changed=0.01, errors=0.0),
         drawn_population("clustered errors", cluster=3.0),
         drawn_population("interpreter right in 90 %", accuracy=0.9),
     ]

@@ -22,8 +22,7 @@ def test_olofsson_2014() -> None:
     printed += [[0.0019, 0, 0.2967, 0.0213], [0.0040, 0.0020, 0.0179, 0.6212]]
     np.testing.assert_allclose(found.matrix, printed, atol=5.1e-5)
     # Page 54: accuracies with half-widths of their 95 % intervals. Of the producer's accuracies the paper prints half-
-    # widths of 0.23 and 0.01 for the second and last class; its equation 7 gives 0.25 and 0.02 with these counts, as R's
-    # `mapaccuracy` notes too.
+    # widths of 0.23 and 0.01 for the second and last class; its equation 7 gives 0.25 and 0.02 with these counts.
     for estimates, values, widths in (
         ([found.overall], [0.95], [0.02]),
         (found.users, [0.88, 0.73, 0.93, 0.96], [0.07, 0.10, 0.04, 0.02]),
@@ -69,10 +68,8 @@ def test_a_spread_sample_of_clustered_errors_has_the_error_of_its_successive_dif
     stratum, every = np.zeros(100, np.int64), np.ones(100, np.bool_)
     right = np.arange(100) >= 30
     sizes = np.array([10**6])
-    plain, spread = (
-        StratifiedSample(stratum, sizes, place).ratio(right, every, "whole")
-        for place in (None, stratum + np.arange(100))
-    )
+    plain = StratifiedSample(stratum, sizes).ratio(right, every, "whole")
+    spread = StratifiedSample(stratum, sizes, np.arange(100)).ratio(right, every, "whole")
     assert plain.error == pytest.approx(np.sqrt(0.3 * 0.7 / 99), rel=1e-3)
     # One pair of neighbours differs; no less than a quarter of the variance is credited.
     assert spread.error == pytest.approx(plain.error / 2)
