@@ -38,8 +38,7 @@ class Estimate:
 
     def times(self, factor: float) -> Estimate:
         """Return the estimate in another unit, such as hectares."""
-        scaled = (factor * v for v in (self.value, self.error, self.low, self.high))
-        return Estimate(*scaled, self.cells)
+        return Estimate(factor * self.value, factor * self.error, factor * self.low, factor * self.high, self.cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,8 @@ class StratifiedSample:
         possible = table.any(axis=2, keepdims=True)
         rng = np.random.default_rng(0)
         # One prior for the whole map: a full one in each of many strata would add errors that no stratum has.
-        weight = np.maximum(self.sizes / self.sizes.sum(), 1e-3)[:, None, None]
+        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
+        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
         shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
         weights = rng.standard_gamma(shape, (draws, strata, 4))
         weights /= weights.sum(axis=2, keepdims=True)
@@ -126,7 +126,7 @@ def assessed(sample: StratifiedSample, mapped: Int64Array, reference: Int64Array
     counts = np.bincount(sample.stratum, minlength=len(sample.sizes))
     weights = (sample.sizes / counts)[sample.stratum] / sample.sizes.sum()
     cells = mapped * classes + reference
-    matrix = np.bincount(cells, weights, classes**2).reshape(classes, classes)
+    matrix = np.bincount(cells, weights, classes**2).reshape(classes, classes).astype(np.float64)
     kinds = range(classes)
     return Accuracy(
         matrix,
