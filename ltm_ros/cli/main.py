@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_core.base.errors import LtmError
+from ltm_ros.cli.assess import assess
 from ltm_ros.cli.cameras import cameras
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
@@ -105,6 +106,8 @@ EXAMPLES = {
         "ltm fire map/fuel_map.ltm --site site.yaml --ignition 348400,3784900 --wind 6,80 --moisture D2L2 --hours 6",
         "ltm fire now.lcp --before was.lcp --ignition -117.5,33.6 --ignition-crs EPSG:4326 --wind 8,20 --moisture D1L1",
     ),
+    "assess plan": ("ltm assess plan map/fuel_map.ltm --site site.yaml --cells 300 --out plan",),
+    "assess report": ("ltm assess report plan --out report.html --recordings today",),
     "record": ("ltm record --site site.yaml --out today", "ltm record --site site.yaml --out depth '/ridge/*/depth/*'"),
     "replay": (
         "ltm replay today --site site.yaml --offline --out replayed",
@@ -137,7 +140,7 @@ METAVARS = {
     "KEY=VALUE": "stated",
     "LON,LAT": "lonlat",
     "MODEL": "model named like",
-    "NUMBER": "domain ensemble limit rarity rate ridge seed threads tree_contrast tries zoom",
+    "NUMBER": "cells domain ensemble limit rarity rate ridge seed threads tree_contrast tries zoom",
     "NUMBERS": "keep",
     "PORT": "web_port grpc_port",
     "PROBABILITY": "confidence",
@@ -261,6 +264,7 @@ cli.command(rich_help_panel=POSES)(viewshed)
 cli.command(rich_help_panel=POSES)(trace)
 cli.command(rich_help_panel=MAPS)(export)
 cli.command(rich_help_panel=MAPS)(fire)
+cli.add_typer(assess, name="assess", rich_help_panel=MAPS)
 cli.command(rich_help_panel=RECORDINGS)(record)
 cli.command(rich_help_panel=RECORDINGS)(replay)
 cli.command(name="import", rich_help_panel=RECORDINGS)(import_)

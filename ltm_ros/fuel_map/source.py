@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -27,10 +28,15 @@ from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.networks import with_live_record
 from ltm_core.site.site import Site
+from ltm_core.storage.text_io import read_text
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
+
+ACCURACY_FILE: Final = "accuracy.json"
+"""File beside an assessed map's store; exports of the map carry its line as a tag."""
+_LARGEST_ACCURACY: Final = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +132,18 @@ class FuelSource:
 
         as_of = None if moment is None else when(moment)
         system = system or system_of(self.prior)
-        return provenance_of(self.site, layers, system, as_of, landscape, surface, self.prior)
+        made = provenance_of(self.site, layers, system, as_of, landscape, surface, self.prior)
+        return replace(made, accuracy=self._accuracy())
+
+    def _accuracy(self) -> str:
+        """Return the accuracy that `ltm assess report` wrote beside the store; empty if there is none."""
+        path = None if self.folder is None else self.folder / ACCURACY_FILE
+        if path is None or not path.is_file():
+            return ""
+        try:
+            return str(json.loads(read_text(path, _LARGEST_ACCURACY, ConfigError))["accuracy"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"{path}: is invalid ({error}); write it again with `ltm assess report`") from error
 
     def seen_by(self) -> dict[str, BoolArray]:
         """Return the cells that each camera has seen, as far as the store's cells record it."""

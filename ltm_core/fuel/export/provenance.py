@@ -41,6 +41,8 @@ class Provenance:
     """What the labels that vote were measured on; empty: not known."""
     own_fbfm13: str = ""
     """What was kept of the prior's FBFM13 map (`PriorConfig.own_fbfm13`); empty: nothing."""
+    accuracy: str = ""
+    """Accuracy of the map as assessed with `ltm assess`; empty: not assessed."""
 
     def tags(self) -> dict[str, str]:
         """Return the tags of a GeoTIFF: standard TIFF tags and our own."""
@@ -59,6 +61,7 @@ class Provenance:
             "TIFFTAG_IMAGEDESCRIPTION": self.line(),
         }
         more = {"terrain": self.terrain, "surface": self.surface, "labels": self.labels, "own_fbfm13": self.own_fbfm13}
+        more["accuracy"] = self.accuracy
         tags |= {name: text for name, text in more.items() if text}
         moment = self.moment()
         if moment is not None:
@@ -77,7 +80,7 @@ class Provenance:
             f"labels {self.labels}" if self.labels else "",
             self.software,
         ]
-        return "; ".join(filter(None, [*parts, self.terrain, self.surface]))
+        return "; ".join(filter(None, [*parts, self.terrain, self.surface, self.accuracy]))
 
     def heading(self, crs: str) -> str:
         """Return the heading of a picture: site, CRS, date, and the share of the cells that cameras have seen."""

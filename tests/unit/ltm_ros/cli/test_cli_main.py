@@ -24,7 +24,7 @@ from ltm_ros.cli.demo import to_type
 COMMANDS = (
     "demo", "init", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
     "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed",
-    "fire", "mask", "label", "cameras", "region", "certs", "reprocess",
+    "fire", "mask", "label", "cameras", "region", "certs", "reprocess", "assess",
 )  # fmt: skip
 
 

@@ -1,0 +1,173 @@
+"""Estimate accuracies and areas from a stratified random sample, with standard errors and 95 % intervals.
+
+Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
+are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
+(2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
+no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior, which also
+covers for small samples and shares near 0 or 1 (Brown, Cai & DasGupta 2001, Stat. Sci. 16). For a sample that is spread
+over the area, both are multiplied with the square root of the design effect: the variance of successive differences
+along the curve of the design, divided by that of simple random sampling (Wolter 2007, chapter 8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltm_core.base.types import BoolArray, Float64Array, Int64Array
+
+DRAWS: Final = 4000
+_PRIOR: Final = 0.5
+_LEAST_EFFECT: Final = 0.25
+"""Least design effect that is credited: few differences estimate it poorly."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A share with its standard error and 95 % interval; `cells`: sampled cells that it rests on. NaN if there are
+    none."""
+
+    value: float
+    error: float
+    low: float
+    high: float
+    cells: int
+
+    def times(self, factor: float) -> Estimate:
+        """Return the estimate in another unit, such as hectares."""
+        return Estimate(factor * self.value, factor * self.error, factor * self.low, factor * self.high, self.cells)
+
+
+@dataclass(frozen=True, eq=False)
+class StratifiedSample:
+    """The answered cells of a sample. `stratum`: (N,) index of each cell's stratum. `sizes`: (H,) cells of each stratum
+    in the map; strata without answered cells have been joined with others (`joined`). `place`: (N,) of each cell on the
+    curve of the design (`design.z_order`); None: a simple random sample in each stratum."""
+
+    stratum: Int64Array
+    sizes: Int64Array
+    place: Int64Array | None = None
+
+    def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str, draws: int = DRAWS) -> Estimate:
+        """Return the share of the cells in `whole` that are in `part` too, (N,) bool each.
+
+        `of_map`: "part" or "whole", whichever the map alone decides, so that its value varies only among the values
+        observed in a stratum. The other one is the reference's.
+        """
+        inside = np.asarray(whole, np.bool_)
+        hit = np.asarray(part, np.bool_) & inside
+        counts = np.bincount(self.stratum, minlength=len(self.sizes)).astype(np.float64)
+        if not inside.any():
+            return Estimate(np.nan, np.nan, np.nan, np.nan, 0)
+        y, x = (np.bincount(self.stratum, v, len(self.sizes)) / counts for v in (hit, inside))
+        total = float((self.sizes * x).sum())
+        share = float((self.sizes * y).sum()) / total
+        residual = hit - share * inside
+        mean = np.bincount(self.stratum, residual, len(self.sizes)) / counts
+        variance = self._variance((residual - mean[self.stratum]) ** 2, self.stratum)
+        effect = 1.0
+        if self.place is not None and variance > 0:
+            order = np.lexsort((self.place, self.stratum))
+            same = np.diff(self.stratum[order]) == 0
+            halves = (np.diff(residual[order]) ** 2 / 2)[same]
+            effect = min(1.0, max(_LEAST_EFFECT, self._variance(halves, self.stratum[order][1:][same]) / variance))
+        error = np.sqrt(variance * effect) / total
+        low, high = self._interval(np.asarray(part, np.bool_), inside, of_map, draws)
+        low, high = (share + np.sqrt(effect) * (bound - share) for bound in (low, high))
+        return Estimate(share, float(error), float(min(low, share)), float(max(high, share)), int(inside.sum()))
+
+    def _variance(self, squares: Float64Array, stratum: Int64Array) -> float:
+        """Return the variance of a total, from squares that sum up to a stratum's variance times its cells less one."""
+        counts = np.bincount(self.stratum, minlength=len(self.sizes))
+        spread = np.bincount(stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
+        return float((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())
+
+    def _interval(self, part: BoolArray, whole: BoolArray, of_map: str, draws: int) -> tuple[float, float]:
+        """Return the 2.5 % and 97.5 % quantiles of the share over `draws` possible maps of the unsampled cells."""
+        known, other = (part, whole) if of_map == "part" else (whole, part)
+        strata = len(self.sizes)
+        table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
+        possible = table.any(axis=2, keepdims=True)
+        rng = np.random.default_rng(0)
+        # One prior for the whole map: a full one in each of many strata would add errors that no stratum has.
+        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
+        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
+        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
+        weights = rng.standard_gamma(shape, (draws, strata, 4))
+        weights /= weights.sum(axis=2, keepdims=True)
+        rest = self.sizes - table.sum(axis=(1, 2))
+        filled = (table.reshape(strata, 4) + rng.multinomial(rest, weights)).sum(axis=1)
+        in_whole = filled[:, 1] + filled[:, 3] if of_map == "part" else filled[:, 2] + filled[:, 3]
+        shares = filled[:, 3] / np.maximum(in_whole, 1)
+        low, high = np.quantile(shares, (0.025, 0.975))
+        return float(low), float(high)
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Accuracies and areas of a map. `matrix`: (K, K) shares of the area, rows map, columns reference. `users`,
+    `producers`, `area`: by class; `area` and `mapped` as shares."""
+
+    matrix: Float64Array
+    counts: Int64Array
+    overall: Estimate
+    users: tuple[Estimate, ...]
+    producers: tuple[Estimate, ...]
+    area: tuple[Estimate, ...]
+    mapped: Float64Array
+
+
+def assessed(sample: StratifiedSample, mapped: Int64Array, reference: Int64Array, classes: int) -> Accuracy:
+    """Return the accuracy of a map; `mapped`, `reference`: (N,) indices of the classes of the sampled cells."""
+    every = np.ones(len(mapped), np.bool_)
+    counts = np.bincount(sample.stratum, minlength=len(sample.sizes))
+    weights = (sample.sizes / counts)[sample.stratum] / sample.sizes.sum()
+    cells = mapped * classes + reference
+    matrix = np.bincount(cells, weights, classes**2).reshape(classes, classes).astype(np.float64)
+    kinds = range(classes)
+    return Accuracy(
+        matrix,
+        np.bincount(cells, minlength=classes**2).reshape(classes, classes),
+        sample.ratio(mapped == reference, every, "whole"),
+        tuple(sample.ratio(reference == k, mapped == k, "whole") for k in kinds),
+        tuple(sample.ratio(mapped == k, reference == k, "part") for k in kinds),
+        tuple(sample.ratio(reference == k, every, "whole") for k in kinds),
+        matrix.sum(axis=1),
+    )
+
+
+def joined(stratum: Int64Array, sizes: ArrayLike, place: Int64Array | None = None) -> StratifiedSample:
+    """Return the sample of the answered cells, (N,), among strata of `sizes` cells (H,). A stratum with fewer than two
+    answered cells, unless all its cells were answered, is joined with its smallest neighbour in order of strata."""
+    merged = [[index] for index in range(len(np.asarray(sizes)))]
+    each = np.asarray(sizes, np.int64)
+    counts = np.bincount(stratum, minlength=len(each))
+
+    def lacking(group: list[int]) -> bool:
+        answered, cells = int(counts[group].sum()), int(each[group].sum())
+        return answered < min(2, cells)
+
+    while (
+        len(merged) > 1 and (short := next((g for g, group in enumerate(merged) if lacking(group)), None)) is not None
+    ):
+        beside = [g for g in (short - 1, short + 1) if 0 <= g < len(merged)]
+        other = min(beside, key=lambda g: int(each[merged[g]].sum()))
+        low, high = sorted((short, other))
+        merged[low : high + 1] = [merged[low] + merged[high]]
+    group_of = np.zeros(len(each), np.int64)
+    for index, group in enumerate(merged):
+        group_of[group] = index
+    return StratifiedSample(group_of[stratum], np.bincount(group_of, each, len(merged)).astype(np.int64), place)
+
+
+def kappa(first: Int64Array, second: Int64Array, classes: int) -> tuple[float, float]:
+    """Return agreement and Cohen's kappa of two interpreters' classes, (N,) each; NaN without common cells."""
+    if len(first) == 0:
+        return np.nan, np.nan
+    table = np.bincount(first * classes + second, minlength=classes**2).reshape(classes, classes) / len(first)
+    agreed = float(np.trace(table))
+    chance = float(table.sum(axis=0) @ table.sum(axis=1))
+    return agreed, (agreed - chance) / (1 - chance) if chance < 1 else 1.0

@@ -1,0 +1,160 @@
+"""Plan an accuracy assessment: draw the sample of a fuel map's cells, and write and read the folder of the plan.
+
+`plan.json` has the design, `cells.csv` the sampled cells for interpreters, `strata.csv` the map's answers, which they
+must not see, and `map.npz` the assessed map, so that later updates of the map do not change the assessment.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ltm_core.assessment.design import Stratum, drawn
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import BoolArray, Int16Array, UInt8Array
+from ltm_core.fuel.class_map import UNSEEN
+from ltm_core.fuel.life_form import LifeForm, forms_of
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.disk_io import require_folder
+from ltm_ros.assessment.answers_io import Plan, read_plan
+from ltm_ros.fuel_map.source import FuelSource
+
+NAMES: Final = ("", *(form.name.lower() for form in LifeForm))
+"""Names of the life forms by id."""
+STORES: Final = ("fuel_map.ltm", "state/fuel_map.ltm", "map/fuel_map.ltm")
+
+
+@dataclass(frozen=True, eq=False)
+class AssessedMap:
+    """The map of a plan, (H, W) each: life forms of the map and of the prior map, prior codes, changed, observed."""
+
+    life_form: UInt8Array
+    prior_form: UInt8Array
+    prior: Int16Array
+    changed: BoolArray
+    observed: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class MapPlan:
+    """A plan with the map's answers. `grid`: of the map, in the site's CRS. `about`: content of `plan.json`."""
+
+    shown: Plan
+    about: dict[str, Any]
+    strata: tuple[Stratum, ...]
+    stratum: dict[int, int]
+    grid: GridGeometry
+    map: AssessedMap
+
+
+def find_map(path: Path) -> Path:
+    """Return the fuel map that a user names: the file itself, or the store in a folder of `ltm run` or `ltm demo`."""
+    stores = (path / name for name in STORES) if path.is_dir() else ()
+    return next((store for store in stores if store.is_file()), path)
+
+
+def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: int, out: Path) -> dict[str, Any]:
+    """Draw the sample of a map and write the plan to a folder; return the content of `plan.json`.
+
+    Raises ConfigError if the folder already has a plan: answers would no longer fit its cells.
+    """
+    require_folder(out, "the plan")
+    if (out / "plan.json").exists():
+        raise ConfigError(f"{out}: contains a plan already; give another folder with --out")
+    layers, empty = source.layers, source.empty
+    observed = (layers.evidence > 0) & (layers.life_form != UNSEEN)
+    sample = drawn(layers.life_form, layers.changed, observed, NAMES, wanted, seed)
+    grid = source.geometry
+    x, y = grid.to_map(sample.rows, sample.columns)
+    frame = source.site.frame
+    lon, lat = frame.to_lonlat(x - frame.x_origin, y - frame.y_origin)
+    cells = sample.rows * grid.width + sample.columns
+    digest = hashlib.sha256(layers.life_form.tobytes() + layers.code.tobytes()).hexdigest()
+    about = {
+        "version": 1,
+        "seed": seed,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "map": {
+            "path": str(path.resolve()),
+            "sha256": digest,
+            "as_of": source.provenance(layers, None).as_of,
+        },
+        "site": str(site.resolve()),
+        "crs": str(grid.crs),
+        "cell_m": grid.resolution,
+        "grid": [grid.x_min, grid.y_max, grid.width, grid.height],
+        "strata": [asdict(stratum) | {"life_form": NAMES[stratum.map_class]} for stratum in sample.strata],
+        "expected_half_width": {name: round(width, 4) for name, width in sample.half_widths().items()},
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
+    columns = ("cell", "row", "column", "lon", "lat", "x", "y")
+    rows = [
+        (*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places
+    ]
+    _write_csv(out / "cells.csv", columns, rows)
+    at = sample.rows, sample.columns
+    answers = zip(
+        cells.tolist(),
+        [sample.strata[index].name for index in sample.stratum.tolist()],
+        [NAMES[form] for form in layers.life_form[at].tolist()],
+        [NAMES[form] if form != UNSEEN else "" for form in empty.life_form[at].tolist()],
+        layers.changed[at].astype(int).tolist(),
+        strict=True,
+    )
+    _write_csv(out / "strata.csv", ("cell", "stratum", "map_class", "prior_class", "changed"), answers)
+    np.savez_compressed(
+        out / "map.npz",
+        life_form=layers.life_form,
+        prior_form=empty.life_form,
+        prior=layers.prior,
+        changed=layers.changed,
+        observed=observed,
+    )
+    (out / "plan.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    return about
+
+
+def read_map_plan(folder: Path) -> MapPlan:
+    """Read a plan with the map's answers. Raises ConfigError for a missing or invalid file."""
+    shown = read_plan(folder)
+    try:
+        about = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+        strata = tuple(
+            Stratum(str(s["name"]), NAMES.index(s["life_form"]), bool(s["changed"]), int(s["cells"]), int(s["sampled"]))
+            for s in about["strata"]
+        )
+        x_min, y_max, width, height = about["grid"]
+        grid = GridGeometry(x_min, y_max, shown.cell_m, width, height, shown.crs)
+        with np.load(folder / "map.npz", allow_pickle=False) as stored:
+            map_ = AssessedMap(*(stored[name] for name in AssessedMap.__dataclass_fields__))
+        with (folder / "strata.csv").open(encoding="utf-8", newline="") as table:
+            named = {int(row["cell"]): row["stratum"] for row in csv.DictReader(table)}
+        index = {stratum.name: k for k, stratum in enumerate(strata)}
+        stratum = {cell.cell: index[named[cell.cell]] for cell in shown.cells}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{folder}: is not a complete plan ({error}); make one with `ltm assess plan`") from error
+    if map_.life_form.shape != grid.shape:
+        raise ConfigError(f"{folder}/map.npz: has {map_.life_form.shape} cells, the plan {grid.shape}; make a new plan")
+    return MapPlan(shown, about, strata, stratum, grid, map_)
+
+
+def agrees_with_prior(prior: Int16Array, forms: UInt8Array) -> BoolArray:
+    """Return (N,) whether life forms, ids, are among those that prior codes stand for."""
+    allowed = forms_of(prior)
+    return np.asarray(allowed[np.arange(len(forms)), forms.astype(np.int64) - 1], np.bool_)
+
+
+def _write_csv(path: Path, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)

@@ -1,0 +1,188 @@
+"""Write the report of an accuracy assessment: one printable HTML page without other files."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import BoolArray, Float64Array, RgbImage, UInt8Array
+from ltm_core.base.utc_time import moment_of_stamp
+from ltm_core.fuel.class_map import UNSEEN
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.pictures import fit, to_jpeg, to_png
+from ltm_core.pictures.legend import Palette
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.disk_io import written_whole
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.assessment.cell_photos import CellPhoto, PhotoIndex
+from ltm_ros.assessment.figures import Figures
+from ltm_ros.assessment.plan import NAMES, MapPlan
+from ltm_ros.fuel_map.layers import canvas_of, places_of, seen_window
+from ltm_ros.fuel_map.source import ACCURACY_FILE
+from ltm_ros.pages import render_page
+
+_VERDICTS: Final = Palette(("map right", "map wrong"), ((0, 114, 178), (213, 94, 0)))
+_SHOWN_ERRORS: Final = 10
+_RANGES: Final = (500.0, 1000.0, 2000.0, 4000.0, np.inf)
+_INCIDENCES: Final = (75.0, 80.0, 85.0, 90.0)
+_CROP: Final = 360
+"""Width and height in pixels of a photo's part around a cell, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class WrongCell:
+    """A cell in which the map is wrong, with parts of its photos."""
+
+    row: int
+    column: int
+    mapped: str
+    reference: str
+    photos: tuple[tuple[str, RgbImage], ...]
+
+
+def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequence[Path]) -> dict[str, Any]:
+    """Write the page; return figures that need photos: accuracy by range, incidence and camera. Raises LtmError."""
+    site = load_site(Path(plan.about["site"]))
+    seen = _photos_of(plan, figures, site, recordings) if recordings else None
+    tables = [] if seen is None else _tables(figures, figures.right(plan), seen)
+    page = render_page(
+        "assessment.html",
+        {"picture": _picture, "drawing": _drawing, "interval": interval},
+        title=f"Accuracy of the fuel map of {site.name}",
+        plan=plan,
+        figures=figures,
+        names=[NAMES[k] for k in figures.classes],
+        hectares=sum(s.cells for s in plan.strata) * plan.shown.cell_m**2 / 1e4,
+        maps=_maps(plan, figures, site),
+        tables=tables,
+        wrong=[] if seen is None else _wrong(plan, figures, seen),
+        errors=int((~figures.right(plan)).sum()),
+    )
+    with written_whole(out) as partial:
+        partial.write_text(page, encoding="utf-8")
+    return {"by": {title: [{"of": n, "cells": k, "right": asdict(s)} for n, k, s in rows] for title, rows in tables}}
+
+
+def interval(estimate: Any, scale: float = 100, digits: int = 1) -> str:
+    """Return the 95 % interval of an estimate as text, in percent by default."""
+    if estimate.cells == 0:
+        return ""
+    return f"{scale * estimate.low:,.{digits}f} to {scale * estimate.high:,.{digits}f}"
+
+
+def keep_accuracy(plan: MapPlan, figures: Figures) -> None:
+    """Write the overall accuracy beside the assessed map's store, so that exports carry it."""
+    store = Path(plan.about["map"]["path"])
+    if store.suffix == ".ltm" and store.is_file():
+        with written_whole(store.parent / ACCURACY_FILE) as partial:
+            partial.write_text(json.dumps({"accuracy": figures.line(plan)}) + "\n", encoding="utf-8")
+
+
+def _maps(plan: MapPlan, figures: Figures, site: Site) -> list[tuple[str, RgbImage]]:
+    """Return the prior map, the updated map and the sampled cells, drawn over relief."""
+    dem, grid, map_ = site.open_dem(), site.in_map(plan.grid), plan.map
+    places = places_of(site, dem)
+    canvas = canvas_of(site, dem, grid, places, seen_window(grid, map_.observed, places))
+    palette = life_form_labels(LabelSet.load(config_path(site.labels)))
+    verdicts = np.full(grid.shape, UNSEEN, np.uint8)
+    wrong = ~figures.right(plan)
+    for row, column, verdict in zip(figures.rows, figures.columns, wrong, strict=True):
+        near = np.s_[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        verdicts[near] = np.where(verdicts[near] == 1, 1, int(verdict))  # an error stays visible among others
+    shown, before = (np.where(map_.observed, one, UNSEEN).astype(np.uint8) for one in (map_.life_form, map_.prior_form))
+    return [
+        ("Prior map", canvas.classes(before, palette)),
+        ("Updated map. Outlined: changed cells", canvas.classes(shown, palette, map_.changed & map_.observed)),
+        ("Sampled cells, drawn larger than they are", canvas.classes(verdicts, _VERDICTS)),
+    ]
+
+
+def _photos_of(plan: MapPlan, figures: Figures, site: Site, recordings: Sequence[Path]) -> list[list[CellPhoto]]:
+    """Return the best photos of each cell that counts."""
+    index = PhotoIndex(site, recordings)
+    cells = {(cell.row, cell.column): cell for cell in plan.shown.cells}
+    pairs = zip(figures.rows.tolist(), figures.columns.tolist(), strict=True)
+    wrong = ~figures.right(plan)
+    found, kept = [], 0
+    for place, error in zip(pairs, wrong, strict=True):
+        photos = index.best(cells[place], plan.shown.cell_m)
+        kept += bool(error)
+        found.append([_cropped(photo, bool(error) and kept <= _SHOWN_ERRORS) for photo in photos])
+    return found
+
+
+def _cropped(photo: CellPhoto, shown: bool) -> CellPhoto:
+    """Return a photo with the part around its cell, outlined; without pixels if it is not `shown`."""
+    if not shown:
+        part = np.zeros((1, 1, 3), np.uint8)
+    else:
+        low, high = photo.outline.min(axis=0), photo.outline.max(axis=0)
+        side = int(max(_CROP, 1.6 * (high - low).max()))
+        picture = np.ascontiguousarray(photo.image)
+        cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, (255, 255, 255), 3, cv2.LINE_AA)
+        cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, (213, 40, 130), 1, cv2.LINE_AA)
+        size = np.array([picture.shape[1], picture.shape[0]])
+        left, top = np.clip(((low + high) / 2 - side / 2).astype(int), 0, np.maximum(size - side, 0)).tolist()
+        part = fit(picture[top : top + side, left : left + side], _CROP)
+    return CellPhoto(photo.camera, photo.stamp_ns, part, photo.outline, photo.pose, photo.range_m, photo.incidence_deg)
+
+
+def _wrong(plan: MapPlan, figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[WrongCell]:
+    """Return the first errors in the order of the sample, which is random."""
+    found = []
+    for index in np.flatnonzero(~figures.right(plan))[:_SHOWN_ERRORS].tolist():
+        row, column = int(figures.rows[index]), int(figures.columns[index])
+        photos = tuple(
+            (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", p.image)
+            for p in seen[index]
+        )
+        mapped = NAMES[plan.map.life_form[row, column]]
+        found.append(WrongCell(row, column, mapped, NAMES[figures.reference[index]], photos))
+    return found
+
+
+Row = tuple[str, int, Any]
+
+
+def _tables(figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhoto]]) -> list[tuple[str, list[Row]]]:
+    """Return accuracies by range, incidence and camera of each cell's best photo, and of cells without a photo."""
+
+    def best(value: Callable[[CellPhoto], float]) -> Float64Array:
+        return np.array([min((value(p) for p in photos), default=np.nan) for photos in seen])
+
+    def row(name: str, inside: BoolArray) -> Row:
+        return name, int(inside.sum()), figures.sample.ratio(right, inside, "part")
+
+    def bins(values: Float64Array, edges: Sequence[float], unit: str) -> list[Row]:
+        rows, low = [], 0.0
+        for high in edges:
+            name = f"above {low:,.0f} {unit}" if np.isinf(high) else f"{low:,.0f} to {high:,.0f} {unit}"
+            rows.append(row(name, (values >= low) & (values < high)))
+            low = high
+        return [*rows, row("no photo", np.isnan(values))]
+
+    cameras = sorted({photo.camera for photos in seen for photo in photos})
+    by_camera = [row(name, np.array([any(p.camera == name for p in photos) for photos in seen])) for name in cameras]
+    every = [
+        ("range of the nearest photo", bins(best(lambda p: p.range_m), _RANGES, "m")),
+        ("incidence angle", bins(best(lambda p: p.incidence_deg), _INCIDENCES, "degrees")),
+        ("camera", by_camera),
+    ]
+    return [(title, [one for one in rows if one[1]]) for title, rows in every]
+
+
+def _drawing(picture: RgbImage) -> str:
+    return "data:image/png;base64," + base64.b64encode(to_png(picture)).decode("ascii")
+
+
+def _picture(picture: UInt8Array) -> str:
+    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(picture, 85)).decode("ascii")

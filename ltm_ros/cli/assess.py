@@ -1,0 +1,71 @@
+"""`ltm assess`: measure the accuracy of a fuel map from a stratified random sample of its cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+assess = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a fuel map from a random sample of its cells.")
+
+
+@assess.command()
+def plan(
+    map_: Annotated[
+        Path,
+        typer.Argument(metavar="MAP", help="Fuel map store (.ltm), folder with one, bag, or GeoTIFF of classes."),
+    ],
+    site: Annotated[Path, typer.Option(help="Site file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the plan.")],
+    cells: Annotated[int, typer.Option(min=20, max=5000, help="Number of sampled cells.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random sample.")] = 1,
+) -> None:
+    """Draw a stratified random sample of observed cells: by life form, changed cells more densely."""
+    from rich.console import Console
+
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.assessment.plan import find_map, write_plan
+    from ltm_ros.cli.output import print_table
+    from ltm_ros.fuel_map.source import FuelSource
+
+    path = find_map(map_)
+    with FuelSource.open(path, load_site(site)) as source:
+        about = write_plan(source, path, site, cells, seed, out)
+    widths = about["expected_half_width"]
+    rows = [
+        (s["name"], f"{s['cells']:,}", str(s["sampled"]), f"{100 * widths[s['name']]:.0f} %") for s in about["strata"]
+    ]
+    total = sum(s["cells"] for s in about["strata"]), sum(s["sampled"] for s in about["strata"])
+    rows.append(("all", f"{total[0]:,}", str(total[1]), f"{100 * widths['overall']:.1f} %"))
+    console = Console()
+    print_table(console, "sample", ("stratum", ">observed cells", ">sampled", ">± (95 %) at 80 % accuracy"), rows)
+    console.print(f"wrote {out}; next: ltm assess look {out}", soft_wrap=True, highlight=False, markup=False)
+
+
+@assess.command()
+def report(
+    plan_: Annotated[Path, typer.Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Option(help="Recording for photos and ranges. Repeatable.", metavar="FOLDER")
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option(help="File of field plots: CSV or GeoPackage with lon, lat, life_form, date.")
+    ] = None,
+) -> None:
+    """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""
+    from ltm_core.storage.disk_io import require_files
+    from ltm_ros.assessment.figures import compute_figures
+    from ltm_ros.assessment.plan import read_map_plan
+    from ltm_ros.assessment.report import keep_accuracy, write_report
+    from ltm_ros.pages import write_figures
+
+    require_files([out, out.with_suffix(".json")])
+    planned = read_map_plan(plan_)
+    figures = compute_figures(planned, plots)
+    more = write_report(out, planned, figures, recordings or [])
+    write_figures(out.with_suffix(".json"), figures.as_json(planned) | more)
+    keep_accuracy(planned, figures)
+    typer.echo(figures.line(planned))
+    typer.echo(f"wrote {out} and {out.with_suffix('.json')}")

@@ -1,0 +1,88 @@
+"""Accuracies and areas: against the worked examples that the field's papers print."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltm_core.assessment.estimation import StratifiedSample, assessed, joined, kappa
+
+OLOFSSON = np.array([[66, 0, 5, 4], [0, 55, 8, 12], [1, 0, 153, 11], [2, 1, 9, 313]])
+"""Sample counts of Olofsson et al. (2014), table 8: deforestation, forest gain, stable forest, stable non-forest."""
+PIXELS = 10**4 * np.array([200_000, 150_000, 3_200_000, 6_450_000])
+"""Mapped pixels, 10,000 for each of the paper's, whose formulas do not correct for finite populations."""
+HECTARES = 900_000
+
+
+def test_olofsson_2014() -> None:
+    mapped, reference = (np.repeat(axis.ravel(), OLOFSSON.ravel()) for axis in np.indices((4, 4)))
+    found = assessed(StratifiedSample(mapped, PIXELS), mapped, reference, 4)
+    # Table 9: error matrix of area proportions.
+    printed = [[0.0176, 0, 0.0013, 0.0011], [0, 0.0110, 0.0016, 0.0024]]
+    printed += [[0.0019, 0, 0.2967, 0.0213], [0.0040, 0.0020, 0.0179, 0.6212]]
+    np.testing.assert_allclose(found.matrix, printed, atol=5.1e-5)
+    # Page 54: accuracies with half-widths of their 95 % intervals. Of the producer's accuracies the paper prints half-
+    # widths of 0.23 and 0.01 for the second and last class; its equation 7 gives 0.25 and 0.02 with these counts.
+    for estimates, values, widths in (
+        ([found.overall], [0.95], [0.02]),
+        (found.users, [0.88, 0.73, 0.93, 0.96], [0.07, 0.10, 0.04, 0.02]),
+        (found.producers, [0.75, 0.85, 0.93, 0.96], [0.21, 0.25, 0.03, 0.02]),
+    ):
+        assert [round(e.value, 2) for e in estimates] == values
+        assert [round(1.96 * e.error, 2) for e in estimates] == widths
+    # Page 54: pixels of deforestation, and hectares of all classes.
+    pixels = found.area[0].times(10**7)
+    assert (round(pixels.value), round(1.96 * pixels.error)) == (235_086, 68_418)
+    hectares = [area.times(HECTARES) for area in found.area]
+    assert [round(area.value) for area in hectares] == [21_158, 11_686, 285_770, 581_386]
+    assert [round(1.96 * area.error) for area in hectares] == [6158, 3756, 15_510, 16_282]
+
+
+def test_stehman_2014_strata_that_are_not_map_classes() -> None:
+    # Table 2 and pages 4932 to 4936 of the paper.
+    a, b, c, d = range(4)
+    mapped = np.array([a] * 7 + [b] * 3 + [a] + [b] * 11 + [c] * 6 + [b, b] + [d] * 10)
+    reference = np.array(
+        [a] * 5 + [c, b, a, b, c, a] + [b] * 5 + [a, a, b, b] + [c] * 5 + [d, d, b, b, a] + [d] * 7 + [c, c, b]
+    )
+    sizes = np.array([40_000, 30_000, 20_000, 10_000])
+    found = assessed(StratifiedSample(np.repeat(np.arange(4), 10), sizes), mapped, reference, 4)
+    values = [found.area[a], found.area[c], found.overall, found.users[b], found.producers[b]]
+    assert [round(v.value, 3) for v in values] == [0.35, 0.2, 0.63, 0.574, 0.794]
+    assert [round(v.error, 3) for v in values] == [0.082, 0.064, 0.085, 0.125, 0.117]
+    assert found.matrix[b, c] == pytest.approx(0.08)
+
+
+def test_a_census_has_no_error_and_a_sample_without_errors_has_an_interval() -> None:
+    stratum = np.zeros(20, np.int64)
+    right = np.ones(20, np.bool_)
+    whole = StratifiedSample(stratum, np.array([20])).ratio(right, right, "whole")
+    assert (whole.value, whole.low, whole.high) == (1, 1, 1)
+    part = StratifiedSample(stratum, np.array([100_000])).ratio(right, right, "whole")
+    # Jeffreys' interval of 20 of 20: the 2.5 % quantile of Beta(20.5, 0.5).
+    assert (part.value, part.high) == (1, 1)
+    assert part.low == pytest.approx(0.883, abs=0.01)
+
+
+def test_a_spread_sample_of_clustered_errors_has_the_error_of_its_successive_differences() -> None:
+    stratum, every = np.zeros(100, np.int64), np.ones(100, np.bool_)
+    right = np.arange(100) >= 30
+    sizes = np.array([10**6])
+    plain = StratifiedSample(stratum, sizes).ratio(right, every, "whole")
+    spread = StratifiedSample(stratum, sizes, np.arange(100)).ratio(right, every, "whole")
+    assert plain.error == pytest.approx(np.sqrt(0.3 * 0.7 / 99), rel=1e-3)
+    # One pair of neighbours differs; no less than a quarter of the variance is credited.
+    assert spread.error == pytest.approx(plain.error / 2)
+    assert spread.high - spread.low == pytest.approx((plain.high - plain.low) / 2)
+
+
+def test_strata_without_answers_are_joined() -> None:
+    sample = joined(np.array([0, 0, 0, 2, 2, 3]), [500, 40, 60, 1])
+    assert sample.sizes.tolist() == [500, 100, 1]
+    assert sample.stratum.tolist() == [0, 0, 0, 1, 1, 2]
+
+
+def test_kappa() -> None:
+    # Cohen (1960) by hand: agreement 0.7, chance 0.5.
+    first, second = np.repeat([0, 0, 1, 1], [35, 15, 15, 35]), np.repeat([0, 1, 0, 1], [35, 15, 15, 35])
+    assert kappa(first, second, 2) == pytest.approx((0.7, 0.4))
