@@ -180,7 +180,9 @@ def main() -> None:
     if python != sys.version_info[:2]:
         raise SystemExit(f"{options.python} is Python {python}; run this with the same, for its wheels are taken")
     if f"numba=={metadata.version('numba')} " not in (PACKAGING / "requirements.lock").read_text(encoding="utf-8"):
-        raise SystemExit("the lock has another numba than this Python, which compiles the kernels: pip install -c constraints.txt, or make lock")
+        raise SystemExit(
+            "the lock has another numba than this Python, which compiles the kernels: pip install -c constraints.txt, or make lock"
+        )
     pip = [sys.executable, "-m", "pip"]
     out = options.out.resolve()
     root = out / "root"

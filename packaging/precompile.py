@@ -19,10 +19,10 @@ LEVEL, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"
 
 def precompile(source: Path) -> None:
     """Add `ltm_core/precompiled` to a folder with the product's packages. The two levels are compiled in parallel."""
-    from ltm_core.base.numba_cache import CPU_LEVELS, PRECOMPILED, _cpu_flags, best_level
+    from ltm_core.base.numba_cache import CPU_LEVELS, PRECOMPILED, cpu_flags, levels_of
 
-    if best_level(_cpu_flags()) != next(iter(CPU_LEVELS)):
-        raise SystemExit(f"this processor cannot run {next(iter(CPU_LEVELS))}: build on a newer one")
+    if missing := sorted(set(CPU_LEVELS) - set(levels_of(cpu_flags()))):
+        raise SystemExit(f"this processor cannot run {', '.join(missing)}: build on a newer one")
     target = source / "ltm_core" / PRECOMPILED
     shutil.rmtree(target, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -32,7 +32,9 @@ def precompile(source: Path) -> None:
             shutil.copytree(source, copy, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
             environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
             environment |= {"PYTHONPATH": str(copy), LEVEL: level, FEATURES: ""}
-            running.append(subprocess.Popen([sys.executable, __file__, str(target), level], env=environment, cwd=folder))
+            running.append(
+                subprocess.Popen([sys.executable, __file__, str(target), level], env=environment, cwd=folder)
+            )
         if any([process.wait() for process in running]):
             raise SystemExit("the kernels cannot be compiled")
 

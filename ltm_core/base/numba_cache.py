@@ -93,9 +93,9 @@ def kernel_level(folder: Path) -> str:
     return next((level for level in CPU_LEVELS if folder.name.rstrip("x").endswith(f"-{level}")), "")
 
 
-def best_level(flags: frozenset[str]) -> str:
-    """Return the fastest of CPU_LEVELS that a processor with these flags can run; empty if none."""
-    return next((level for level, needed in CPU_LEVELS.items() if needed <= flags), "")
+def levels_of(flags: frozenset[str]) -> list[str]:
+    """Return those of CPU_LEVELS that a processor with these flags can run, the fastest first."""
+    return [level for level, needed in CPU_LEVELS.items() if needed <= flags]
 
 
 def precompiled_name(state: str, level: str) -> str:
@@ -107,11 +107,14 @@ def _precompiled_level(source: Path, state: str) -> str:
     """Return the level of the release's kernels to use, empty if it has none for this source and this processor."""
     if not (source / PRECOMPILED).is_dir() or "NUMBA_CPU_NAME" in os.environ:
         return ""
-    level = best_level(_cpu_flags())
-    return level if level and (source / PRECOMPILED / precompiled_name(state, level)).is_dir() else ""
+    found = (
+        level for level in levels_of(cpu_flags()) if (source / PRECOMPILED / precompiled_name(state, level)).is_dir()
+    )
+    return next(found, "")
 
 
-def _cpu_flags() -> frozenset[str]:
+def cpu_flags() -> frozenset[str]:
+    """Return the processor's features by their names in /proc/cpuinfo; none where there is no such file."""
     with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
         for line in lines:
             if line.startswith("flags"):
