@@ -181,7 +181,8 @@ def main() -> None:
         raise SystemExit(f"{options.python} is Python {python}; run this with the same, for its wheels are taken")
     if f"numba=={metadata.version('numba')} " not in (PACKAGING / "requirements.lock").read_text(encoding="utf-8"):
         raise SystemExit(
-            "the lock has another numba than this Python, which compiles the kernels: pip install -c constraints.txt, or make lock"
+            f"requirements.lock has no numba {metadata.version('numba')}, which compiles the kernels here; "
+            "install constraints.txt, or run make lock"
         )
     pip = [sys.executable, "-m", "pip"]
     out = options.out.resolve()

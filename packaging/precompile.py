@@ -35,7 +35,8 @@ def precompile(source: Path) -> None:
             running.append(
                 subprocess.Popen([sys.executable, __file__, str(target), level], env=environment, cwd=folder)
             )
-        if any([process.wait() for process in running]):
+        codes = [process.wait() for process in running]
+        if any(codes):
             raise SystemExit("the kernels cannot be compiled")
 
 

@@ -29,12 +29,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-CPU_LEVELS: Final = {
-    "x86-64-v3": frozenset(
-        "cx16 lahf_lm popcnt sse4_1 sse4_2 ssse3 abm avx avx2 bmi1 bmi2 f16c fma movbe xsave".split()
-    ),
-    "x86-64-v2": frozenset("cx16 lahf_lm popcnt sse4_1 sse4_2 ssse3".split()),
-}
+_V2 = frozenset(("cx16", "lahf_lm", "popcnt", "sse4_1", "sse4_2", "ssse3"))
+_V3 = _V2 | frozenset(("abm", "avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "xsave"))
+CPU_LEVELS: Final = {"x86-64-v3": _V3, "x86-64-v2": _V2}
 """Levels of x86-64 that releases have kernels for, the fastest first, with the flags in /proc/cpuinfo that each needs
 (x86-64 psABI, table 3.1)."""
 PRECOMPILED: Final = "precompiled"
@@ -63,9 +60,9 @@ def use_own_cache(source: Path) -> Path | None:
     beside = source / "__pycache__"
     for parent in (beside, Path.home() / ".cache/ltm", Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}"):
         folder = parent / f"{_PREFIX}{state}{level and '-'}{level}"
-        while (folder / _MIXED).exists():
-            folder = folder.with_name(f"{folder.name}x")
         try:
+            while (folder / _MIXED).exists():  # in another user's folder: an error
+                folder = folder.with_name(f"{folder.name}x")
             if parent == beside:
                 parent.mkdir(parents=True, exist_ok=True)
             elif not _own(parent):
@@ -115,7 +112,7 @@ def _precompiled_level(source: Path, state: str) -> str:
 
 def cpu_flags() -> frozenset[str]:
     """Return the processor's features by their names in /proc/cpuinfo; none where there is no such file."""
-    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
+    with contextlib.suppress(OSError), Path("/proc/cpuinfo").open(encoding="ascii", errors="replace") as lines:
         for line in lines:
             if line.startswith("flags"):
                 return frozenset(line.partition(":")[2].split())
