@@ -2,7 +2,7 @@
 
 Its release is a virtual environment at `/opt/ltm/releases/VERSION` on Debian's own Python, with the packages of
 `requirements.lock`, each checked against its SHA-256 here, and with their bytecode. Nothing is fetched or compiled
-when it is installed, but for numba's kernels, which depend on the processor: the first start compiles them.
+when it is installed: numba's kernels are in it for two levels of x86-64 (`precompile.py`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -70,7 +71,7 @@ def checked_wheels(pip: list[str], folder: Path) -> list[Path]:
 
 
 def own_wheel(pip: list[str], folder: Path) -> Path:
-    """Of the checkout; from a copy, so that no folder `build` is left in it or taken from it."""
+    """Of the checkout, with compiled kernels; from a copy, so that no folder `build` is left in it or taken from it."""
     source = folder / "source"
     shutil.rmtree(source, ignore_errors=True)
     source.mkdir(parents=True)
@@ -80,6 +81,7 @@ def own_wheel(pip: list[str], folder: Path) -> Path:
             continue
         (source / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(REPOSITORY / name, source / name, follow_symlinks=False)
+    run(sys.executable, PACKAGING / "precompile.py", source)
     for wheel in folder.glob("ltm-*.whl"):
         wheel.unlink()
     run(*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, source)
@@ -177,6 +179,11 @@ def main() -> None:
     python = (int(asked.stdout.split()[0]), int(asked.stdout.split()[1]))
     if python != sys.version_info[:2]:
         raise SystemExit(f"{options.python} is Python {python}; run this with the same, for its wheels are taken")
+    if f"numba=={metadata.version('numba')} " not in (PACKAGING / "requirements.lock").read_text(encoding="utf-8"):
+        raise SystemExit(
+            f"requirements.lock has no numba {metadata.version('numba')}, which compiles the kernels here; "
+            "install constraints.txt, or run make lock"
+        )
     pip = [sys.executable, "-m", "pip"]
     out = options.out.resolve()
     root = out / "root"

@@ -14,12 +14,29 @@ from typing import Any
 
 from llvmlite import ir
 from numba import config, njit, types
-from numba.core import cgutils
+from numba.core import caching, cgutils
 from numba.extending import intrinsic
 
-from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.base.numba_cache import kernel_level, use_own_cache
 
-use_own_cache(Path(__file__).parents[1])
+
+class _ByModule(caching.UserProvidedCacheLocator):  # type: ignore[misc]
+    """Numba's place of a function in a cache folder of ours: by its module, not by where the package is installed."""
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._cache_path = str(Path(config.CACHE_DIR) / py_func.__module__)
+
+
+def use_cache(source: Path) -> None:
+    """Let numba use the kernels compiled for this state of `source`, and compile others for the same processors."""
+    folder = use_own_cache(source)
+    if folder is not None and (level := kernel_level(folder)):
+        config.CPU_NAME, config.CPU_FEATURES = level, ""
+
+
+caching.CompileResultCacheImpl._locator_classes = [_ByModule, *caching.CacheImpl._locator_classes]
+use_cache(Path(__file__).parents[1])
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 

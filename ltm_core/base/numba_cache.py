@@ -8,6 +8,9 @@ package, at any depth. An edit elsewhere recompiles nothing.
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
 changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process
 marks nothing: after edit, kill and an exact undo of the edit, only deleting `ltm_core/__pycache__` helps.)
+
+A release carries folders compiled for two levels of x86-64, made by `packaging/precompile.py` and named by the state,
+the versions of Python and numba, and the level. The best that the processor can run is copied to where the cache is.
 """
 
 from __future__ import annotations
@@ -22,8 +25,16 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
+_V2 = frozenset(("cx16", "lahf_lm", "popcnt", "sse4_1", "sse4_2", "ssse3"))
+_V3 = _V2 | frozenset(("abm", "avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "xsave"))
+CPU_LEVELS: Final = {"x86-64-v3": _V3, "x86-64-v2": _V2}
+"""Levels of x86-64 that releases have kernels for, the fastest first, with the flags in /proc/cpuinfo that each needs
+(x86-64 psABI, table 3.1)."""
+PRECOMPILED: Final = "precompiled"
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PREFIX = "ltm-kernels-"
 _MIXED = "mixed"
@@ -45,15 +56,22 @@ def use_own_cache(source: Path) -> Path | None:
     if given and not Path(given).name.startswith(_PREFIX):
         return None
     state = _state(source)
+    level = _precompiled_level(source, state)
     beside = source / "__pycache__"
     for parent in (beside, Path.home() / ".cache/ltm", Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}"):
-        folder = parent / f"{_PREFIX}{state}"
-        while (folder / _MIXED).exists():
-            folder = folder.with_name(f"{folder.name}x")
+        folder = parent / f"{_PREFIX}{state}{level and '-'}{level}"
         try:
+            while (folder / _MIXED).exists():  # in another user's folder: an error
+                folder = folder.with_name(f"{folder.name}x")
             if parent == beside:
-                folder.mkdir(parents=True, exist_ok=True)
-            elif not (_own(parent) and _own(folder)):
+                parent.mkdir(parents=True, exist_ok=True)
+            elif not _own(parent):
+                continue
+            if level and not folder.exists():
+                _copy(source / PRECOMPILED / precompiled_name(state, level), folder)
+            if parent == beside:
+                folder.mkdir(exist_ok=True)
+            elif not _own(folder):
                 continue
         except OSError:
             continue
@@ -65,6 +83,56 @@ def use_own_cache(source: Path) -> Path | None:
             _forget_former(parent, folder)
             return folder
     return None
+
+
+def kernel_level(folder: Path) -> str:
+    """Return the level of x86-64 that the kernels in a cache folder are compiled for; empty: this processor."""
+    return next((level for level in CPU_LEVELS if folder.name.rstrip("x").endswith(f"-{level}")), "")
+
+
+def levels_of(flags: frozenset[str]) -> list[str]:
+    """Return those of CPU_LEVELS that a processor with these flags can run, the fastest first."""
+    return [level for level, needed in CPU_LEVELS.items() if needed <= flags]
+
+
+def precompiled_name(state: str, level: str) -> str:
+    """Return the name of a release's folder of kernels that the running Python and numba can load."""
+    return f"{state}-{sys.implementation.cache_tag}-numba-{version('numba')}-{level}"
+
+
+def _precompiled_level(source: Path, state: str) -> str:
+    """Return the level of the release's kernels to use, empty if it has none for this source and this processor."""
+    if not (source / PRECOMPILED).is_dir() or "NUMBA_CPU_NAME" in os.environ:
+        return ""
+    found = (
+        level for level in levels_of(cpu_flags()) if (source / PRECOMPILED / precompiled_name(state, level)).is_dir()
+    )
+    return next(found, "")
+
+
+def cpu_flags() -> frozenset[str]:
+    """Return the processor's features by their names in /proc/cpuinfo; none where there is no such file."""
+    with contextlib.suppress(OSError), Path("/proc/cpuinfo").open(encoding="ascii", errors="replace") as lines:
+        for line in lines:
+            if line.startswith("flags"):
+                return frozenset(line.partition(":")[2].split())
+    return frozenset()
+
+
+def _copy(precompiled: Path, folder: Path) -> None:
+    """Copy a release's kernels in one step, because other processes start at the same time."""
+    partial = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", dir=folder.parent))
+    try:
+        for file in precompiled.rglob("*"):
+            if file.is_file():
+                target = partial / file.relative_to(precompiled)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, target)
+        partial.rename(folder)
+    except OSError:
+        shutil.rmtree(partial, ignore_errors=True)
+        if not folder.exists():
+            raise
 
 
 def _state(source: Path) -> str:

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import ltm_core
-from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.base.numba_cache import kernel_level, use_own_cache
 from ltm_core.pipeline.kernels import KERNELS, compile_kernels
 from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import Graph, describe
@@ -30,11 +30,11 @@ def compile_ahead(
 ) -> None:
     """Compile the kernels of a graph's nodes, unless that was done; print when it begins and how long it took. Nodes
     compile what is still missing when they start. `waiting` is called five times a second."""
-    kinds = [kind for kind in KERNELS if any(node.module.rpartition(".")[2] == kind for node in graph)]
     folder = use_own_cache(Path(ltm_core.__file__).parent)
-    # Numba keeps code for each processor.
-    done = None if folder is None else folder / f"{'-'.join([*kinds, platform.node()])}.compiled"
-    if not kinds or (done is not None and done.exists()) or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    kinds = [kind for kind in KERNELS if any(node.module.rpartition(".")[2] == kind for node in graph)]
+    if folder is not None:
+        kinds = [kind for kind in kinds if not compiled_mark(folder, kind).exists()]
+    if not kinds or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         return
     before, begun = _count(folder), time.monotonic()
     console(f"-- compiling the kernels of {', '.join(kinds)}, once for this version")
@@ -64,9 +64,16 @@ def compile_ahead(
         return
     count = f"{_count(folder) - before} kernels" if folder is not None else "the kernels"
     console(f"-- compiled {count} in {time.monotonic() - begun:.0f} s")
-    if done is not None:
+    if folder is not None:
         with contextlib.suppress(OSError):
-            done.touch()
+            for kind in kinds:
+                compiled_mark(folder, kind).touch()
+
+
+def compiled_mark(folder: Path, kind: str) -> Path:
+    """Return the file that marks the kernels of a kind of node as compiled for this machine's processor, or for the
+    level of processors that the folder is for."""
+    return folder / f"{kind}-{kernel_level(folder) or platform.node()}.compiled"
 
 
 def _count(folder: Path | None) -> int:

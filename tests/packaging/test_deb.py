@@ -16,7 +16,7 @@ DEBIAN_PYTHON = Path("/usr/bin/python3")
 
 @pytest.mark.slow
 def test_the_package_installs_runs_and_goes(tmp_path: Path) -> None:
-    """Without upgrades, which `make try-deb` tries too: each compiles all kernels anew."""
+    """Without upgrades, which `make try-deb` tries too."""
     if os.geteuid() != 0 or shutil.which("debootstrap") is None or shutil.which("dpkg-deb") is None:
         pytest.skip("needs root, dpkg-deb and debootstrap: apt install debootstrap")
     command = [str(DEBIAN_PYTHON), "-c", "import sys, venv; print(sys.version_info[:2])"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.base.numba_cache import CPU_LEVELS, kernel_level, levels_of, precompiled_name, use_own_cache
 
 CALLED = "import numba\n\n@numba.njit(cache=True)\ndef called(x):\n    return x + {term}\n"
 CALLER = (
@@ -162,3 +162,72 @@ def test_a_link_is_not_taken_for_a_place(shared_tmp: tuple[Path, Path]) -> None:
     elsewhere.mkdir(mode=0o700)
     place.symlink_to(elsewhere)
     assert use_own_cache(source) is None
+
+
+V2 = CPU_LEVELS["x86-64-v2"]
+V3 = CPU_LEVELS["x86-64-v3"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "levels"),
+    [
+        (V3 | {"avx512f", "amx_tile"}, ["x86-64-v3", "x86-64-v2"]),
+        *((V3 - {missing}, ["x86-64-v2"]) for missing in sorted(V3 - V2)),
+        (V2, ["x86-64-v2"]),
+        *((V3 - {missing}, []) for missing in sorted(V2)),
+    ],
+)
+def test_no_kernel_is_loaded_that_the_processor_cannot_run(flags: frozenset[str], levels: list[str]) -> None:
+    assert levels_of(flags) == levels
+
+
+@pytest.fixture
+def release(tmp_path: Path) -> Path:
+    """A package with kernels that were compiled for the oldest level elsewhere."""
+    built = tmp_path / "built/kernels"
+    built.mkdir(parents=True)
+    (built / "__init__.py").write_text(
+        "from pathlib import Path\nfrom ltm_core.base.kernels import use_cache\nuse_cache(Path(__file__).parent)\n"
+    )
+    for name, text in (("caller", CALLER), ("called", CALLED.format(term=1.0)), ("constants", CONSTANTS)):
+        (built / f"{name}.py").write_text(text)
+    (built / "origin.py").write_text(ORIGIN.format(offset=0.0))
+    assert hits(built.parent, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="") == "2.0 0 x86-64-v2"
+    (folder,) = (built / "__pycache__").glob("ltm-kernels-*")
+    state = folder.name.rpartition("-")[2]
+    (built / "precompiled").mkdir()
+    folder.rename(built / "precompiled" / precompiled_name(state, "x86-64-v2"))
+    return built.parent.rename(tmp_path / "installed")
+
+
+def hits(folder: Path, **variables: str) -> str:
+    """Return the result of the kernel, how many were loaded from the cache, and the level they were compiled for."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | variables
+    environment["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
+    code = (
+        "import kernels, numba; from kernels.caller import caller\n"
+        "print(caller(1.0), sum(caller.stats.cache_hits.values()), numba.config.CPU_NAME or '')"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    ).stdout[:-1]
+
+
+def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None:
+    assert hits(release) == "2.0 1 x86-64-v2"
+    assert hits(release) == "2.0 1 x86-64-v2"
+
+
+def test_kernels_of_a_release_whose_source_was_changed_are_not_loaded(release: Path) -> None:
+    (release / "kernels/origin.py").write_text(ORIGIN.format(offset=0.25))
+    assert hits(release) == "2.25 0 "
+
+
+def test_a_processor_that_the_user_names_gets_kernels_for_it(release: Path) -> None:
+    assert hits(release, NUMBA_CPU_NAME="x86-64", NUMBA_CPU_FEATURES="") == "2.0 0 x86-64"
+
+
+@pytest.mark.parametrize("level", CPU_LEVELS)
+def test_a_folder_is_named_by_its_level(level: str) -> None:
+    assert kernel_level(Path(f"ltm-kernels-0123-{level}")) == kernel_level(Path(f"ltm-kernels-0123-{level}xx")) == level
+    assert kernel_level(Path("ltm-kernels-0123")) == ""
