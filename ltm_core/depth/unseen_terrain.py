@@ -42,7 +42,7 @@ def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Floa
     if not unknown.any():
         return depth
     open_sky = (labels == sky) & ~(depth < np.inf)
-    for above, here in pairwise(open_sky):  # whole rows: `logical_and.accumulate` takes ten times as long
+    for above, here in pairwise(open_sky):  # whole rows: `logical_and.accumulate` takes longer
         here &= above
     unknown &= open_sky
     if not unknown.any():

@@ -227,7 +227,7 @@ def _interpolate(
 def shrunk(image: UInt8Array, cols: int, rows: int) -> UInt8Array:
     """Return an image (H, W, 3) at a smaller size by the mean of each area.
 
-    It is `cv2.resize` with INTER_AREA in a quarter of its time where the ratio is not a whole number. Sums are rounded
+    It is `cv2.resize` with INTER_AREA, in less time where the ratio is not a whole number. Sums are rounded
     in another order, so one value in a thousand differs by 1.
     """
     height, width = image.shape[:2]
