@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -40,24 +41,32 @@ def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Floa
     unknown = np.isnan(depth)
     if not unknown.any():
         return depth
-    called = unknown & np.logical_and.accumulate((labels == sky) & ~(depth < np.inf), axis=0)
-    return np.where(called, np.float32(np.inf), depth) if called.any() else depth
+    open_sky = (labels == sky) & ~(depth < np.inf)
+    for above, here in pairwise(open_sky):  # whole rows: `logical_and.accumulate` takes longer
+        here &= above
+    unknown &= open_sky
+    if not unknown.any():
+        return depth
+    result = depth.copy()
+    result[unknown] = np.inf
+    return result
 
 
 def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Array, source: UInt8Array) -> None:
     """Make unknown in `depth`, `sigma` (H, W) and `source` what regions of NaN in the traced `ground` (H, W) cover that
     touch sky or the image's edge, by a corner or more: land beyond the DEM, where a network's scale is not known."""
     unknown = np.isnan(ground)
-    if not unknown.any():
+    gone = unknown & (source != 0)
+    if not gone.any():
         return
     count, regions = cv2.connectedComponents(unknown.view(np.uint8), connectivity=8)
     beside = cv2.dilate((ground == np.inf).view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     beside[[0, -1]] = beside[:, [0, -1]] = True
     open_ended = np.zeros(count, np.bool_)
     open_ended[regions[beside & unknown]] = True
-    gone = np.nonzero(unknown)
-    gone = tuple(index[open_ended[regions[gone]] & (source[gone] != 0)] for index in gone)
-    depth[gone] = sigma[gone] = np.nan
+    if not open_ended[1:].all():
+        gone &= open_ended[regions]
+    depth[gone] = sigma[gone] = np.float32(np.nan)
     source[gone] = 0
 
 
