@@ -25,8 +25,9 @@ def areas(
     `land as sky or water` counts all areas of ground. Risk is the share of labelled pixels that are wrong; at 80 %
     coverage, of those with the highest confidence.
     """
-    from dataclasses import asdict
+    from dataclasses import asdict, astuple
 
+    import numpy as np
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
@@ -44,17 +45,12 @@ def areas(
     for name, said in answers.items():
         kinds = ["all", *sorted({a.kind for a in said})]
         scores = {k: area_score([a for a in said if k in ("all", a.kind)]) for k in kinds}
-        rows = [(kind, *_texts(score)) for kind, score in scores.items()]
+        rows = [
+            (kind, str(score.areas), *(f"{v:.1%}" if np.isfinite(v) else "-" for v in astuple(score)[1:]))
+            for kind, score in scores.items()
+        ]
         columns = [field.replace("_", " ") for field in AreaScore.__dataclass_fields__]
         print_table(Console(), f"{name}: {len(listed)} photos ({role})", ("kind", *columns), rows)
         result[name] = {kind: asdict(score) for kind, score in scores.items()}
     if json_path is not None:
         write_figures(json_path, result)
-
-
-def _texts(score: object) -> list[str]:
-    from dataclasses import astuple, is_dataclass
-
-    assert is_dataclass(score) and not isinstance(score, type)
-    first, *others = astuple(score)
-    return [str(first), *("-" if value != value else f"{value:.1%}" for value in others)]
