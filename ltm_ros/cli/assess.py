@@ -7,7 +7,11 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.assessment.look_command import learn, look
+
 assess = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a fuel map from a random sample of its cells.")
+assess.command()(look)
+assess.command()(learn)
 
 
 @assess.command()
@@ -40,7 +44,7 @@ def plan(
     rows.append(("all", f"{total[0]:,}", str(total[1]), f"{100 * widths['overall']:.1f} %"))
     console = Console()
     print_table(console, "sample", ("stratum", ">observed cells", ">sampled", ">± (95 %) at 80 % accuracy"), rows)
-    console.print(f"wrote {out}; next: ltm assess look {out}", soft_wrap=True, highlight=False, markup=False)
+    console.print(f"wrote {out}; next: ltm assess look {out} --recordings FOLDER", soft_wrap=True, highlight=False, markup=False)
 
 
 @assess.command()

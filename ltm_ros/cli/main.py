@@ -107,6 +107,8 @@ EXAMPLES = {
         "ltm fire now.lcp --before was.lcp --ignition -117.5,33.6 --ignition-crs EPSG:4326 --wind 8,20 --moisture D1L1",
     ),
     "assess plan": ("ltm assess plan map/fuel_map.ltm --site site.yaml --cells 300 --out plan",),
+    "assess look": ("ltm assess look plan --recordings today",),
+    "assess learn": ("ltm assess learn plan --recordings today",),
     "assess report": ("ltm assess report plan --out report.html --recordings today",),
     "record": ("ltm record --site site.yaml --out today", "ltm record --site site.yaml --out depth '/ridge/*/depth/*'"),
     "replay": (

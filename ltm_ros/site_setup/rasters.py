@@ -32,7 +32,7 @@ _ROWS = 256
 """Number of rows that are interpolated at a time."""
 _SIZES = (0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0, 90.0)
 """Cell sizes in metres of a site's rasters."""
-MOST_CELLS = 300_000_000
+MOST_CELLS = 190_000_000
 """Maximum number of cells of an area that are fetched or joined: 17.3 km per side at 1 m."""
 _DEGREE = 111_320.0
 

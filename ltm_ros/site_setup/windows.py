@@ -2,8 +2,8 @@
 
 Only the directory of a file and the blocks of the window are fetched, into a sparse copy that GDAL then reads. Thus
 sizes are known before and exact afterwards, each request is repeated on its own, and an interrupted window continues.
-GDAL's `/vsicurl/` does neither, and held Python's lock in a stalled request, so that Ctrl-C had no effect. An `opener`
-of rasterio would replace the reading of directories and ranges, but an interrupted window would begin again.
+GDAL's `/vsicurl/` states no sizes before it reads; here a stalled server once held Python's lock in it. An `opener` of
+rasterio would replace the reading of directories and ranges, but an interrupted window would begin again.
 """
 
 from __future__ import annotations

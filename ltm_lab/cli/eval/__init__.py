@@ -9,6 +9,7 @@ from __future__ import annotations
 import typer
 from typer.core import TyperGroup
 
+from ltm_lab.cli.eval.areas import areas
 from ltm_lab.cli.eval.assessment import assessment
 from ltm_lab.cli.eval.bag import bag
 from ltm_lab.cli.eval.depth import depth
@@ -40,6 +41,7 @@ class EvalGroup(TyperGroup):
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
 evaluate.command()(assessment)
+evaluate.command()(areas)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)

@@ -251,15 +251,6 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     assert all(source.name in str(error.value) for source in elevation)
 
 
-@pytest.mark.parametrize(("radius", "finest"), [(8_000.0, True), (10_000.0, False)])
-def test_an_8_km_site_gets_cells_of_1_m_and_a_larger_one_the_reason(
-    radius: float, finest: bool, services: SiteServices, tmp_path: Path
-) -> None:
-    listed = {source.name: source for source in sources(services, tmp_path)}
-    reason = listed["usgs_3dep_1m"].covers(Area.around(-118.47, 34.09, radius + 250.0))
-    assert ("million cells" not in reason) == finest
-
-
 def test_too_large_an_area_gives_the_message_of_the_service(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
