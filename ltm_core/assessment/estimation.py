@@ -3,10 +3,9 @@
 Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
 (2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
-no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior, which also
-covers for small samples and shares near 0 or 1 (Brown, Cai & DasGupta 2001, Stat. Sci. 16). For a sample that is spread
-over the area, both are multiplied with the square root of the design effect: the variance of successive differences
-along the curve of the design, divided by that of simple random sampling (Wolter 2007, chapter 8).
+no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown, Cai &
+DasGupta 2001, Stat. Sci. 16). The spread of the sample over the area is not credited: it makes intervals wider than
+necessary, never narrower.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 
 DRAWS: Final = 4000
 _PRIOR: Final = 0.5
-_LEAST_EFFECT: Final = 0.25
-"""Least design effect that is credited: few differences estimate it poorly."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +41,10 @@ class Estimate:
 @dataclass(frozen=True, eq=False)
 class StratifiedSample:
     """The answered cells of a sample. `stratum`: (N,) index of each cell's stratum. `sizes`: (H,) cells of each stratum
-    in the map; strata without answered cells have been joined with others (`joined`). `place`: (N,) of each cell on the
-    curve of the design (`design.z_order`); None: a simple random sample in each stratum."""
+    in the map; strata without answered cells have been joined with others (`joined`)."""
 
     stratum: Int64Array
     sizes: Int64Array
-    place: Int64Array | None = None
 
     def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str, draws: int = DRAWS) -> Estimate:
         """Return the share of the cells in `whole` that are in `part` too, (N,) bool each.
@@ -67,22 +62,15 @@ class StratifiedSample:
         share = float((self.sizes * y).sum()) / total
         residual = hit - share * inside
         mean = np.bincount(self.stratum, residual, len(self.sizes)) / counts
-        variance = self._variance((residual - mean[self.stratum]) ** 2, self.stratum)
-        effect = 1.0
-        if self.place is not None and variance > 0:
-            order = np.lexsort((self.place, self.stratum))
-            same = np.diff(self.stratum[order]) == 0
-            halves = (np.diff(residual[order]) ** 2 / 2)[same]
-            effect = min(1.0, max(_LEAST_EFFECT, self._variance(halves, self.stratum[order][1:][same]) / variance))
-        error = np.sqrt(variance * effect) / total
+        variance = self._variance((residual - mean[self.stratum]) ** 2)
+        error = np.sqrt(variance) / total
         low, high = self._interval(np.asarray(part, np.bool_), inside, of_map, draws)
-        low, high = (share + np.sqrt(effect) * (bound - share) for bound in (low, high))
         return Estimate(share, float(error), float(min(low, share)), float(max(high, share)), int(inside.sum()))
 
-    def _variance(self, squares: Float64Array, stratum: Int64Array) -> float:
+    def _variance(self, squares: Float64Array) -> float:
         """Return the variance of a total, from squares that sum up to a stratum's variance times its cells less one."""
         counts = np.bincount(self.stratum, minlength=len(self.sizes))
-        spread = np.bincount(stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
+        spread = np.bincount(self.stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
         return float((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())
 
     def _interval(self, part: BoolArray, whole: BoolArray, of_map: str, draws: int) -> tuple[float, float]:
@@ -92,10 +80,7 @@ class StratifiedSample:
         table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
         possible = table.any(axis=2, keepdims=True)
         rng = np.random.default_rng(0)
-        # One prior for the whole map: a full one in each of many strata would add errors that no stratum has.
-        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
-        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
-        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
+        shape = np.where(possible, table + _PRIOR, 0.0).reshape(strata, 4)
         weights = rng.standard_gamma(shape, (draws, strata, 4))
         weights /= weights.sum(axis=2, keepdims=True)
         rest = self.sizes - table.sum(axis=(1, 2))
@@ -139,7 +124,7 @@ def assessed(sample: StratifiedSample, mapped: Int64Array, reference: Int64Array
     )
 
 
-def joined(stratum: Int64Array, sizes: ArrayLike, place: Int64Array | None = None) -> StratifiedSample:
+def joined(stratum: Int64Array, sizes: ArrayLike) -> StratifiedSample:
     """Return the sample of the answered cells, (N,), among strata of `sizes` cells (H,). A stratum with fewer than two
     answered cells, unless all its cells were answered, is joined with its smallest neighbour in order of strata."""
     merged = [[index] for index in range(len(np.asarray(sizes)))]
@@ -160,7 +145,7 @@ def joined(stratum: Int64Array, sizes: ArrayLike, place: Int64Array | None = Non
     group_of = np.zeros(len(each), np.int64)
     for index, group in enumerate(merged):
         group_of[group] = index
-    return StratifiedSample(group_of[stratum], np.bincount(group_of, each, len(merged)).astype(np.int64), place)
+    return StratifiedSample(group_of[stratum], np.bincount(group_of, each, len(merged)).astype(np.int64))
 
 
 def kappa(first: Int64Array, second: Int64Array, classes: int) -> tuple[float, float]:

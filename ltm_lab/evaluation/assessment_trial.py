@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ltm_core.assessment.design import drawn, z_order
+from ltm_core.assessment.design import drawn
 from ltm_core.assessment.estimation import StratifiedSample
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
@@ -114,7 +114,7 @@ def coverage(population: Population, cells: int, samples: int) -> list[Coverage]
         sample = drawn(of.map, changed, inside, NAMES, cells, seed)
         at = sample.rows, sample.columns
         sizes = np.array([stratum.cells for stratum in sample.strata])
-        stratified = StratifiedSample(sample.stratum, sizes, z_order(*at))
+        stratified = StratifiedSample(sample.stratum, sizes)
         for name, (part, whole, of_map) in pairs.items():
             found = stratified.ratio(part[at], whole[at], of_map, _DRAWS)
             hits[name] += found.low <= truths[name] <= found.high
@@ -140,4 +140,4 @@ def _marked(rng: np.random.Generator, radius: float, share: float) -> BoolArray:
 def _other(classes: UInt8Array, rng: np.random.Generator) -> UInt8Array:
     """Return another of the three forms for each."""
     turn = rng.integers(1, len(_FORMS), classes.shape)
-    return ((classes - 1 + turn) % len(_FORMS) + 1).astype(np.uint8)
+    return np.asarray((classes - 1 + turn) % len(_FORMS) + 1, np.uint8)

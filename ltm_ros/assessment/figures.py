@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.assessment.design import z_order
 from ltm_core.assessment.estimation import Accuracy, Estimate, StratifiedSample, assessed, joined, kappa
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Int64Array, UInt8Array
@@ -115,7 +114,7 @@ def compute_figures(plan: MapPlan, plots: Path | None) -> Figures:
     rows, columns = (np.array([getattr(cell, name) for cell, _ in counted]) for name in ("row", "column"))
     reference = np.array([NAMES.index(answer.life_form) for _, answer in counted], np.uint8)
     stratum = np.array([plan.stratum[cell.cell] for cell, _ in counted])
-    sample = joined(stratum, [s.cells for s in plan.strata], z_order(rows, columns))
+    sample = joined(stratum, [s.cells for s in plan.strata])
     mapped, before = plan.map.life_form[rows, columns], plan.map.prior_form[rows, columns]
     has_prior = before != UNSEEN
     classes = tuple(np.unique(np.concatenate([mapped, reference, before[has_prior]])).tolist())

@@ -44,7 +44,8 @@ def plan(
     rows.append(("all", f"{total[0]:,}", str(total[1]), f"{100 * widths['overall']:.1f} %"))
     console = Console()
     print_table(console, "sample", ("stratum", ">observed cells", ">sampled", ">± (95 %) at 80 % accuracy"), rows)
-    console.print(f"wrote {out}; next: ltm assess look {out} --recordings FOLDER", soft_wrap=True, highlight=False, markup=False)
+    following = f"wrote {out}; next: ltm assess look {out} --recordings FOLDER"
+    console.print(following, soft_wrap=True, highlight=False, markup=False)
 
 
 @assess.command()
