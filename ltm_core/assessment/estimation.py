@@ -3,8 +3,8 @@
 Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
 (2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
-no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown, Cai &
-DasGupta 2001, Stat. Sci. 16). The spread of the sample over the area is not credited: it makes intervals wider than
+no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown et
+al. 2001, Stat. Sci. 16). The spread of the sample over the area is not credited: it makes intervals wider than
 necessary, never narrower.
 """
 

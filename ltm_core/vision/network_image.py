@@ -128,12 +128,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
         cols, rows = (max(1, round(side * ratio)) for side in (width, height))
     if (width, height) != (cols, rows):
         shrinks = cols <= width and rows <= height
-        if shrinks and (width % cols or height % rows):
-            from ltm_core.vision.second_scale import shrunk  # not above: it loads numba
-
-            image = shrunk(image, cols, rows)
-        else:
-            image = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+        image = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     if (cols, rows) != (wide, tall):
         mean = spec.mean if spec.channels == "rgb" else spec.mean[::-1]
         empty = np.clip(np.rint(np.array(mean) / spec.scale), 0, 255)

@@ -1,4 +1,4 @@
-"""Shrink photos, combine class probabilities of several scales and networks, and upsample them to the photo's size.
+"""Combine class probabilities of several scales and networks, and upsample them to the photo's resolution.
 
 A network runs at a second scale: on the whole image coarser, and on request on distant slopes finer, in tiles.
 
@@ -233,60 +233,3 @@ def _interpolate(
                         winner[row, col] = k
         for col in range(width):
             confidence[row, col] = np.uint8(best[col] * np.float32(255.0) + np.float32(0.5))
-
-
-def shrunk(image: UInt8Array, cols: int, rows: int) -> UInt8Array:
-    """Return an image (H, W, 3) at a smaller size by the mean of each area.
-
-    It is `cv2.resize` with INTER_AREA, in less time where the ratio is not a whole number. Sums are rounded
-    in another order, so one value in a thousand differs by 1.
-    """
-    height, width = image.shape[:2]
-    small, line = np.empty((rows, 3 * cols), np.uint8), np.empty(3 * width, np.float32)
-    _shrink(np.ascontiguousarray(image).reshape(height, -1), small, *_areas(rows, height), *_areas(cols, width), line)
-    return small.reshape(rows, cols, 3)
-
-
-def _areas(size: int, of: int) -> tuple[Int32Array, Float32Array]:
-    """Return the first and the last of the `of` pixels that each of `size` pixels covers (2, size), and the shares of
-    its area that both have, and any pixel between them (3, size)."""
-    edges = np.arange(size + 1) * (of / size)
-    first = edges[:-1].astype(np.int32)
-    last = np.maximum(first, np.minimum(np.ceil(edges[1:] - 1e-9), of).astype(np.int32) - 1)
-    alone = first == last
-    weights = np.where(alone, of / size, first + 1 - edges[:-1]), np.where(alone, 0.0, edges[1:] - last), np.ones(size)
-    return np.stack([first, last]), (np.stack(weights) * (size / of)).astype(np.float32)
-
-
-@kernel(nogil=True, fastmath={"contract", "nsz", "arcp"})
-def _shrink(
-    image: UInt8Array,
-    small: UInt8Array,
-    rows: Int32Array,
-    down: Float32Array,
-    cols: Int32Array,
-    across: Float32Array,
-    line: Float32Array,
-) -> None:
-    """Sum the rows of an area first, in whole rows. `image`, `small`: the three channels of a pixel side by side;
-    `rows`, `down`, `cols`, `across`: see `_areas`; `line`: work array of a row."""
-    for r in range(len(small)):
-        top, last, to = image[rows[0, r]], image[rows[1, r]], small[r]
-        upper, lower, share = down[0, r], down[1, r], down[2, r]
-        for u in range(len(line)):
-            line[u] = upper * np.float32(top[u]) + lower * np.float32(last[u])
-        for v in range(rows[0, r] + 1, rows[1, r]):
-            row = image[v]
-            for u in range(len(line)):
-                line[u] += share * np.float32(row[u])
-        for c in range(cols.shape[1]):
-            i, j = 3 * cols[0, c], 3 * cols[1, c]
-            left, right, share = across[0, c], across[1, c], across[2, c]
-            x, y, z = left * line[i], left * line[i + 1], left * line[i + 2]
-            for k in range(i + 3, j, 3):
-                x += share * line[k]
-                y += share * line[k + 1]
-                z += share * line[k + 2]
-            to[3 * c] = np.uint8(np.rint(x + right * line[j]))
-            to[3 * c + 1] = np.uint8(np.rint(y + right * line[j + 1]))
-            to[3 * c + 2] = np.uint8(np.rint(z + right * line[j + 2]))

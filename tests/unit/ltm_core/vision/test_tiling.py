@@ -10,7 +10,7 @@ import pytest
 from scenes.networks import COLORS, write_classifier
 
 from ltm_core.vision.labels import Label
-from ltm_core.vision.second_scale import shrunk, tile_corners, with_distant_tiles
+from ltm_core.vision.second_scale import tile_corners, with_distant_tiles
 from ltm_core.vision.segmenter import Segmenter
 
 SIZE = (36, 60)
@@ -69,13 +69,3 @@ def test_zoom_finds_what_the_whole_photo_is_too_coarse_for(tmp_path: Path) -> No
     assert np.mean(once.labels[truth] == Label.BUILT) < 0.1
     assert np.mean(twice.labels[truth] == Label.BUILT) > 0.3
     assert np.mean(twice.labels[:100] == Label.SKY) > 0.99
-
-
-@pytest.mark.parametrize(("cols", "rows"), [(29, 17), (30, 11), (1, 1), (90, 43), (90, 44)])
-def test_shrunk_images_are_the_means_of_areas(cols: int, rows: int) -> None:
-    photo = np.random.default_rng(5).integers(0, 256, (44, 90, 3)).astype(np.uint8)
-
-    expected = cv2.resize(photo, (cols, rows), interpolation=cv2.INTER_AREA).reshape(rows, cols, 3)
-    off = np.abs(shrunk(photo, cols, rows).astype(int) - expected)
-    assert off.max() <= 1
-    assert (off > 0).mean() < 0.01
