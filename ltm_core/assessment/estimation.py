@@ -4,8 +4,8 @@ Every figure is a share of cells that have one property among those that have an
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
 (2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
 no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown et
-al. 2001, Stat. Sci. 16). The spread of the sample over the area is not credited: it makes intervals wider than
-necessary, never narrower.
+al. 2001, Stat. Sci. 16), which the strata share. The spread of the sample over the area is not credited: without it
+intervals are wider than necessary rather than too narrow.
 """
 
 from __future__ import annotations
@@ -80,7 +80,10 @@ class StratifiedSample:
         table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
         possible = table.any(axis=2, keepdims=True)
         rng = np.random.default_rng(0)
-        shape = np.where(possible, table + _PRIOR, 0.0).reshape(strata, 4)
+        # The strata of the figure's domain share one prior: a full one in each would add errors that no stratum has.
+        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
+        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
+        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
         weights = rng.standard_gamma(shape, (draws, strata, 4))
         weights /= weights.sum(axis=2, keepdims=True)
         rest = self.sizes - table.sum(axis=(1, 2))

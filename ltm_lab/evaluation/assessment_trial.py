@@ -124,7 +124,7 @@ def coverage(population: Population, cells: int, samples: int) -> list[Coverage]
 
 def _classes(rng: np.random.Generator) -> UInt8Array:
     field = _smooth(rng, 8.0)
-    return np.array(_FORMS, np.uint8)[np.digitize(field, np.quantile(field, [0.35, 0.7]))]
+    return np.asarray(np.array(_FORMS, np.uint8)[np.digitize(field, np.quantile(field, [0.35, 0.7]))], np.uint8)
 
 
 def _smooth(rng: np.random.Generator, radius: float) -> np.ndarray:
