@@ -99,7 +99,8 @@ def test_a_process_that_is_ended_leaves_nothing_half_written(
     part = tmp_path / ".getty.part"
     services.stalls = lambda path: stalled in path and part.exists()
     sources = services.sources(tmp_path / "sources.yaml")
-    code = "from ltm_ros.cli.main import app; app()"
+    # A shell's background job, such as a test run, starts with Ctrl-C ignored.
+    code = "from signal import *; signal(SIGINT, default_int_handler); from ltm_ros.cli.main import app; app()"
     arguments = ["init", "--out", str(tmp_path / "getty"), "--sources", str(sources), *NEW]
     process = subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=tmp_path, stderr=subprocess.DEVNULL)
     try:
