@@ -2,8 +2,7 @@
 
 Strata are the map's classes, split into changed and unchanged cells. Within a stratum the cells are ordered along a
 Z-order curve, which is cut into as many segments as cells are wanted, with a random start; one random cell of each
-segment is drawn. Every cell of a stratum has the same chance. Where neighbours err together, such a sample is more
-precise than simple random sampling: `estimation` measures by how much from differences between successive cells.
+segment is drawn. Every cell of a stratum has the same chance.
 """
 
 from __future__ import annotations

@@ -29,10 +29,13 @@ MOST_LENS_ERROR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ForeignPose:
-    """A photo's pose and camera as another tool states them. `position`: (3,) map coordinates without an
-    origin, or Earth-centred;
-    `rotation`: (3, 3) from optical axes to east, north, up; `place`: file and entry, for errors. `camera`: None if the
-    file states no lens. `angles`: (3,) the stated rotation angles, by which `turned` makes the rotation."""
+    """A photo's pose and camera as another tool states them.
+
+    `position`: (3,) map coordinates without an origin, or Earth-centred. `rotation`: (3, 3) from optical axes to east,
+    north, up. `place`: file and entry, for errors. `camera`: None if the file states no lens. `angles`: (3,) the stated
+    rotation angles, by which `turned` makes the rotation. `target`: (3,) a point on the optical axis, stated instead of
+    the pitch; its height and that of the position are then above the ground.
+    """
 
     name: str
     place: str
@@ -42,7 +45,7 @@ class ForeignPose:
     earth: bool = False
     angles: Float64Array | None = None
     turned: Callable[[Float64Array], Float64Array] | None = None
-    above_ground: bool = False
+    target: Float64Array | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.position).all() and np.isfinite(self.rotation).all()):
@@ -66,7 +69,7 @@ class ForeignPose:
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
             return Pose(np.array([x, y, height - undulation]), grid_turn(frame, x, y) @ rotation)
         x, y = x - frame.x_origin, y - frame.y_origin
-        return Pose(np.array([x, y, z + (ground(x, y) if self.above_ground else 0.0)]), rotation)
+        return Pose(np.array([x, y, z + (0.0 if self.target is None else ground(x, y))]), rotation)
 
 
 @lru_cache(maxsize=1)

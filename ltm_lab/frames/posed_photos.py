@@ -93,8 +93,8 @@ def _of_folder(folder: Path, views: Sequence[PosedCamera]) -> Iterator[Posed]:
 
 
 def photos_of(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
-    """Return the photos below a folder by camera: the one whose name a subfolder or the file's name begins with, or the
-    only one. Raises ConfigError if there are none."""
+    """Return the photos below a folder by camera. A photo is of the camera with whose name its file or its subfolder
+    begins; if the site has one camera, all are of it. Raises ConfigError if there are none."""
     found: dict[str, list[Path]] = {name: [] for name in cameras}
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in _PHOTOS:

@@ -11,14 +11,13 @@ from typing import Any, Final
 import numpy as np
 
 from ltm_core.base.errors import LtmError, RecordingError
-from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.pictures import to_jpeg
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
-from ltm_core.storage.image_io import decode_rgb
 from ltm_core.visibility.footprint import arrival_directions, ground_normals
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
@@ -40,13 +39,15 @@ _SAME_CAMERA, _SAME_DAY = 0.5, 0.7
 
 @dataclass(frozen=True, eq=False)
 class CellPhoto:
-    """A photo (H, W, 3) that shows a cell. `outline`: (N, 2) the cell's edge in pixels (u, v). `pose`: map frame.
-    `range_m`: distance of the cell's centre; `incidence_deg`: angle between the line of sight and the ground's normal.
-    """
+    """A photo of `width` x `height` pixels that shows a cell. `outline`: (N, 2) the cell's edge in pixels (u, v).
+    `pose`: map frame. `range_m`: distance of the cell's centre; `incidence_deg`: angle between the line of sight and
+    the ground's normal."""
 
     camera: str
     stamp_ns: int
-    image: UInt8Array
+    jpeg: bytes
+    width: int
+    height: int
     outline: Float64Array
     pose: Pose
     range_m: float
@@ -109,8 +110,8 @@ class PhotoIndex:
             away = arrival_directions(shot.pose.position, middle, self._sight.bend)
             incidence = float(np.degrees(np.arccos(np.clip(-(away * normal).sum(), -1, 1))))
             distance = float(np.linalg.norm(middle - shot.pose.position))
-            image = decode_rgb(shot.jpeg)
-            chosen.append(CellPhoto(shot.camera_name, shot.stamp_ns, image, outline, shot.pose, distance, incidence))
+            photo = shot.camera_name, shot.stamp_ns, shot.jpeg, shot.camera.width, shot.camera.height
+            chosen.append(CellPhoto(*photo, outline, shot.pose, distance, incidence))
         return chosen
 
     def _points(self, cell: SampledCell, cell_m: float) -> tuple[Float64Array, Float64Array]:

@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.pictures import to_jpeg
 from ltm_core.vision.areas import POLYGONS_FILE, NamedArea, replace_file, write_areas
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.assessment.answers_io import Plan, read_answers, write_table
@@ -41,19 +40,19 @@ def agreed_forms(plan: Plan) -> dict[int, str]:
 
 
 def learn(plan: Plan, photos: PhotoIndex) -> Learned:
-    """Write the answers of every second cell as labelled photos to PLAN/training, and the cells to PLAN/learned.csv.
+    """Write the agreed answers of every second cell as labelled photos to PLAN/training, and all these cells to
+    PLAN/learned.csv.
 
-    The plan's cells are in random order, so both halves are random samples of each stratum, and figures of the other
-    half are independent of what is learned. A cell that was learned stays learned. `ltm train head` and
+    The plan's cells are in random order, so both halves are random samples of each stratum. The report leaves out the
+    whole half: without its agreed cells only, it would count too many cells that are hard to name. `ltm train head` and
     `ltm models measure --photos` read the folder. Raises ConfigError if there is nothing to learn, OSError.
     """
     forms, names = agreed_forms(plan), LabelSet.load().names
-    before = plan.learned()
     folder = plan.folder / "training"
     folder.mkdir(exist_ok=True)
     areas: list[NamedArea] = []
-    learned, images = set(before), set()
-    for cell in plan.cells[::2]:
+    half, used, images = plan.cells[::2], set(), set()
+    for cell in half:
         form = forms.get(cell.cell)
         if form is None or form not in names:
             continue
@@ -62,14 +61,14 @@ def learn(plan: Plan, photos: PhotoIndex) -> Learned:
                 continue
             name = f"{photo.camera}_{photo.stamp_ns}.jpg"
             if name not in images:
-                replace_file(folder / name, to_jpeg(photo.image, quality=92))
+                replace_file(folder / name, photo.jpeg)
                 images.add(name)
             outline = tuple((float(u), float(v)) for u, v in np.round(photo.outline, 1))
             areas.append(NamedArea(image=name, kind=form, polygon=outline))
-            learned.add(cell.cell)
+            used.add(cell.cell)
     if not areas:
         raise ConfigError(f"{plan.folder}: no agreed answer has a photo; answer cells with `ltm assess look`")
     # First the cells that are excluded from the report: a crash in between must not let them count.
-    write_table(plan.folder / "learned.csv", ["cell"], ({"cell": cell} for cell in sorted(learned)))
+    write_table(plan.folder / "learned.csv", ["cell"], ({"cell": cell.cell} for cell in half))
     write_areas(folder / POLYGONS_FILE, areas)
-    return Learned(folder, len(learned), len(areas), len(images), len(forms.keys() - learned))
+    return Learned(folder, len(used), len(areas), len(images), len(forms.keys() - {cell.cell for cell in half}))

@@ -99,7 +99,7 @@ class LookSession:
                     "day": f"{taken:%Y-%m-%d}",
                     "range_m": round(photo.range_m),
                     "outline": photo.outline.round(1).tolist(),
-                    "size": [photo.image.shape[1], photo.image.shape[0]],
+                    "size": [photo.width, photo.height],
                     "from": [0.5 + float(east), 0.5 - float(north)],
                 }
             )
@@ -116,7 +116,7 @@ class LookSession:
         photos = self._best(number)
         if place >= len(photos):
             raise ConfigError(f"cell {number} has {len(photos)} photos")
-        return to_jpeg(photos[place].image, quality=90)
+        return photos[place].jpeg
 
     def map(self, number: int) -> bytes:
         """Return the relief around a cell as JPEG."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +23,7 @@ from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import LifeForm, forms_of
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.disk_io import require_folder
-from ltm_ros.assessment.answers_io import Plan, read_plan
+from ltm_ros.assessment.answers_io import Plan, read_plan, write_table
 from ltm_ros.fuel_map.source import FuelSource
 
 NAMES: Final = ("", *(form.name.lower() for form in LifeForm))
@@ -96,11 +95,11 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     }
     out.mkdir(parents=True, exist_ok=True)
     places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
-    columns = ("cell", "row", "column", "lon", "lat", "x", "y")
+    columns: tuple[str, ...] = ("cell", "row", "column", "lon", "lat", "x", "y")
     rows = [
         (*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places
     ]
-    _write_csv(out / "cells.csv", columns, rows)
+    write_table(out / "cells.csv", columns, (dict(zip(columns, row, strict=True)) for row in rows))
     at = sample.rows, sample.columns
     answers = zip(
         cells.tolist(),
@@ -110,7 +109,8 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
         layers.changed[at].astype(int).tolist(),
         strict=True,
     )
-    _write_csv(out / "strata.csv", ("cell", "stratum", "map_class", "prior_class", "changed"), answers)
+    columns = "cell", "stratum", "map_class", "prior_class", "changed"
+    write_table(out / "strata.csv", columns, (dict(zip(columns, row, strict=True)) for row in answers))
     np.savez_compressed(
         out / "map.npz",
         life_form=layers.life_form,
@@ -151,10 +151,3 @@ def agrees_with_prior(prior: Int16Array, forms: UInt8Array) -> BoolArray:
     """Return (N,) whether life forms, ids, are among those that prior codes stand for."""
     allowed = forms_of(prior)
     return np.asarray(allowed[np.arange(len(forms)), forms.astype(np.int64) - 1], np.bool_)
-
-
-def _write_csv(path: Path, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(rows)

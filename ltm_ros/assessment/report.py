@@ -22,6 +22,7 @@ from ltm_core.pictures.legend import Palette
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import written_whole
+from ltm_core.storage.image_io import decode_rgb
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.assessment.cell_photos import CellPhoto, PhotoIndex
 from ltm_ros.assessment.figures import Figures
@@ -111,29 +112,19 @@ def _photos_of(plan: MapPlan, figures: Figures, site: Site, recordings: Sequence
     index = PhotoIndex(site, recordings)
     cells = {(cell.row, cell.column): cell for cell in plan.shown.cells}
     pairs = zip(figures.rows.tolist(), figures.columns.tolist(), strict=True)
-    wrong = ~figures.right(plan)
-    found, kept = [], 0
-    for place, error in zip(pairs, wrong, strict=True):
-        photos = index.best(cells[place], plan.shown.cell_m)
-        kept += bool(error)
-        found.append([_cropped(photo, bool(error) and kept <= _SHOWN_ERRORS) for photo in photos])
-    return found
+    return [index.best(cells[place], plan.shown.cell_m) for place in pairs]
 
 
-def _cropped(photo: CellPhoto, shown: bool) -> CellPhoto:
-    """Return a photo with the part around its cell, outlined; without pixels if it is not `shown`."""
-    if not shown:
-        part = np.zeros((1, 1, 3), np.uint8)
-    else:
-        low, high = photo.outline.min(axis=0), photo.outline.max(axis=0)
-        side = int(max(_CROP, 1.6 * (high - low).max()))
-        picture = np.ascontiguousarray(photo.image)
-        cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, (255, 255, 255), 3, cv2.LINE_AA)
-        cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, (213, 40, 130), 1, cv2.LINE_AA)
-        size = np.array([picture.shape[1], picture.shape[0]])
-        left, top = np.clip(((low + high) / 2 - side / 2).astype(int), 0, np.maximum(size - side, 0)).tolist()
-        part = fit(picture[top : top + side, left : left + side], _CROP)
-    return CellPhoto(photo.camera, photo.stamp_ns, part, photo.outline, photo.pose, photo.range_m, photo.incidence_deg)
+def _cropped(photo: CellPhoto) -> RgbImage:
+    """Return the part of a photo around its cell, with the cell's outline."""
+    low, high = photo.outline.min(axis=0), photo.outline.max(axis=0)
+    side = int(max(_CROP, 1.6 * (high - low).max()))
+    picture = np.ascontiguousarray(decode_rgb(photo.jpeg))
+    for color, width in (((255, 255, 255), 3), ((213, 40, 130), 1)):
+        cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, color, width, cv2.LINE_AA)
+    size = np.array([photo.width, photo.height])
+    left, top = np.clip(((low + high) / 2 - side / 2).astype(int), 0, np.maximum(size - side, 0)).tolist()
+    return fit(picture[top : top + side, left : left + side], _CROP)
 
 
 def _wrong(plan: MapPlan, figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[WrongCell]:
@@ -142,7 +133,7 @@ def _wrong(plan: MapPlan, figures: Figures, seen: Sequence[Sequence[CellPhoto]])
     for index in np.flatnonzero(~figures.right(plan))[:_SHOWN_ERRORS].tolist():
         row, column = int(figures.rows[index]), int(figures.columns[index])
         photos = tuple(
-            (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", p.image)
+            (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", _cropped(p))
             for p in seen[index]
         )
         mapped = NAMES[plan.map.life_form[row, column]]
@@ -160,7 +151,7 @@ def _tables(figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhot
         return np.array([min((value(p) for p in photos), default=np.nan) for photos in seen])
 
     def row(name: str, inside: BoolArray) -> Row:
-        return name, int(inside.sum()), figures.sample.ratio(right, inside, "part")
+        return name, int(inside.sum()), figures.sample.ratio(right, inside, "whole")
 
     def bins(values: Float64Array, edges: Sequence[float], unit: str) -> list[Row]:
         rows, low = [], 0.0

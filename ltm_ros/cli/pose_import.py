@@ -60,8 +60,9 @@ def import_poses(
     from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
     from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
-    camera = _camera(focal, size, photos)
-    tool, poses = read_foreign_poses(file, camera, read_transform(transform) if transform else None)
+    sides = _size(size, photos)
+    camera = _camera(focal, sides) if focal is not None and sides is not None else None
+    tool, poses = read_foreign_poses(file, sides, camera, read_transform(transform) if transform else None)
     names = [_file_name(pose.name) for pose in poses]
     if len(set(names)) < len(names):
         raise PoseError(f"{file}: several photos have the same name without suffix; rename them")
@@ -112,31 +113,38 @@ def _file_name(name: str) -> str:
     return f"{Path(name.replace(chr(92), '/')).name.rpartition('.')[0] or Path(name).name}.yaml"
 
 
-def _camera(focal: str | None, size: str | None, photos: Path | None) -> Camera | None:
-    """Return the camera of --focal and --size, the latter by default that of the first photo; None without a size."""
+def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
+    """Return width and height as stated, or of the first photo; None if there is neither."""
+    import re
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.image_io import read_rgb
+
+    if size is not None:
+        sides = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
+        if sides is None:
+            raise ConfigError(f"--size {size}: give width and height in pixels, such as 4000x3000")
+        return int(sides[1]), int(sides[2])
+    files = sorted(photos.iterdir()) if photos is not None else []
+    image = next((path for path in files if path.suffix.lower() in (".jpg", ".jpeg", ".png")), None)
+    if image is None:
+        return None
+    height, width = read_rgb(image).shape[:2]
+    return width, height
+
+
+def _camera(focal: str, size: tuple[int, int]) -> Camera:
+    """Return the camera of --focal."""
     import re
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.camera import Camera
-    from ltm_core.storage.image_io import read_rgb
 
-    if size is not None:
-        sides = re.fullmatch(r"(\d+)x(\d+)", size)
-        if sides is None:
-            raise ConfigError(f"--size {size}: give width and height in pixels, such as 4000x3000")
-        width, height = int(sides[1]), int(sides[2])
-    else:
-        files = sorted(photos.iterdir()) if photos is not None else []
-        images = [path for path in files if path.suffix.lower() in (".jpg", ".jpeg", ".png")]
-        if not images:
-            return None
-        height, width = read_rgb(images[0]).shape[:2]
-    if focal is None:
-        return Camera.from_fov(width, height, 60.0)  # of formats that state the focal length
-    form = re.fullmatch(r"([\d.]+)(px|/([\d.]+))?", focal)
-    if form is None or not float(form[1]) > 0:
+    number = r"\d+\.?\d*|\.\d+"
+    form = re.fullmatch(rf"({number})(px|/({number}))?", focal)
+    if form is None or not float(form[1]) > 0 or (form[3] and not float(form[3]) > 0):
         raise ConfigError(f"--focal {focal}: give 1484px, 24/36 (mm/sensor width) or 0.9 (of the longer side)")
-    length = float(form[1])
+    length, (width, height) = float(form[1]), size
     fx = length if form[2] == "px" else length * width / float(form[3]) if form[3] else length * max(width, height)
     return Camera(width, height, fx, fx, (width - 1) / 2, (height - 1) / 2)
 

@@ -35,12 +35,15 @@ from ltm_ros.recordings.importing.reconstructed_poses import (
 
 
 def read_foreign_poses(
-    path: Path, camera: Camera | None = None, transform: Similarity | None = None
+    path: Path,
+    size: tuple[int, int] | None = None,
+    camera: Camera | None = None,
+    transform: Similarity | None = None,
 ) -> tuple[str, list[ForeignPose]]:
     """Return the tool whose file this is, by its content, and its poses.
 
-    `camera`: of formats that state no image size or lens. `transform`: of a reconstruction that is not on the map.
-    Raises PoseError that names file and entry.
+    `size`: width and height of formats that do not state them. `camera`: of formats that state no lens. `transform`: of
+    a reconstruction that is not on the map. Raises PoseError that names file and entry.
     """
     if path.is_dir():
         for name in ("images.txt", "reconstruction.json"):
@@ -56,8 +59,8 @@ def read_foreign_poses(
         ("COLMAP", path.name == "images.txt", lambda: colmap_poses(path, text, transform)),
         ("OpenSfM", head.startswith("["), lambda: opensfm_poses(path, text)),
         ("alproj", head.startswith("{"), lambda: _alproj(path, text)),
-        ("PRACTISE", "cam_foc" in text, lambda: _practise(path, text, camera)),
-        ("Pic2Map", "Pose estimation parameters" in text or "X position" in text, lambda: _pic2map(path, text, camera)),
+        ("PRACTISE", "cam_foc" in text, lambda: _practise(path, text, size)),
+        ("Pic2Map", "Pose estimation parameters" in text or "X position" in text, lambda: _pic2map(path, text, size)),
         ("ImGRAFT", len(numbers_of(text)) == 20, lambda: _imgraft(path, text)),
         ("omega, phi, kappa", True, lambda: _omega_phi_kappa(path, text, camera)),
     ]
@@ -148,7 +151,7 @@ def _imgraft(path: Path, text: str) -> list[ForeignPose]:
     return [ForeignPose(path.stem, str(path), v[:3], turned(angles), camera, angles=angles, turned=turned)]
 
 
-def _practise(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
+def _practise(path: Path, text: str, size: tuple[int, int] | None) -> list[ForeignPose]:
     """Input file: camera and target (east, north), their heights above the DEM, roll (deg), lens and sensor (m)."""
     text = re.sub(r"(?m)%.*$", "", text)
 
@@ -158,39 +161,34 @@ def _practise(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]
             raise PoseError(f"{path}: {name.replace(chr(92), '')} is missing")
         return numbers_of(found[-1])
 
-    if camera is None:
-        raise PoseError(f"{path}: PRACTISE states no image size; give --width and --height of the photo with --guess")
+    width, height = _stated(size, path, "PRACTISE")
     at, target, off = values(r"cam\(:,1\)"), values(r"cam\(:,2\)"), values("cam_off")
     f, high, wide = values("cam_foc")[0], values("cam_hei")[0], values("cam_wid")[0]
-    lens = Camera(
-        camera.width, camera.height, f / wide * camera.width, f / high * camera.height,
-        (camera.width - 1) / 2, (camera.height - 1) / 2,
-    )  # fmt: skip
+    lens = Camera(width, height, f / wide * width, f / high * height, (width - 1) / 2, (height - 1) / 2)
     east, north = target[0] - at[0], target[1] - at[1]
     # The pitch follows from the DEM under both, see `aimed`.
     pose = Pose.from_angles((0, 0, 0), math.degrees(math.atan2(east, north)), 0.0, values("cam_rol")[0])
     position = np.array([*at[:2], off[0]])
-    return [ForeignPose(path.stem, str(path), position, pose.rotation, lens, above_ground=True,
-                        angles=np.array([*target[:2], off[1]]))]  # fmt: skip
+    aim = np.array([*target[:2], off[1]])
+    return [ForeignPose(path.stem, str(path), position, pose.rotation, lens, target=aim)]
 
 
 def aimed(
     foreign: ForeignPose, pose: Pose, ground: Callable[[float, float], float], origin: tuple[float, float]
 ) -> Pose:
-    """Return a pose of PRACTISE pitched at its target, which stands above the DEM."""
-    if not foreign.above_ground or foreign.angles is None:
+    """Return a pose pitched at its target, if it has one."""
+    if foreign.target is None:
         return pose
-    x, y, off = foreign.angles
+    x, y, off = foreign.target
     x, y = x - origin[0], y - origin[1]
     way = np.array([x, y, ground(x, y) + off]) - pose.position
     azimuth, _, roll = pose.angles_deg
     return Pose.from_angles(pose.position, azimuth, math.degrees(math.atan2(way[2], math.hypot(way[0], way[1]))), roll)
 
 
-def _pic2map(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
+def _pic2map(path: Path, text: str, size: tuple[int, int] | None) -> list[ForeignPose]:
     """Report of its pose dialog; its first axis points west, and its centre is that of the photo."""
-    if camera is None:
-        raise PoseError(f"{path}: Pic2Map states no image size; give a --guess with width and height")
+    width, height = _stated(size, path, "Pic2Map")
     values = {}
     for name, value in re.findall(r"(?m)^\s*([\w ]+?(?: \[\w+\])?), (?:Free|Fixed|Apriori)\s*:\s*([-+.\deE]+)", text):
         values[name.partition(" [")[0].lower().split()[0]] = float(value)
@@ -209,9 +207,15 @@ def _pic2map(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
         return np.asarray((np.diag([1.0, 1.0, -1.0]) @ rows @ np.diag([-1.0, 1.0, 1.0])).T, np.float64)
 
     angles = np.array([values[key] for key in ("tilt", "heading", "swing")])
-    lens = Camera(camera.width, camera.height, f, f, camera.width / 2 - 0.5, camera.height / 2 - 0.5)
+    lens = Camera(width, height, f, f, width / 2 - 0.5, height / 2 - 0.5)
     position = np.array([-x, y, z])
     return [ForeignPose(path.stem, str(path), position, turned(angles), lens, angles=angles, turned=turned)]
+
+
+def _stated(size: tuple[int, int] | None, path: Path, tool: str) -> tuple[int, int]:
+    if size is None:
+        raise PoseError(f"{path}: {tool} states no image size; give --size WIDTHxHEIGHT or --photos")
+    return size
 
 
 def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:

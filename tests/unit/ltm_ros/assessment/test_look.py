@@ -181,7 +181,7 @@ def test_the_outline_contains_what_the_trace_finds_at_its_pixels(
     tracer = TerrainTracer(site.open_dem())
     for cell in sampled[0][:5]:
         for photo in photos.best(cell, 30.0):
-            height, width = photo.image.shape[:2]
+            height, width = photo.height, photo.width
             camera = next(shot.camera for shot in photos._shots if shot.camera_name == photo.camera)
             assert (camera.height, camera.width) == (height, width)
             u, v = np.clip(photo.outline.mean(axis=0).round().astype(int), 0, (width - 1, height - 1))

@@ -52,9 +52,11 @@ def pixels_of(foreign: ForeignPose, lens: Camera | None = None) -> Float64Array:
     return camera.project((points() - (FRAME.x_origin, FRAME.y_origin, 0) - pose.position) @ pose.rotation)
 
 
-def read_one(path: Path, text: str, tool: str, camera: Camera | None = None) -> ForeignPose:
+def read_one(
+    path: Path, text: str, tool: str, camera: Camera | None = None, size: tuple[int, int] | None = None
+) -> ForeignPose:
     path.write_text(text, encoding="utf-8")
-    found, poses = read_foreign_poses(path, camera)
+    found, poses = read_foreign_poses(path, size, camera)
     assert found == tool
     assert len(poses) == 1
     return poses[0]
@@ -72,7 +74,7 @@ def test_colmap_and_its_similarity(tmp_path: Path) -> None:
     (tmp_path / "images.txt").write_text(f"# list\n3 {row} 7 day 1/a b.jpg\n\n", encoding="utf-8")
     qx, qy, qz, qw = about.as_quat()
     (tmp_path / "sim.txt").write_text(" ".join(map(repr, map(float, (scale, qw, qx, qy, qz, *shift)))))
-    tool, (pose,) = read_foreign_poses(tmp_path, None, read_transform(tmp_path / "sim.txt"))
+    tool, (pose,) = read_foreign_poses(tmp_path, transform=read_transform(tmp_path / "sim.txt"))
     assert (tool, pose.name) == ("COLMAP", "day 1/a b.jpg")
     lens = Camera(1600, 1200, 1500.0, 1500.0, 805.0, 590.0, (-0.1, 0.02, 0.001, -0.002, 0.0))
     assert pose.camera == lens
@@ -202,7 +204,7 @@ def test_pic2map(tmp_path: Path) -> None:
     r2 = [-sa * st, -ca * st, ct]
     d = (points() - AT) * (-1, 1, 1)
     expected = np.column_stack([800 - 1500 * (d @ r0) / (d @ r2), 600 - 1500 * (d @ r1) / (d @ r2)]) - 0.5
-    pose = read_one(tmp_path / "report.txt", text, "Pic2Map", Camera.from_fov(1600, 1200, 60.0))
+    pose = read_one(tmp_path / "report.txt", text, "Pic2Map", size=(1600, 1200))
     np.testing.assert_allclose(pixels_of(pose), expected, atol=1e-6)
 
 
@@ -212,7 +214,7 @@ def test_practise_aims_at_its_target(tmp_path: Path) -> None:
         "cam(:,2)=[6.184486e+05, 5.157440e+06];\ncam_off=[6, 40]; \ncam_rol=0; \ncam_foc=0.018;\ncam_hei=0.0148;\n"
         "cam_wid=0.0222;\n"
     )
-    pose = read_one(tmp_path / "Input.m", text, "PRACTISE", Camera.from_fov(2220, 1480, 60.0))
+    pose = read_one(tmp_path / "Input.m", text, "PRACTISE", size=(2220, 1480))
     frame = SiteFrame("EPSG:32632", 614_000.0, 5_163_000.0)
     placement = Placement(frame, None, 0.0)
     object.__setattr__(placement, "ground", lambda x, y: 2000.0 if abs(x - 248.8) < 1 else 1500.0)
@@ -248,7 +250,7 @@ def test_a_lens_that_no_terms_of_ours_reproduce_is_rejected() -> None:
 
 
 def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
-    """Radians under a header that says nothing are no camera that sees ground; degrees of it are sky or sideways."""
+    """A pose with other axes is rejected with the reading that is possible; one below the ground is rejected."""
     dem = rough_terrain(3)
     x, y = 130.0, -90.0
     ground = float(dem.elevation_at(x, y))
@@ -281,3 +283,11 @@ def test_the_command_writes_pose_files(tmp_path: Path) -> None:
     assert (config.pose.x, config.pose.y, config.pose.z) == pytest.approx(tuple(AT), abs=1e-3)
     assert config.pose.azimuth_deg == pytest.approx(62.0, abs=1e-5)
     assert config.pose.pitch_deg == pytest.approx(-7.0, abs=1e-5)
+
+
+def test_a_list_of_angles_without_a_focal_length_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "opk.txt").write_text("IMG_1.JPG\t" + "\t".join(map(repr, map(float, (*AT, *angles_of(1.0))))) + "\n")
+    options = ["--out", str(tmp_path / "poses"), "--crs", "EPSG:32632", "--size", "1600x1200"]
+    with pytest.raises(PoseError, match="--focal"):
+        CliRunner().invoke(cli, ["pose", "import", str(tmp_path / "opk.txt"), *options], catch_exceptions=False)
+    assert not (tmp_path / "poses").exists()
