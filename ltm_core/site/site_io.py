@@ -144,40 +144,60 @@ def stated_sections(path: Path, camera: str) -> dict[str, Any]:
     return node if isinstance(node, dict) else {}
 
 
-def edited(text: str, keys: Sequence[str], value: object, place: str) -> str:
-    """Return a YAML text with `value` at the path `keys`; a mapping in braces on the way is rewritten in lines.
+def edited(text: str, keys: Sequence[str | int], value: object, place: str, note: str = "") -> str:
+    """Return a YAML text with `value`, and `note` as a comment behind it, at the path `keys`; other lines stay.
 
-    Raises ConfigError if something on the way is not a mapping, or has comments within its braces.
+    A number in `keys` is an item of a list, or a new one behind its last. A mapping or list in brackets on the way is
+    rewritten in lines. Raises ConfigError if something on the way is no mapping, or has comments within its brackets.
     """
+    text += "" if text.endswith("\n") else "\n"  # so that the last node, too, ends where a line begins
     node, content, way = compose_yaml(text, place), parse_yaml(text, place), list(keys)
     lines = text.splitlines(keepends=True)
-    if lines and not lines[-1].endswith("\n"):
-        lines[-1] += "\n"
-    pair = None
-    while way and isinstance(node, yaml.MappingNode) and node.value and not node.flow_style:
-        indent = node.value[0][0].start_mark.column
-        found = next((entry for entry in node.value if entry[0].value == way[0]), None)
-        if found is None:
+    found: tuple[int, str | int, yaml.Node] | None = None
+    while way and isinstance(node, yaml.CollectionNode) and node.value and not node.flow_style:
+        entries = _entries(node, lines)
+        indent = (node if isinstance(node, yaml.SequenceNode) else node.value[0][0]).start_mark.column
+        if way[0] not in entries:
             at = _end(lines, node)
-            return "".join([*lines[:at], *_block({way[0]: _with(None, way[1:], value)}, indent), *lines[at:]])
-        pair, node, content = found, found[1], content[way.pop(0)]
-    if pair is None or not (content is None or not way or isinstance(content, dict)):
-        where = ".".join(keys[: len(keys) - len(way)]) or "the file"
+            return "".join([*lines[:at], *_block(way[0], _with(None, way[1:], value), indent, note), *lines[at:]])
+        begin, node = entries[way[0]]
+        found, content = (begin, way[0], node), content[way.pop(0)]
+    if found is None or not (
+        content is None or not way or isinstance(content, list if isinstance(way[0], int) else dict)
+    ):
+        where = ".".join(map(str, keys[: len(keys) - len(way)])) or "the file"
         raise ConfigError(f"{place}: {where} is not a mapping; write each of its keys on its own line")
-    begin, last, end = pair[0].start_mark.line, pair[1].end_mark, _end(lines, pair[1])
-    block = _block({pair[0].value: _with(content, way, value)}, indent)
-    if way:
-        if last.line > begin and any("#" in line for line in lines[begin : last.line]):
-            raise ConfigError(f"{place}: {pair[0].value}: has comments within braces; write each key on its own line")
-        behind = lines[last.line][last.column :].strip()
-        block[0] = block[0].rstrip() + (f"   {behind}" if behind.startswith("#") else "") + "\n"
+    begin, key, node = found
+    last, end = node.end_mark, _end(lines, node)
+    block = _block(key, _with(content, way, value), indent, note)
+    if way and last.line > begin and any("#" in line for line in lines[begin : last.line]):
+        raise ConfigError(f"{place}: {key}: has comments within brackets; write each key on its own line")
+    behind = lines[last.line][last.column :].strip() if last.line < len(lines) else ""
+    if behind.startswith("#") and (way or (isinstance(value, list) and content in value)):
+        block[0] = f"{block[0].rstrip()}   {behind}\n"
     return "".join([*lines[:begin], *block, *lines[end:]])
 
 
-def _with(content: Any, keys: Sequence[str], value: object) -> Any:
-    """Return nested mappings with `value` at the path `keys`."""
+def _entries(node: yaml.CollectionNode, lines: list[str]) -> dict[str | int, tuple[int, yaml.Node]]:
+    """Return, by key or number, the first line and the value of what a mapping or list in lines contains."""
+    if isinstance(node, yaml.MappingNode):
+        return {key.value: (key.start_mark.line, value) for key, value in node.value}
+    dash = node.start_mark.column
+    begins = [
+        i
+        for i in range(node.start_mark.line, node.end_mark.line + 1)
+        if lines[i : i + 1] and lines[i][dash:][:1] == "-"
+    ]
+    return {k: (max(i for i in begins if i <= item.start_mark.line), item) for k, item in enumerate(node.value)}
+
+
+def _with(content: Any, keys: Sequence[str | int], value: object) -> Any:
+    """Return nested mappings and lists with `value` at the path `keys`."""
     if not keys:
         return value
+    if isinstance(keys[0], int):
+        items = list(content or ())
+        return [*items[: keys[0]], _with(None, keys[1:], value), *items[keys[0] + 1 :]]
     known = content if isinstance(content, dict) else {}
     return {**known, keys[0]: _with(known.get(keys[0]), keys[1:], value)}
 
@@ -187,17 +207,20 @@ def _end(lines: list[str], node: yaml.Node) -> int:
     # What is written in lines ends where the next thing begins.
     in_lines = isinstance(node, yaml.CollectionNode) and not node.flow_style
     end = node.end_mark.line + (0 if in_lines else 1)
-    if in_lines and end == len(lines) - 1 and node.end_mark.column:
-        end = len(lines)
     end = max(end, node.start_mark.line + 1)
     while end > node.start_mark.line + 1 and (not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#")):
         end -= 1
     return end
 
 
-def _block(content: dict[str, Any], indent: int) -> list[str]:
+def _block(key: str | int, value: object, indent: int, note: str = "") -> list[str]:
+    """Return the lines of a key, or of a list's item, with its value and a comment behind the last."""
+    content = {key: value} if isinstance(key, str) else [value]
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=110, allow_unicode=True)
-    return [" " * indent + line + "\n" for line in text.splitlines()]
+    lines = [" " * indent + line + "\n" for line in text.splitlines()]
+    if note:
+        lines[-1] = f"{lines[-1].rstrip()}  # {' '.join(note.split())}\n"
+    return lines
 
 
 class _Dumper(yaml.SafeDumper):
@@ -214,7 +237,7 @@ class _Dumper(yaml.SafeDumper):
 
 def dumped(content: dict[str, Any]) -> str:
     """Return YAML text in the style of a site file."""
-    return "".join(_block(content, 0))
+    return "".join(line for key, value in content.items() for line in _block(key, value, 0))
 
 
 def replace_site(path: Path, text: str) -> None:

@@ -284,7 +284,6 @@ EXTRAS = {
     "rerun": "ltm[view]",
     "matplotlib": "ltm[report]",
     "jinja2": "ltm[report]",
-    "ruamel": "ltm[init]",
     "laspy": "ltm[export]",
     "tokenizers": "ltm[text]",
     "pyarrow": "ltm[archive]",

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.geodesy import read_crs
-from ltm_core.site.site_io import replace_site
+from ltm_core.site.site_io import edited, replace_site
 from ltm_core.storage.config_io import LARGEST_FILE, parse_yaml
 from ltm_core.storage.text_io import read_text
 from ltm_ros.site_setup.layers import Layer
@@ -17,6 +16,8 @@ from ltm_ros.site_setup.vertical import Datum
 
 PLACEHOLDER = "north"
 """Name of the camera of a site for which none was given; a site file needs at least one."""
+_CODE_RULES = ("barriers", "unknown_codes", "own_fbfm13")
+"""Keys of `fuel.prior` that hold for a newer fuel map, too."""
 
 
 def site_text(
@@ -58,68 +59,24 @@ def changed(text: str, layers: Mapping[str, Layer], cameras: Mapping[str, Mappin
 
     Raises ConfigError for a text that is not YAML.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.comments import CommentedMap, CommentedSeq
-
-    parse_yaml(text, place)  # within bounds, which ruamel.yaml does not have
-    yaml = YAML()
-    yaml.preserve_quotes = True
-    yaml.width = 10_000
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    site = yaml.load(text)
-    if not isinstance(site, CommentedMap):
-        raise ConfigError(f"{place}: expected a mapping of keys to values")
     for key, layer in layers.items():
-        new = CommentedMap({"path": layer.path.name})
+        site = parse_yaml(text, place)
+        keys: tuple[str | int, ...] = (key,)
+        value: object = {"path": layer.path.name}
         if key in ("dem", "coarser"):
-            _set_dem(site, key, new, layer.described, CommentedSeq)
-        elif key == "surface":
-            site["surface"] = new
-            new.yaml_add_eol_comment(layer.described, "path")
-        else:
-            fuel = site.setdefault("fuel", CommentedMap())
-            if isinstance(fuel.get("prior"), dict):
-                kept = {k: v for k, v in fuel["prior"].items() if k in ("barriers", "unknown_codes", "own_fbfm13")}
-                fuel["prior"] = CommentedMap({"path": f"{layer.path.name}/", **kept})
-            else:
-                fuel["prior"] = f"{layer.path.name}/"
-                fuel.ca.items.pop("prior", None)
-                fuel.yaml_add_eol_comment(layer.described, "prior")
-    there = site.get("cameras")
-    if cameras and not isinstance(there, dict):
-        there = site["cameras"] = CommentedMap()
+            dems = site["dem"]
+            if not isinstance(dems, list):
+                text = edited(text, ("dem",), [dems], place)
+            keys = ("dem", 0 if key == "dem" else 1)
+        elif key == "fuel":
+            prior = (site.get("fuel") or {}).get("prior")
+            kept = {k: v for k, v in prior.items() if k in _CODE_RULES} if isinstance(prior, dict) else {}
+            name = f"{layer.path.name}/"
+            keys, value = ("fuel", "prior"), {"path": name, **kept} if kept else name
+        text = edited(text, keys, value, place, layer.described)
     for name, camera in cameras.items():
-        there[name] = _mapping(camera)
-        there.fa.set_block_style()
-    out = StringIO()
-    yaml.dump(site, out)
-    return out.getvalue()
-
-
-def _set_dem(site: Any, key: str, new: Any, described: str, sequence: Any) -> None:
-    """Set the finest, or the second, raster of a site's DEMs."""
-    dems = site["dem"]
-    if not isinstance(dems, list):
-        dems = site["dem"] = sequence([dems, *site.pop("coarser", [])])
-    at = 0 if key == "dem" else 1
-    if at < len(dems):
-        dems[at] = new
-    else:
-        dems.append(new)
-    new.yaml_add_eol_comment(described, "path")
-
-
-def _mapping(content: Mapping[str, Any]) -> Any:
-    """Return a section with its own sections in braces, as people write them."""
-    from ruamel.yaml.comments import CommentedMap
-
-    made = CommentedMap()
-    for key, value in content.items():
-        made[key] = value
-        if isinstance(value, Mapping):
-            made[key] = flow = CommentedMap(value)
-            flow.fa.set_flow_style()
-    return made
+        text = edited(text, ("cameras", name), camera, place)
+    return text
 
 
 def change_site(path: Path, layers: Mapping[str, Layer], cameras: Mapping[str, Mapping[str, Any]]) -> None:

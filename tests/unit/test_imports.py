@@ -43,11 +43,10 @@ ON_DEMAND = {
     "dask": "the same, on many workers",
     "distributed": "the same, on many workers",
     "jinja2": "reports of the demo and of fires",
-    "ruamel": "site files that keep their comments",
     "av": "videos for `ltm import`, RTSP streams",
 }
 NOT_ON_A_TOWER = {
-    *("rerun", "jinja2", "ruamel", "laspy", "tokenizers", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"),
+    *("rerun", "jinja2", "laspy", "tokenizers", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"),
 }
 """Of those on demand; all else is in the package that `make deb` builds."""
 

@@ -105,3 +105,28 @@ def test_what_makes_no_site_leaves_the_file_as_it_is(tmp_path: Path) -> None:
     assert yaml.safe_load(path.read_text())["cameras"]["mast"]["calibration"] == calibration
     write_camera(path, "mast", {"calibration": {**calibration, "width": 64}})
     assert yaml.safe_load(path.read_text())["cameras"]["mast"]["calibration"]["width"] == 64
+
+
+LISTED = """\
+dem:   # two rasters
+- path: a.tif  # lidar
+  crs: EPSG:1
+# far
+- path: b.tif
+cameras: {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "item", "expected"),
+    [
+        (LISTED, 0, LISTED.replace("a.tif  # lidar\n  crs: EPSG:1", "c.tif  # new")),
+        (LISTED, 1, LISTED.replace("b.tif", "c.tif  # new")),
+        (LISTED, 2, LISTED.replace("cameras", "- path: c.tif  # new\ncameras")),
+        ("dem:\n  -\n    path: a\n  - path: b", 0, "dem:\n  - path: c.tif  # new\n  - path: b\n"),
+        ("dem:\n  - path: a\n    crs: [x,\n  -1]\n  - b", 0, "dem:\n  - path: c.tif  # new\n  - b\n"),
+        ("dem: [a, b]  # both\nx: 1\n", 1, "dem:   # both\n- a\n- path: c.tif  # new\nx: 1\n"),
+    ],
+)
+def test_an_item_of_a_list_is_replaced_or_added_with_a_comment(text: str, item: int, expected: str) -> None:
+    assert edited(text, ("dem", item), {"path": "c.tif"}, "x", "new") == expected
