@@ -34,6 +34,8 @@ from ltm_lab.simulator.works import Houses
 
 _SIDES = ((4_000.0, 4.0), (12_000.0, 16.0), (80_000.0, 90.0))
 """Side and least cell size in metres of the ground near a camera, around it, and out to the horizon."""
+_CLEAR_M = 15.0
+"""Radius in metres around a camera without plants: nobody mounts a camera behind a bush."""
 _WIDEST = 960
 """Maximum width of a rendered image in pixels; metrics compare squares of 256 and 299 pixels."""
 
@@ -62,7 +64,7 @@ def simulated_site(site: Site, dem: Dem, eye: Float64Array) -> SimulatedSite:
     ConfigError for a camera without terrain."""
     near, around, far = (_field(dem, eye, side, least) for side, least in _SIDES)
     wetness = np.zeros(around.geometry.shape, np.float32)
-    return SimulatedSite(SyntheticTerrain(near, around, wetness, far), _cover(site, around))
+    return SimulatedSite(SyntheticTerrain(near, around, wetness, far), _cover(site, around, eye))
 
 
 def _field(dem: Dem, eye: Float64Array, side: float, least: float) -> HeightField:
@@ -79,14 +81,14 @@ def _field(dem: Dem, eye: Float64Array, side: float, least: float) -> HeightFiel
     return HeightField(heights, geometry)
 
 
-def _cover(site: Site, ground: HeightField) -> LandCover:
-    """Return the land cover over a field, by the site's fuel map; shrubs where it has none."""
+def _cover(site: Site, ground: HeightField, eye: Float64Array) -> LandCover:
+    """Return the land cover over a field, by the site's fuel map; shrubs where it has none, no plants at the camera."""
     over = ground.geometry
     fine = GridGeometry(over.x_min, over.y_max, over.resolution / 2, 2 * over.width, 2 * over.height)
     classes = np.full(fine.shape, SHRUB, np.uint8)
     if site.fuel.prior is not None:
-        x, y = site.origin
-        bounds = over.translated(x, y).bounds
+        x0, y0 = site.origin
+        bounds = over.translated(x0, y0).bounds
         cells = GridGeometry.snapped(bounds, site.fuel.resolution, site.fuel.phase, site.crs)
         prior = load_prior(site.fuel.prior, cells)
         first = forms_of(prior.codes).argmax(axis=-1) + 1
@@ -97,9 +99,10 @@ def _cover(site: Site, ground: HeightField) -> LandCover:
     east, north = (ndimage.zoom(slope, 2, order=1, mode="nearest", grid_mode=True) for slope in smooth.gradient())
     exposure = np.clip(2 * north, -1, 1).astype(np.float32)  # ground that rises to the north faces south
     moisture = np.clip(-exposure - 0.2 * np.abs(east), -1, 1).astype(np.float32)
-    return LandCover(
-        classes, np.zeros(fine.shape, bool), moisture, exposure, fine, Stand.undisturbed(fine.shape), Houses.none()
-    )
+    stand = Stand.undisturbed(fine.shape)
+    x, y = fine.to_map(*np.mgrid[: fine.height, : fine.width])
+    stand.density[np.hypot(x - eye[0], y - eye[1]) < _CLEAR_M] = 0.0
+    return LandCover(classes, np.zeros(fine.shape, bool), moisture, exposure, fine, stand, Houses.none())
 
 
 @dataclass(frozen=True, eq=False)
