@@ -90,10 +90,15 @@ class BagWriter:
             raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
 
     @staticmethod
-    def require_free(path: Path) -> None:
+    def require_free(path: Path, overwrite: bool = False) -> None:
         """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
-        ConfigError if it cannot be written now.
+        ConfigError if it cannot be written now. `overwrite`: first delete a bag there, if the folder holds nothing else.
         """
+        if overwrite and is_folder(path):
+            files = list(path.iterdir())
+            if all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in files):
+                for file in files:
+                    file.unlink()
         _require_absent(path)
         require_folder(path, "a bag")
 

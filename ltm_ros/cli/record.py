@@ -129,7 +129,9 @@ def replay(
         return
     require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
     if record:
-        BagWriter.require_free(out / "bag")
+        if (out / "bag").resolve() in (bag.resolve(), bag.resolve().parent):
+            raise ConfigError(f"{out / 'bag'} is the recording to replay; give another --out")
+        BagWriter.require_free(out / "bag", overwrite)
     out.mkdir(parents=True, exist_ok=True)
     with message_bar(console, "replay") as progress:
         if offline:

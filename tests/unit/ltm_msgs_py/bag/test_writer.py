@@ -134,6 +134,18 @@ def test_nothing_that_exists_is_overwritten(tmp_path: Path) -> None:
     assert BagReader(tmp_path / "bag").topic_infos()["/a"].message_count == 1
 
 
+def test_a_bag_is_replaced_on_request_but_nothing_beside_it(tmp_path: Path) -> None:
+    for name in ("alone", "shared"):
+        with BagWriter(tmp_path / name) as writer:
+            writer.write("/a", String(data="old"), 1)
+    (tmp_path / "shared" / "notes.txt").write_text("kept")
+    BagWriter.require_free(tmp_path / "alone", overwrite=True)
+    assert list((tmp_path / "alone").iterdir()) == []
+    with pytest.raises(RecordingError):
+        BagWriter.require_free(tmp_path / "shared", overwrite=True)
+    assert BagReader(tmp_path / "shared").topic_infos()["/a"].message_count == 1
+
+
 def test_an_unknown_compression_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="'lz4'"):
         BagWriter(tmp_path / "bag", compression="lz4")  # type: ignore[arg-type]
