@@ -92,7 +92,9 @@ class BagWriter:
     @staticmethod
     def require_free(path: Path, overwrite: bool = False) -> None:
         """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
-        ConfigError if it cannot be written now. `overwrite`: first delete a bag there, if the folder holds nothing else.
+        ConfigError if it cannot be written now.
+
+        `overwrite`: first delete a bag that is there, if the folder holds nothing else.
         """
         if overwrite and is_folder(path):
             files = list(path.iterdir())
