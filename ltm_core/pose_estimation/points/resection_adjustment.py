@@ -80,18 +80,24 @@ class Adjustment:
         return fit
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
-        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable."""
+        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable.
+
+        For the standard deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left
+        out entirely, outliers make the rest look better than further points will be).
+        """
         size = self._unknowns(free)
         before = None
         for _ in range(10):
-            used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
+            limit = OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
+            off = lengths(fit.residuals)
+            used = off <= limit
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
                     f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())
-            spread = float(np.sqrt(np.sum(fit.residuals[used] ** 2) / (2 * used.sum() - size)))
+            spread = float(np.sqrt(np.sum(np.minimum(off, limit) ** 2) / (2 * len(off) - size)))
             fit = self._solve(fit, free, used, max(sigma_px, spread), "linear")
             if settled:
                 break

@@ -23,12 +23,12 @@ from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 
 _COLUMNS: dict[str, Sequence[str]] = {
-    "name": ("id", "name", "point"),
-    "x": ("x", "x_e", "e", "east", "easting"),
-    "y": ("y", "y_n", "n", "north", "northing"),
-    "z": ("z", "h", "height", "elevation"),
-    "u": ("u", "col", "column", "px"),
-    "v": ("v", "row", "line", "py"),
+    "name": ("id", "name", "point", "label", "gcp"),
+    "x": ("x", "x_e", "e", "east", "easting", "map_x", "world_x"),
+    "y": ("y", "y_n", "n", "north", "northing", "map_y", "world_y"),
+    "z": ("z", "h", "height", "elevation", "elev", "altitude", "alt", "map_z", "world_z"),
+    "u": ("u", "col", "column", "px", "pixel_x", "x_pixel", "x_px", "image_x", "x_image", "im_x"),
+    "v": ("v", "row", "line", "py", "pixel_y", "y_pixel", "y_px", "image_y", "y_image", "im_y"),
 }
 
 
@@ -70,12 +70,11 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
 
 
 def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> ControlPoints:
-    """Read a CSV with a header row: a name, map coordinates, pixel.
+    """Read a CSV (commas, semicolons or tabs) with a header row: a name, map coordinates, pixel.
 
-    Columns (any case): id or name; x, y (also x_e, y_n, easting, northing) in the frame's CRS, or lon, lat in degrees;
-    z (or height, elevation); u (column) and v (row). `first_pixel`: the number of the first pixel's centre in the
-    file: 0 here and in OpenCV, 1 in Matlab, 0.5 where pixels are counted by their corners. Raises PoseError naming
-    file, line and column.
+    Columns (any case, `_COLUMNS`): id; x, y in the frame's CRS, or lon, lat in degrees; z; u (column) and v (row).
+    `first_pixel`: the number of the first pixel's centre in the file: 0 here and in OpenCV, 1 in Matlab, 0.5 where
+    pixels are counted by their corners. Raises PoseError naming file, line and column.
     """
     names, values = read_point_rows(path, frame, first_pixel)
     return ControlPoints(names, values[:, :3], values[:, 3:5])
@@ -89,7 +88,8 @@ def read_point_rows(
     path = Path(path)
     lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
-        reader = csv.DictReader(lines)
+        header = lines.getvalue().partition("\n")[0]
+        reader = csv.DictReader(lines, delimiter=max(",;\t", key=header.count))
         columns = _columns(reader.fieldnames or [], path, {**_COLUMNS, **further})
         rows = [_numbers(row, columns, f"{path}, line {reader.line_num}", further) for row in reader]
     except csv.Error as error:

@@ -173,6 +173,18 @@ def test_gross_errors_are_named_and_left_out() -> None:
     assert result.residual_px[3] > 250
 
 
+def test_an_outlier_widens_the_stated_errors_by_as_much_as_a_point_at_the_limit() -> None:
+    points = scattered(20, noise=3.0)
+    near, far = (
+        resect(moved(points, {3: (shift, 0.0)}), CAMERA, POSE.position, free=(), bend=BEND) for shift in (40.0, -300.0)
+    )
+    assert near.outliers == far.outliers == ("p3",)
+    rest = far.residual_px[far.used]
+    trimmed = np.sqrt(np.sum(rest**2) / (2 * rest.size - 3))
+    assert 1.1 * trimmed < far.sigma_px < 1.7 * trimmed
+    assert near.sigma_px == pytest.approx(far.sigma_px, rel=0.02)
+
+
 def test_a_point_behind_the_camera_is_an_outlier() -> None:
     points = scattered(noise=0.5)
     places = points.places.copy()
@@ -368,9 +380,16 @@ def test_a_camera_on_a_control_point_is_refused() -> None:
 FRAME = SiteFrame("EPSG:32611", 400_000.0, 3_799_000.0)
 
 
-def test_reads_control_points_by_their_column_names(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeffName,Easting,Northing,Height,u,v\nrock,400010.5,3799020.25,812.5,33,44\n",
+        "label;image_x;image_y;altitude;map_y;map_x\nrock;33;44;812.5;3799020.25;400010.5\n",
+    ],
+)
+def test_reads_control_points_by_their_column_names(tmp_path: Path, text: str) -> None:
     path = tmp_path / "points.csv"
-    path.write_text("\ufeffName,Easting,Northing,Height,u,v\nrock,400010.5,3799020.25,812.5,33,44\n")
+    path.write_text(text)
     points = read_control_points(path, FRAME, first_pixel=1.0)
     assert points.names == ("rock",)
     assert points.places.tolist() == [[10.5, 20.25, 812.5]]
