@@ -2,25 +2,22 @@
 
 Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
-(2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
-no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown et
-al. 2001, Stat. Sci. 16), which the strata share. How many intervals contain the truth is measured by
-`ltm-lab eval assessment`.
+(2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 if a sample shows no
+error, so that intervals count one more success and one more failure (as Agresti and Coull 1998, Am. Stat. 52), each in
+the stratum in which a cell weighs most. They are quantiles of the beta distribution (as Korn and Graubard 1998, Surv.
+Methodol. 24) with the mean and variance of the share after all other cells are drawn from Dirichlet distributions.
+`ltm-lab eval assessment` counts how many intervals contain the truth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import betaincinv
 
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
-
-DRAWS: Final = 4000
-_PRIOR: Final = 0.5
-"""Cells that Jeffreys' prior adds for each possible answer, in all strata of a figure's domain together."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class StratifiedSample:
     stratum: Int64Array
     sizes: Int64Array
 
-    def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str, draws: int = DRAWS) -> Estimate:
+    def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str) -> Estimate:
         """Return the share of the cells in `whole` that are in `part` too, (N,) bool each.
 
         `of_map`: "part" or "whole", whichever the map alone decides, so that its value varies only among the values
@@ -65,7 +62,7 @@ class StratifiedSample:
         mean = np.bincount(self.stratum, residual, len(self.sizes)) / counts
         variance = self._variance((residual - mean[self.stratum]) ** 2)
         error = np.sqrt(variance) / total
-        low, high = self._interval(np.asarray(part, np.bool_), inside, of_map, draws)
+        low, high = self._interval(np.asarray(part, np.bool_), inside, of_map)
         return Estimate(share, float(error), float(min(low, share)), float(max(high, share)), int(inside.sum()))
 
     def _variance(self, squares: Float64Array) -> float:
@@ -74,24 +71,31 @@ class StratifiedSample:
         spread = np.bincount(self.stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
         return float((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())
 
-    def _interval(self, part: BoolArray, whole: BoolArray, of_map: str, draws: int) -> tuple[float, float]:
-        """Return the 2.5 % and 97.5 % quantiles of the share over `draws` possible maps of the unsampled cells."""
-        known, other = (part, whole) if of_map == "part" else (whole, part)
-        strata = len(self.sizes)
-        table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
-        possible = table.any(axis=2, keepdims=True)
-        rng = np.random.default_rng(0)
-        # The strata of the figure's domain share one prior: a full one in each would add errors that no stratum has.
-        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
-        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
-        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
-        weights = rng.standard_gamma(shape, (draws, strata, 4))
-        weights /= weights.sum(axis=2, keepdims=True)
-        rest = self.sizes - table.sum(axis=(1, 2))
-        filled = (table.reshape(strata, 4) + rng.multinomial(rest, weights)).sum(axis=1)
-        in_whole = filled[:, 1] + filled[:, 3] if of_map == "part" else filled[:, 2] + filled[:, 3]
-        shares = filled[:, 3] / np.maximum(in_whole, 1)
-        low, high = np.quantile(shares, (0.025, 0.975))
+    def _interval(self, part: BoolArray, whole: BoolArray, of_map: str) -> tuple[float, float]:
+        """Return the 2.5 % and 97.5 % quantiles of the share."""
+
+        def count(cells: BoolArray) -> Float64Array:
+            return np.bincount(self.stratum, cells, len(self.sizes))
+
+        sampled, hits, misses = count(np.ones_like(part)), count(whole & part), count(whole & ~part)
+        rest = self.sizes - sampled
+        known = whole if of_map == "whole" else part
+        cells, of_sample = sampled.copy(), (float(hits.sum()), float(misses.sum()))
+        for found, possible in ((hits, known), (misses, known if of_map == "whole" else ~known)):
+            if possible.any():
+                heaviest = np.argmax(np.where(count(possible) > 0, self.sizes * rest / sampled**2, -1.0))
+                found[heaviest] += 1
+                cells[heaviest] += 1
+        p, q = hits / cells, misses / cells
+        left = float(rest @ p), float(rest @ q)
+        total = sum(of_sample) + sum(left)
+        share = (of_sample[0] + left[0]) / total
+        spread = p * (1 - share) ** 2 + q * share**2 - (p * (1 - share) - q * share) ** 2
+        variance = float((rest * spread * (cells + rest) / (cells + 1)).sum()) / total**2
+        if variance <= 0:  # all cells were answered, or the map alone decides
+            return share, share
+        size = max(share * (1 - share) / variance - 1, 1e-3)
+        low, high = betaincinv(size * share, size * (1 - share), (0.025, 0.975))
         return float(low), float(high)
 
 
