@@ -35,8 +35,8 @@ _LONGEST_S = 86400.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `before_life_form`: cover in the earlier
-    photos; None: not stated. `seconds`: time taken for the answer. `time`: when it was given, ISO 8601 UTC.
+    """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `seconds`: time taken for the answer.
+    `time`: when it was given, ISO 8601 UTC.
 
     Raises ConfigError for another life form, certainty or number.
     """
@@ -44,15 +44,13 @@ class Answer:
     cell: int
     life_form: str
     certainty: Certainty
-    before_life_form: str | None
     seconds: float
     time: str
 
     def __post_init__(self) -> None:
         hidden = self.certainty == "cannot_be_seen"
-        for form in (self.life_form, self.before_life_form):
-            if form not in FORM_NAMES and form is not None and not (hidden and form == ""):
-                raise ConfigError(f"cell {self.cell}: life form {form!r} is unknown; use {', '.join(FORM_NAMES)}")
+        if self.life_form not in FORM_NAMES and not (hidden and self.life_form == ""):
+            raise ConfigError(f"cell {self.cell}: life form {self.life_form!r} is unknown; use {', '.join(FORM_NAMES)}")
         if self.certainty not in _CERTAINTIES:
             raise ConfigError(f"cell {self.cell}: certainty is {self.certainty!r}; use {', '.join(_CERTAINTIES)}")
         if hidden and self.life_form:
@@ -133,7 +131,6 @@ def read_answers(path: Path) -> list[Answer]:
                 int(row["cell"]),
                 row["life_form"],
                 cast(Certainty, row["certainty"]),
-                row["before_life_form"] or None,
                 float(row["seconds"]),
                 row["time"],
             )
@@ -199,7 +196,7 @@ def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
 def plot_answers(plots: Iterable[FieldPlot]) -> list[Answer]:
     """Return the answers that field plots give for sampled cells; of several plots in a cell, the latest."""
     latest = {plot.cell: plot for plot in sorted(plots, key=lambda plot: plot.date) if plot.cell is not None}
-    return [Answer(cell, plot.life_form, "sure", None, 0.0, plot.date) for cell, plot in latest.items()]
+    return [Answer(cell, plot.life_form, "sure", 0.0, plot.date) for cell, plot in latest.items()]
 
 
 _PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")

@@ -81,11 +81,6 @@ class PhotoIndex:
             names = ", ".join(str(bag) for bag in recordings)
             raise RecordingError(f"{names}: no clear photo with a pose of the cameras of site {site.name}")
 
-    @property
-    def days(self) -> int:
-        """Return the number of different days with photos."""
-        return len({shot.day for shot in self._shots})
-
     def best(self, cell: SampledCell, cell_m: float) -> list[CellPhoto]:
         """Return up to three photos of a cell in order of time: of early and late days, and of different cameras.
 

@@ -38,9 +38,9 @@ def plan(tmp_path: Path) -> Plan:
 
 def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
     answers = [
-        Answer(7, "shrub", "sure", None, 4.5, "2026-06-01T12:00:00+00:00"),
-        Answer(3, "grass", "unsure", "tree", 12.0, "2026-06-01T12:00:09+00:00"),
-        Answer(9, "", "cannot_be_seen", None, 0.5, "2026-06-01T12:00:10+00:00"),
+        Answer(7, "shrub", "sure", 4.5, "2026-06-01T12:00:00+00:00"),
+        Answer(3, "grass", "unsure", 12.0, "2026-06-01T12:00:09+00:00"),
+        Answer(9, "", "cannot_be_seen", 0.5, "2026-06-01T12:00:10+00:00"),
     ]
     path = tmp_path / "answers/first.csv"
     write_answers(path, answers)
@@ -50,19 +50,19 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "7,lava,sure,,1,t",
-        "7,grass,certain,,1,t",
-        "7,grass,cannot_be_seen,,1,t",
-        "7,,sure,,1,t",
-        "x,grass,sure,,1,t",
+        "7,lava,sure,1,t",
+        "7,grass,certain,1,t",
+        "7,grass,cannot_be_seen,1,t",
+        "7,,sure,1,t",
+        "x,grass,sure,1,t",
         "7,grass,sure,,nan,t",
         "7,grass,sure",
-        "7,grass,sure,,1,t\n7,shrub,sure,,1,t",
+        "7,grass,sure,1,t\n7,shrub,sure,1,t",
     ],
 )
 def test_an_invalid_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.csv"
-    path.write_text(f"cell,life_form,certainty,before_life_form,seconds,time\n{line}\n")
+    path.write_text(f"cell,life_form,certainty,seconds,time\n{line}\n")
     with pytest.raises(ConfigError, match=r"a\.csv"):
         read_answers(path)
 

@@ -42,7 +42,7 @@ def true_form(cell: SampledCell) -> str:
 
 
 def answer(cell: int, form: str) -> Answer:
-    return Answer(cell, form, "sure" if form else "cannot_be_seen", None, 5.0, "2026-11-29T00:00:00Z")
+    return Answer(cell, form, "sure" if form else "cannot_be_seen", 5.0, "2026-11-29T00:00:00Z")
 
 
 def test_true_answers_give_a_right_map_and_a_page(plan: MapPlan, tmp_path: Path) -> None:

@@ -89,10 +89,10 @@ def ask(server: LookServer, path: str, method: str = "GET", body: Any = None) ->
 def test_an_answer_is_stored_at_once_and_the_next_session_resumes(
     server: LookServer, plan: Plan, site: Site, photos: PhotoIndex
 ) -> None:
-    given = {"life_form": "shrub", "certainty": "likely", "before_life_form": "tree", "seconds": 4.26}
+    given = {"life_form": "shrub", "certainty": "likely", "seconds": 4.26}
     assert ask(server, "answer/3", "PUT", given)[0] == 200
     (stored,) = read_answers(plan.folder / "answers/first.csv")
-    assert (stored.cell, stored.life_form, stored.before_life_form) == (plan.cells[3].cell, "shrub", "tree")
+    assert (stored.cell, stored.life_form, stored.certainty) == (plan.cells[3].cell, "shrub", "likely")
     assert stored.seconds == 4.3
     again = LookSession(plan, site, photos, "first").overview()["answers"]
     assert [number for number, answer in enumerate(again) if answer] == [3]
