@@ -199,6 +199,15 @@ def test_photos_without_the_cell_are_not_shown(
     assert photos.best(replace(cell, x=cell.x + 50_000), 30.0) == []
 
 
+def test_photos_of_an_archive_are_those_of_its_recordings(
+    site: Site, photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]], tmp_path: Path
+) -> None:
+    for day in ("2037/06/15", "2037/06/16"):
+        shutil.copytree(DEMO / "recording", tmp_path / day)
+    found, expected = (index.best(sampled[0][0], 30.0) for index in (PhotoIndex(site, [tmp_path]), photos))
+    assert {(p.camera, p.stamp_ns) for p in found} == {(p.camera, p.stamp_ns) for p in expected}
+
+
 @pytest.mark.slow
 def test_twenty_cells_are_answered_in_a_real_browser(
     server: LookServer, plan: Plan, sampled: tuple[list[SampledCell], list[str]]
