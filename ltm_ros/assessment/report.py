@@ -34,7 +34,7 @@ from ltm_ros.pages import render_page
 _VERDICTS: Final = Palette(("map right", "map wrong"), ((0, 114, 178), (213, 94, 0)))
 _SHOWN_ERRORS: Final = 10
 _RANGES: Final = (500.0, 1000.0, 2000.0, 4000.0, np.inf)
-_INCIDENCES: Final = (75.0, 80.0, 85.0, 90.0)
+_INCIDENCES: Final = (75.0, 80.0, 85.0, np.inf)
 _CROP: Final = 360
 """Width and height in pixels of a photo's part around a cell, at least."""
 

@@ -116,4 +116,5 @@ def test_plan_look_and_report_in_a_browser(store: Path, tmp_path: Path) -> None:
     figures = json.loads(out.with_suffix(".json").read_text())
     assert figures["cells"] == 300
     assert figures["map"]["overall"]["low"] <= true_figures(plan)["map"] <= figures["map"]["overall"]["high"]
-    assert sum(row["cells"] for row in figures["by"]["range of the nearest photo"]) == 300
+    for table in ("range of the nearest photo", "incidence angle"):
+        assert sum(row["cells"] for row in figures["by"][table]) == 300
