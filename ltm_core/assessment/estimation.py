@@ -50,46 +50,41 @@ class StratifiedSample:
         `of_map`: "part" or "whole", whichever the map alone decides, so that its value varies only among the values
         observed in a stratum. The other one is the reference's.
         """
-        inside = np.asarray(whole, np.bool_)
-        hit = np.asarray(part, np.bool_) & inside
-        counts = np.bincount(self.stratum, minlength=len(self.sizes)).astype(np.float64)
+        shown, inside = np.asarray(part, np.bool_), np.asarray(whole, np.bool_)
         if not inside.any():
             return Estimate(np.nan, np.nan, np.nan, np.nan, 0)
-        y, x = (np.bincount(self.stratum, v, len(self.sizes)) / counts for v in (hit, inside))
-        total = float((self.sizes * x).sum())
-        share = float((self.sizes * y).sum()) / total
+        hit = shown & inside
+        counts = self._totals(np.ones(len(hit)))
+        total = float(self.sizes @ (self._totals(inside) / counts))
+        share = float(self.sizes @ (self._totals(hit) / counts)) / total
         residual = hit - share * inside
-        mean = np.bincount(self.stratum, residual, len(self.sizes)) / counts
-        variance = self._variance((residual - mean[self.stratum]) ** 2)
-        error = np.sqrt(variance) / total
-        low, high = self._interval(np.asarray(part, np.bool_), inside, of_map)
-        return Estimate(share, float(error), float(min(low, share)), float(max(high, share)), int(inside.sum()))
+        squares = self._totals((residual - (self._totals(residual) / counts)[self.stratum]) ** 2)
+        spread = squares / np.maximum(counts - 1, 1)
+        error = float(np.sqrt((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())) / total
+        known = inside if of_map == "whole" else shown
+        low, high = self._interval(hit, inside & ~shown, known, known if of_map == "whole" else ~known)
+        return Estimate(share, error, min(low, share), max(high, share), int(inside.sum()))
 
-    def _variance(self, squares: Float64Array) -> float:
-        """Return the variance of a total, from squares that sum up to a stratum's variance times its cells less one."""
-        counts = np.bincount(self.stratum, minlength=len(self.sizes))
-        spread = np.bincount(self.stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
-        return float((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())
+    def _totals(self, values: BoolArray | Float64Array) -> Float64Array:
+        """Return the sum of values, (N,), of each stratum."""
+        return np.bincount(self.stratum, values, len(self.sizes)).astype(np.float64)
 
-    def _interval(self, part: BoolArray, whole: BoolArray, of_map: str) -> tuple[float, float]:
-        """Return the 2.5 % and 97.5 % quantiles of the share."""
-
-        def count(cells: BoolArray) -> Float64Array:
-            return np.bincount(self.stratum, cells, len(self.sizes))
-
-        sampled, hits, misses = count(np.ones_like(part)), count(whole & part), count(whole & ~part)
-        rest = self.sizes - sampled
-        known = whole if of_map == "whole" else part
-        cells, of_sample = sampled.copy(), (float(hits.sum()), float(misses.sum()))
-        for found, possible in ((hits, known), (misses, known if of_map == "whole" else ~known)):
+    def _interval(
+        self, hit: BoolArray, miss: BoolArray, may_hit: BoolArray, may_miss: BoolArray
+    ) -> tuple[float, float]:
+        """Return the 2.5 % and 97.5 % quantiles of the share of hits. `may_hit`, `may_miss`: cells whose strata can
+        have hits or misses among the unsampled cells."""
+        sampled, hits, misses = (self._totals(cells) for cells in (np.ones(len(hit)), hit, miss))
+        rest, cells = self.sizes - sampled, sampled.copy()
+        for found, possible in ((hits, may_hit), (misses, may_miss)):
             if possible.any():
-                heaviest = np.argmax(np.where(count(possible) > 0, self.sizes * rest / sampled**2, -1.0))
+                heaviest = np.argmax(np.where(self._totals(possible) > 0, self.sizes * rest / sampled**2, -1.0))
                 found[heaviest] += 1
                 cells[heaviest] += 1
         p, q = hits / cells, misses / cells
-        left = float(rest @ p), float(rest @ q)
-        total = sum(of_sample) + sum(left)
-        share = (of_sample[0] + left[0]) / total
+        of_hits, of_misses = float(hit.sum() + rest @ p), float(miss.sum() + rest @ q)
+        total = of_hits + of_misses
+        share = of_hits / total
         spread = p * (1 - share) ** 2 + q * share**2 - (p * (1 - share) - q * share) ** 2
         variance = float((rest * spread * (cells + rest) / (cells + 1)).sum()) / total**2
         if variance <= 0:  # all cells were answered, or the map alone decides

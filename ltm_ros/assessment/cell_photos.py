@@ -175,7 +175,7 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
 
 
 def _bags(path: Path) -> list[Path]:
-    """Return the folders with bags in an archive; the path itself if it contains none, so that its reader reports it."""
+    """Return the folders with bags in an archive; a path without any itself, so that its reader reports it."""
     return sorted({file.parent for file in path.rglob("*") if is_bag_file(file.name)}) or [path]
 
 

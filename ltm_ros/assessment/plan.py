@@ -95,22 +95,19 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     }
     out.mkdir(parents=True, exist_ok=True)
     places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
-    columns: tuple[str, ...] = ("cell", "row", "column", "lon", "lat", "x", "y")
-    rows = [
-        (*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places
-    ]
-    write_table(out / "cells.csv", columns, (dict(zip(columns, row, strict=True)) for row in rows))
+    formats = {"cell": "d", "row": "d", "column": "d", "lon": ".7f", "lat": ".7f", "x": ".2f", "y": ".2f"}
+    rows = ({name: format(v, kind) for (name, kind), v in zip(formats.items(), one, strict=True)} for one in places)
+    write_table(out / "cells.csv", list(formats), rows)
     at = sample.rows, sample.columns
-    answers = zip(
-        cells.tolist(),
-        [sample.strata[index].name for index in sample.stratum.tolist()],
-        [NAMES[form] for form in layers.life_form[at].tolist()],
-        [NAMES[form] if form != UNSEEN else "" for form in empty.life_form[at].tolist()],
-        layers.changed[at].astype(int).tolist(),
-        strict=True,
-    )
-    columns = "cell", "stratum", "map_class", "prior_class", "changed"
-    write_table(out / "strata.csv", columns, (dict(zip(columns, row, strict=True)) for row in answers))
+    answers = {
+        "cell": cells.tolist(),
+        "stratum": [sample.strata[index].name for index in sample.stratum.tolist()],
+        "map_class": [NAMES[form] for form in layers.life_form[at].tolist()],
+        "prior_class": [NAMES[form] if form != UNSEEN else "" for form in empty.life_form[at].tolist()],
+        "changed": layers.changed[at].astype(int).tolist(),
+    }
+    lines = zip(*answers.values(), strict=True)
+    write_table(out / "strata.csv", list(answers), (dict(zip(answers, line, strict=True)) for line in lines))
     np.savez_compressed(
         out / "map.npz",
         life_form=layers.life_form,

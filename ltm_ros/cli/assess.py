@@ -53,7 +53,7 @@ def report(
     plan_: Annotated[Path, typer.Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
     recordings: Annotated[
-        list[Path] | None, typer.Option(help="Recording, or folder of recordings, for photos. Repeatable.", metavar="FOLDER")
+        list[Path] | None, typer.Option(help="Recording, or folder of recordings. Repeatable.", metavar="FOLDER")
     ] = None,
     plots: Annotated[
         Path | None, typer.Option(help="File of field plots: CSV or GeoPackage with lon, lat, life_form, date.")

@@ -139,7 +139,8 @@ class DriftWatch:
         for camera, shares in self._drift.weeks().items():
             self._health.gauge(f"label_agreement.{camera}", f"{shares[-1]:.4f}")
             if len(shares) > 1:
-                self._health.gauge(f"label_weeks.{camera}", " ".join(f"{share:.3f}" for share in shares[-_CHART_WEEKS:]))
+                chart = " ".join(f"{share:.3f}" for share in shares[-_CHART_WEEKS:])
+                self._health.gauge(f"label_weeks.{camera}", chart)
             self._health.gauge(f"label_drift_sigmas.{camera}", f"{self._drift.sigmas(camera):.2f}")
         self._health.lasting(self._drift.problem())
 

@@ -8,6 +8,7 @@ import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -92,11 +93,22 @@ def test_plan_look_and_report_in_a_browser(store: Path, tmp_path: Path) -> None:
     plan, site = read_map_plan(folder), load_site(SITE)
     answers, keys = true_answers(plan), {name: key for key, name in KEYS.items()}
     shown = replace(read_plan(folder), cells=plan.shown.cells[:TIMED])
+    wrong: list[str] = []
+    hosts: set[str] = set()
     session = LookSession(shown, site, PhotoIndex(site, [RECORDING]), "first")
     with closing(LookServer(session)) as server, playwright.sync_playwright() as tools:
         browser = tools.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        page.on("request", lambda request: hosts.add(urlsplit(request.url).netloc))
         page.goto(server.url)
+        page.wait_for_selector("body[data-ready='0']")
+        page.keyboard.press("1")  # no cover yet: nothing is stored
+        assert not (folder / "answers").exists()
+        page.keyboard.press("n")
+        page.wait_for_selector("body[data-ready='1']")
+        page.keyboard.press("Backspace")
         page.wait_for_selector("body[data-ready='0']")
         start = time.monotonic()
         for number, answer in enumerate(answers[:TIMED]):
@@ -106,6 +118,8 @@ def test_plan_look_and_report_in_a_browser(store: Path, tmp_path: Path) -> None:
             page.wait_for_selector(f"body[data-{'stored' if last else 'ready'}='{number if last else number + 1}']")
         page_seconds = (time.monotonic() - start) / TIMED
         browser.close()
+    assert not wrong
+    assert hosts <= {urlsplit(server.url).netloc, ""}
     given = read_answers(plan.shown.answers_file("first"))
     assert [(a.cell, a.life_form) for a in given] == [(a.cell, a.life_form) for a in answers[:TIMED]]
     assert (SECONDS_TO_SEE + page_seconds) * 300 <= 40 * 60
