@@ -11,10 +11,7 @@ import io
 import json
 import math
 import re
-import sqlite3
-import struct
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
@@ -23,6 +20,7 @@ from typing import Any, Final, Literal, cast, get_args
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.raster.geopackage_io import read_points
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 from ltm_core.vision.areas import replace_file
@@ -172,7 +170,7 @@ def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
     """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage, and find their sampled cells.
 
     A plot in a sampled cell counts as a sure answer (`plot_answers`). Plots elsewhere were not drawn at random, so no
-    design-based estimate may use them: report them apart. Raises ConfigError for an invalid file, place or life form.
+    design-based estimate may use them: report them apart. Raises ConfigError, RasterError for an invalid file.
     """
     rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
     half, frame, plots = plan.cell_m / 2, SiteFrame(plan.crs), []
@@ -218,38 +216,12 @@ def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
 
 
 def _geopackage(path: Path) -> list[dict[str, Any]]:
-    """Return the points of a GeoPackage's first layer of features in degrees, with their life forms and dates."""
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
-            table, shape, epsg = base.execute(
-                "SELECT g.table_name, g.column_name, s.organization_coordsys_id FROM gpkg_geometry_columns g "
-                "JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id"
-            ).fetchone()
-            name, column = (str(text).replace('"', '""') for text in (table, shape))
-            cursor = base.execute(f'SELECT *, "{column}" FROM "{name}"')  # nosec B608 # quoted
-            head = [str(part[0]).lower().replace(" ", "_") for part in cursor.description]
-            rows = [dict(zip(head, row, strict=True)) | {"": row[-1]} for row in cursor]
-            points = [_point(row[""]) for row in rows]
-    except (sqlite3.Error, TypeError, struct.error, ValueError) as error:
-        raise ConfigError(f"{path}: is not a GeoPackage with a layer of points ({error})") from error
+    """Return the points of a GeoPackage in degrees, with their life forms and dates."""
+    rows, crs = read_points(path)
     if missing := [part for part in ("life_form", "date") if rows and part not in rows[0]]:
-        raise ConfigError(f"{path}: layer {table} has no column {missing[0]}")
+        raise ConfigError(f"{path}: the layer has no column {missing[0]}")
     from pyproj import Transformer
 
-    to_degrees = Transformer.from_crs(int(epsg), 4326, always_xy=True)
-    places = [to_degrees.transform(*point) for point in points]
+    to_degrees = Transformer.from_crs(crs, 4326, always_xy=True)
+    places = [to_degrees.transform(row["x"], row["y"]) for row in rows]
     return [row | {"lon": lon, "lat": lat} for row, (lon, lat) in zip(rows, places, strict=True)]
-
-
-def _point(blob: bytes) -> tuple[float, float]:
-    """Return x and y of a GeoPackage's point (OGC 12-128, 2.1.3). Raises ValueError for another geometry."""
-    if blob[:2] != b"GP":
-        raise ValueError("a geometry is not a GeoPackage's")
-    start = 8 + (0, 32, 48, 48, 64)[min(blob[3] >> 1 & 7, 4)]
-    order = "<" if blob[start] else ">"
-    kind, x, y = struct.unpack_from(f"{order}Idd", blob, start + 1)
-    if kind % 1000 != 1:
-        raise ValueError("a geometry is not a point")
-    return x, y

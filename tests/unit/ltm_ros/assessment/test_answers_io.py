@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_ros.assessment.answers_io import (
     Answer,
@@ -113,5 +113,5 @@ def test_an_invalid_plot_is_rejected(plan: Plan, row: str) -> None:
 def test_a_file_that_is_no_geopackage_is_rejected(plan: Plan) -> None:
     path = plan.folder / "plots.gpkg"
     path.write_bytes(b"SQLite format 3\x00" + b"\xff" * 200)
-    with pytest.raises(ConfigError, match=r"plots\.gpkg"):
+    with pytest.raises(RasterError, match=r"plots\.gpkg"):
         read_field_plots(path, plan)
