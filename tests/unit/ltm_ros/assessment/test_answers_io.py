@@ -70,8 +70,8 @@ def test_an_invalid_line_is_named(tmp_path: Path, line: str) -> None:
 def geopackage(path: Path, plots: list[tuple[float, float, str, str]]) -> None:
     """Write the tables that OGC 12-128 requires for a layer of points, in UTM with a box in each header."""
     with closing(sqlite3.connect(path)) as base:
-        base.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id)")
-        base.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (5, 'EPSG', 32611)")
+        base.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id, definition)")
+        base.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (5, 'EPSG', 32611, '')")
         base.execute("CREATE TABLE gpkg_geometry_columns (table_name, column_name, srs_id)")
         base.execute("INSERT INTO gpkg_geometry_columns VALUES ('my plots', 'geom', 5)")
         base.execute('CREATE TABLE "my plots" (fid, geom, "Life form", date)')
