@@ -155,25 +155,14 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, 
     replace_file(path, text.getvalue().encode())
 
 
-@dataclass(frozen=True)
-class FieldPlot:
-    """A plot that was visited. `cell`: the sampled cell that it lies in; None: it lies in none."""
+def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
+    """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage as sure answers for sampled cells.
 
-    lon: float
-    lat: float
-    life_form: str
-    date: str
-    cell: int | None
-
-
-def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
-    """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage, and find their sampled cells.
-
-    A plot in a sampled cell counts as a sure answer (`plot_answers`). Plots elsewhere were not drawn at random, so no
-    design-based estimate may use them: report them apart. Raises ConfigError, RasterError for an invalid file.
+    The latest plot of a cell counts. Plots elsewhere are ignored: they were not drawn at random. Raises ConfigError,
+    RasterError for an invalid file.
     """
     rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
-    half, frame, plots = plan.cell_m / 2, SiteFrame(plan.crs), []
+    half, frame, visited = plan.cell_m / 2, SiteFrame(plan.crs), list[Answer]()
     for number, row in enumerate(rows, 1):
         form, day = str(row["life_form"]).strip().lower(), str(row["date"])[:10]
         try:
@@ -186,15 +175,9 @@ def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
         except (ValueError, TypeError) as error:
             raise ConfigError(f"{path}: plot {number}: {error}") from error
         x, y = (float(value) for value in frame.from_lonlat(lon, lat))
-        inside = (c.cell for c in plan.cells if -half <= x - c.x < half and -half < y - c.y <= half)
-        plots.append(FieldPlot(lon, lat, form, day, next(inside, None)))
-    return plots
-
-
-def plot_answers(plots: Iterable[FieldPlot]) -> list[Answer]:
-    """Return the answers that field plots give for sampled cells; of several plots in a cell, the latest."""
-    latest = {plot.cell: plot for plot in sorted(plots, key=lambda plot: plot.date) if plot.cell is not None}
-    return [Answer(cell, plot.life_form, "sure", 0.0, plot.date) for cell, plot in latest.items()]
+        inside = [c.cell for c in plan.cells if -half <= x - c.x < half and -half < y - c.y <= half]
+        visited += [Answer(cell, form, "sure", 0.0, day) for cell in inside]
+    return list({answer.cell: answer for answer in sorted(visited, key=lambda answer: answer.time)}.values())
 
 
 _PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")
