@@ -2,25 +2,22 @@
 
 Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
-(2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 where a sample shows
-no error, so that intervals come from the posterior of each stratum's unsampled cells under Jeffreys' prior (Brown et
-al. 2001, Stat. Sci. 16), which the strata share. How many intervals contain the truth is measured by
-`ltm-lab eval assessment`.
+(2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 if a sample shows no
+error, so that intervals count one more success and one more failure (as Agresti and Coull 1998, Am. Stat. 52), each in
+the stratum in which a cell weighs most. They are quantiles of the beta distribution (as Korn and Graubard 1998, Surv.
+Methodol. 24) with the mean and variance of the share after all other cells are drawn from Dirichlet distributions.
+`ltm-lab eval assessment` counts how many intervals contain the truth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import betaincinv
 
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
-
-DRAWS: Final = 4000
-_PRIOR: Final = 0.5
-"""Cells that Jeffreys' prior adds for each possible answer, in all strata of a figure's domain together."""
 
 
 @dataclass(frozen=True)
@@ -47,51 +44,53 @@ class StratifiedSample:
     stratum: Int64Array
     sizes: Int64Array
 
-    def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str, draws: int = DRAWS) -> Estimate:
+    def ratio(self, part: ArrayLike, whole: ArrayLike, of_map: str) -> Estimate:
         """Return the share of the cells in `whole` that are in `part` too, (N,) bool each.
 
         `of_map`: "part" or "whole", whichever the map alone decides, so that its value varies only among the values
         observed in a stratum. The other one is the reference's.
         """
-        inside = np.asarray(whole, np.bool_)
-        hit = np.asarray(part, np.bool_) & inside
-        counts = np.bincount(self.stratum, minlength=len(self.sizes)).astype(np.float64)
+        shown, inside = np.asarray(part, np.bool_), np.asarray(whole, np.bool_)
         if not inside.any():
             return Estimate(np.nan, np.nan, np.nan, np.nan, 0)
-        y, x = (np.bincount(self.stratum, v, len(self.sizes)) / counts for v in (hit, inside))
-        total = float((self.sizes * x).sum())
-        share = float((self.sizes * y).sum()) / total
+        hit = shown & inside
+        counts = self._totals(np.ones(len(hit)))
+        total = float(self.sizes @ (self._totals(inside) / counts))
+        share = float(self.sizes @ (self._totals(hit) / counts)) / total
         residual = hit - share * inside
-        mean = np.bincount(self.stratum, residual, len(self.sizes)) / counts
-        variance = self._variance((residual - mean[self.stratum]) ** 2)
-        error = np.sqrt(variance) / total
-        low, high = self._interval(np.asarray(part, np.bool_), inside, of_map, draws)
-        return Estimate(share, float(error), float(min(low, share)), float(max(high, share)), int(inside.sum()))
+        squares = self._totals((residual - (self._totals(residual) / counts)[self.stratum]) ** 2)
+        spread = squares / np.maximum(counts - 1, 1)
+        error = float(np.sqrt((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())) / total
+        known = inside if of_map == "whole" else shown
+        low, high = self._interval(hit, inside & ~shown, known, known if of_map == "whole" else ~known)
+        return Estimate(share, error, min(low, share), max(high, share), int(inside.sum()))
 
-    def _variance(self, squares: Float64Array) -> float:
-        """Return the variance of a total, from squares that sum up to a stratum's variance times its cells less one."""
-        counts = np.bincount(self.stratum, minlength=len(self.sizes))
-        spread = np.bincount(self.stratum, squares, len(self.sizes)) / np.maximum(counts - 1, 1)
-        return float((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())
+    def _totals(self, values: BoolArray | Float64Array) -> Float64Array:
+        """Return the sum of values, (N,), of each stratum."""
+        return np.bincount(self.stratum, values, len(self.sizes)).astype(np.float64)
 
-    def _interval(self, part: BoolArray, whole: BoolArray, of_map: str, draws: int) -> tuple[float, float]:
-        """Return the 2.5 % and 97.5 % quantiles of the share over `draws` possible maps of the unsampled cells."""
-        known, other = (part, whole) if of_map == "part" else (whole, part)
-        strata = len(self.sizes)
-        table = np.bincount(self.stratum * 4 + known * 2 + other, minlength=4 * strata).reshape(strata, 2, 2)
-        possible = table.any(axis=2, keepdims=True)
-        rng = np.random.default_rng(0)
-        # The strata of the figure's domain share one prior: a full one in each would add errors that no stratum has.
-        sizes = self.sizes * (table[:, 1].any(axis=1) if of_map == "whole" else 1)
-        weight = np.maximum(sizes / sizes.sum(), 1e-3)[:, None, None]
-        shape = np.where(possible, table + _PRIOR * weight, 0.0).reshape(strata, 4)
-        weights = rng.standard_gamma(shape, (draws, strata, 4))
-        weights /= weights.sum(axis=2, keepdims=True)
-        rest = self.sizes - table.sum(axis=(1, 2))
-        filled = (table.reshape(strata, 4) + rng.multinomial(rest, weights)).sum(axis=1)
-        in_whole = filled[:, 1] + filled[:, 3] if of_map == "part" else filled[:, 2] + filled[:, 3]
-        shares = filled[:, 3] / np.maximum(in_whole, 1)
-        low, high = np.quantile(shares, (0.025, 0.975))
+    def _interval(
+        self, hit: BoolArray, miss: BoolArray, may_hit: BoolArray, may_miss: BoolArray
+    ) -> tuple[float, float]:
+        """Return the 2.5 % and 97.5 % quantiles of the share of hits. `may_hit`, `may_miss`: cells whose strata can
+        have hits or misses among the unsampled cells."""
+        sampled, hits, misses = (self._totals(cells) for cells in (np.ones(len(hit)), hit, miss))
+        rest, cells = self.sizes - sampled, sampled.copy()
+        for found, possible in ((hits, may_hit), (misses, may_miss)):
+            if possible.any():
+                heaviest = np.argmax(np.where(self._totals(possible) > 0, self.sizes * rest / sampled**2, -1.0))
+                found[heaviest] += 1
+                cells[heaviest] += 1
+        p, q = hits / cells, misses / cells
+        of_hits, of_misses = float(hit.sum() + rest @ p), float(miss.sum() + rest @ q)
+        total = of_hits + of_misses
+        share = of_hits / total
+        spread = p * (1 - share) ** 2 + q * share**2 - (p * (1 - share) - q * share) ** 2
+        variance = float((rest * spread * (cells + rest) / (cells + 1)).sum()) / total**2
+        if variance <= 0:  # all cells were answered, or the map alone decides
+            return share, share
+        size = max(share * (1 - share) / variance - 1, 1e-3)
+        low, high = betaincinv(size * share, size * (1 - share), (0.025, 0.975))
         return float(low), float(high)
 
 

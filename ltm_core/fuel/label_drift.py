@@ -118,9 +118,9 @@ class LabelDrift:
         self._state[votes.source] = now.model_copy(update=update)
         return closed
 
-    def agreement(self) -> dict[str, float]:
-        """Return the share of the last closed week by camera."""
-        return {camera: chart.shares[-1] for camera, chart in self._state.items() if chart.shares}
+    def weeks(self) -> dict[str, tuple[float, ...]]:
+        """Return the shares of the closed weeks by camera, oldest first."""
+        return {camera: chart.shares for camera, chart in self._state.items() if chart.shares}
 
     def sigmas(self, camera: str) -> float:
         """Return the chart's value (`drift_sigmas`)."""

@@ -1,4 +1,4 @@
-"""Read the lines and areas of a GeoPackage layer.
+"""Read the lines and areas, or the points, of a GeoPackage layer.
 
 A GeoPackage is an SQLite file whose geometries are blobs: a header, then well-known binary (OGC 12-128r19, clause
 2.1.3; OGC 06-103r4, clause 8). GDAL is not used for it: rasterio offers rasters only, and another GDAL beside it ends
@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -22,6 +23,7 @@ from pyproj.exceptions import CRSError
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float64Array
 
+T = TypeVar("T")
 MOST_FEATURES: Final = 1_000_000
 _ENVELOPE: Final = {0: 0, 1: 32, 2: 48, 3: 48, 4: 64}
 """Size in bytes of the header's envelope by its kind."""
@@ -42,19 +44,27 @@ def read_geopackage(path: Path, layer: str | None = None) -> VectorLayer:
 
     Raises RasterError for a file that is no GeoPackage or damaged, a layer that it lacks, or one without CRS.
     """
+    return _read(path, lambda database: _layer(database, path, layer))
+
+
+def read_points(path: Path) -> tuple[list[dict[str, Any]], str]:
+    """Read the columns of a file's only layer of points, by name in lower case with `_` for spaces, with `x` and `y`;
+    and its CRS as WKT. Raises RasterError as `read_geopackage`."""
+    return _read(path, lambda database: _points(database, path))
+
+
+def _read(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
     if not path.is_file():
         raise RasterError(f"{path}: no such file; a vector layer is a GeoPackage (.gpkg)")
     try:
-        database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)
-        try:
-            return _layer(database, path, layer)
-        finally:
-            database.close()
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)) as database:
+            return read(database)
     except (sqlite3.Error, struct.error, ValueError, OverflowError) as error:
         raise RasterError(f"{path}: cannot be read as a GeoPackage, or is damaged ({error})") from error
 
 
-def _layer(database: sqlite3.Connection, path: Path, layer: str | None) -> VectorLayer:
+def _table(database: sqlite3.Connection, path: Path, layer: str | None) -> tuple[str, str, sqlite3.Cursor]:
+    """Return the name and CRS of a layer, and a cursor over its geometries, each followed by all columns."""
     tables = {str(row[0]): row[1:] for row in database.execute(
         "SELECT table_name, column_name, srs_id FROM gpkg_geometry_columns"
     )}  # fmt: skip
@@ -65,20 +75,34 @@ def _layer(database: sqlite3.Connection, path: Path, layer: str | None) -> Vecto
     if name not in tables:
         raise RasterError(f"{path}: no layer {name!r}; it has the layers {there}")
     column, number = tables[name]
-    crs = _crs(database, path, number)
+    quoted = (f'"{str(word).replace(chr(34), 2 * chr(34))}"' for word in (column, name))
+    return name, _crs(database, path, number), database.execute("SELECT {}, * FROM {}".format(*quoted))
+
+
+def _layer(database: sqlite3.Connection, path: Path, layer: str | None) -> VectorLayer:
+    name, crs, rows = _table(database, path, layer)
     lines: list[Float64Array] = []
     areas: list[list[Float64Array]] = []
-    quoted = (f'"{str(word).replace(chr(34), 2 * chr(34))}"' for word in (column, name))
-    rows = database.execute("SELECT {} FROM {}".format(*quoted))
-    for count, (blob,) in enumerate(rows):
+    for count, (blob, *_) in enumerate(rows):
         if count >= MOST_FEATURES:
             raise RasterError(f"{path}: more than {MOST_FEATURES} features in {name}: clip it to the site")
         for line, rings in _shapes(blob):
             if line is not None:
-                lines.append(line)
+                lines += [line] if len(line) > 1 else []
             elif rings:
                 areas.append(rings)
     return VectorLayer(lines, areas, crs)
+
+
+def _points(database: sqlite3.Connection, path: Path) -> tuple[list[dict[str, Any]], str]:
+    _, crs, rows = _table(database, path, None)
+    names, found = [str(column[0]).lower().replace(" ", "_") for column in rows.description[1:]], []
+    for blob, *values in rows.fetchmany(MOST_FEATURES):
+        point, _ = next(_shapes(blob), (None, []))
+        if point is None or len(point) != 1:
+            raise ValueError("a geometry is not a point")
+        found.append(dict(zip(names, values, strict=True)) | {"x": float(point[0, 0]), "y": float(point[0, 1])})
+    return found, crs
 
 
 def _crs(database: sqlite3.Connection, path: Path, number: Any) -> str:
@@ -95,7 +119,7 @@ def _crs(database: sqlite3.Connection, path: Path, number: Any) -> str:
 
 
 def _shapes(blob: Any) -> Iterator[tuple[Float64Array | None, list[Float64Array]]]:
-    """Return a line, or the rings of an area, for each part of a geometry."""
+    """Return a line, a point as a line of one, or the rings of an area, for each part of a geometry."""
     if not isinstance(blob, bytes) or len(blob) < 8 or blob[:2] != b"GP":
         if blob is None:
             return
@@ -122,7 +146,7 @@ class _Wkb:
         width = 2 + (iso // 1000 in (1, 3)) + (iso // 1000 in (2, 3)) + bool(kind >> 31) + bool(kind >> 30 & 1)
         kind = iso % 1000
         if kind == 1:
-            self._take(f"{order}{width}d")
+            yield np.array([self._take(f"{order}{width}d")[:2]]), []
         elif kind == _LINE:
             yield self._points(order, width), []
         elif kind == _POLYGON:

@@ -1,7 +1,8 @@
 """Repeat an accuracy assessment with simulated interpreters and count how often its 95 % intervals contain the truth.
 
 The maps are a rendered one (prior, map and true life forms) and drawn ones of clustered classes with known errors. The
-truth of an interval is what the interpreter would answer in a census of the map.
+truth of an interval is what the interpreter would answer in a census of the map. If few events are expected, such as
+errors of a good map, an estimate takes few values, and the coverage of every method jumps with the true value.
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ltm_core.assessment.design import drawn
-from ltm_core.assessment.estimation import StratifiedSample
-from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.assessment.design import Sample, drawn
+from ltm_core.assessment.estimation import Estimate, StratifiedSample
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.life_form import LifeForm
 from ltm_ros.assessment.plan import NAMES, read_map_plan
 
-_DRAWS: Final = 1000
+FEWEST_EVENTS: Final = 3.0
+"""Expected events below which a figure's coverage depends on its few possible values."""
 _SIDE: Final = 120
 _FORMS: Final = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 
@@ -38,17 +40,19 @@ class Population:
 
 @dataclass(frozen=True)
 class Coverage:
-    """One figure over all samples: its true value, share of the intervals that contain it, mean half-width."""
+    """One figure over all samples: its true value, share of the intervals that contain it, mean half-width. `events`:
+    expected number of sampled cells with the outcome that is rarer in their stratum, as if all had the same weight."""
 
     population: str
     figure: str
     truth: float
+    events: float
     covered: float
     half_width: float
 
 
 def drawn_population(
-    name: str, changed: float = 0.05, cluster: float = 0.0, accuracy: float = 1.0, errors: float = 0.11
+    name: str, seed: int = 1, changed: float = 0.05, cluster: float = 0.0, accuracy: float = 1.0, errors: float = 0.11
 ) -> Population:
     """Return a map of three clustered classes.
 
@@ -57,7 +61,7 @@ def drawn_population(
     `changed`: true share of change; the map misses a fifth of it and shows as much false change. `cluster`: radius of
     the errors in cells; 0: independent cells. `accuracy`: of the interpreter.
     """
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     truth = _classes(rng)
     prior = truth.copy()
     fire = _smooth(rng, 4.0)
@@ -72,12 +76,12 @@ def drawn_population(
     return Population(name, mapped, prior, answered(truth, accuracy, rng), np.ones(truth.shape, np.bool_))
 
 
-def rendered_population(name: str, plan: Path, truth: Path, accuracy: float) -> Population:
+def rendered_population(name: str, plan: Path, truth: Path, seed: int, accuracy: float) -> Population:
     """Return the map of a plan (`ltm assess plan`) with its true life forms on the same grid. Raises LtmError."""
     stored, (classes, _) = read_map_plan(plan).map, read_fuel_map(truth)
     observed = stored.observed & (classes != UNSEEN)
     prior = np.where(stored.changed, stored.prior_form, stored.life_form).astype(np.uint8)
-    reference = answered(classes, accuracy, np.random.default_rng(2))
+    reference = answered(classes, accuracy, np.random.default_rng(seed))
     return Population(name, stored.life_form, prior, reference, observed)
 
 
@@ -89,7 +93,7 @@ def answered(truth: UInt8Array, accuracy: float, rng: np.random.Generator) -> UI
     return answers
 
 
-def coverage(population: Population, cells: int, samples: int) -> list[Coverage]:
+def coverage(population: Population, cells: int, samples: int, seed: int = 1) -> list[Coverage]:
     """Draw samples and estimate; return the coverage of each figure."""
     of = population
     changed, differs = of.map != of.prior, of.reference != of.prior
@@ -109,17 +113,38 @@ def coverage(population: Population, cells: int, samples: int) -> list[Coverage]
     truths = {
         name: float((part & whole & inside).sum() / (whole & inside).sum()) for name, (part, whole, _) in pairs.items()
     }
-    hits, widths = dict.fromkeys(pairs, 0), dict.fromkeys(pairs, 0.0)
-    for seed in range(samples):
-        sample = drawn(of.map, changed, inside, NAMES, cells, seed)
+    found: dict[str, list[Estimate]] = {name: [] for name in pairs}
+    for number in range(samples):
+        sample = drawn(of.map, changed, inside, NAMES, cells, seed * 10**6 + number)
         at = sample.rows, sample.columns
         sizes = np.array([stratum.cells for stratum in sample.strata])
         stratified = StratifiedSample(sample.stratum, sizes)
         for name, (part, whole, of_map) in pairs.items():
-            found = stratified.ratio(part[at], whole[at], of_map, _DRAWS)
-            hits[name] += found.low <= truths[name] <= found.high
-            widths[name] += (found.high - found.low) / 2
-    return [Coverage(of.name, n, truths[n], hits[n] / samples, widths[n] / samples) for n in pairs]
+            found[name].append(stratified.ratio(part[at], whole[at], of_map))
+    rows = []
+    for name, (part, whole, _) in pairs.items():
+        truth = truths[name]
+        low, high = (np.array([getattr(one, end) for one in found[name]]) for end in ("low", "high"))
+        covered = float(((low <= truth) & (truth <= high)).mean())
+        events = _events(
+            sample,
+            [inside & (of.map == s.map_class) & (changed == s.changed) for s in sample.strata],
+            (part & whole) - truth * whole,
+        )
+        rows.append(Coverage(of.name, name, truth, events, covered, float((high - low).mean()) / 2))
+    return rows
+
+
+def _events(sample: Sample, where: list[BoolArray], residual: Float64Array) -> float:
+    """Return the effective number of events of a ratio; `where`: (H, W) cells of each stratum."""
+    first = second = 0.0
+    for stratum, cells in zip(sample.strata, where, strict=True):
+        values = residual[cells]
+        top = float((values == values.max()).mean())
+        rarer = stratum.sampled * min(top, 1 - top)
+        weight = stratum.cells / stratum.sampled * float(np.ptp(values))
+        first, second = first + weight * rarer, second + weight**2 * rarer
+    return first**2 / second if second else np.inf
 
 
 def _classes(rng: np.random.Generator) -> UInt8Array:

@@ -11,10 +11,7 @@ import io
 import json
 import math
 import re
-import sqlite3
-import struct
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
@@ -23,6 +20,7 @@ from typing import Any, Final, Literal, cast, get_args
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.raster.geopackage_io import read_points
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 from ltm_core.vision.areas import replace_file
@@ -35,8 +33,8 @@ _LONGEST_S = 86400.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `before_life_form`: cover in the earlier
-    photos; None: not stated. `seconds`: time taken for the answer. `time`: when it was given, ISO 8601 UTC.
+    """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `seconds`: time taken for the answer.
+    `time`: when it was given, ISO 8601 UTC.
 
     Raises ConfigError for another life form, certainty or number.
     """
@@ -44,15 +42,13 @@ class Answer:
     cell: int
     life_form: str
     certainty: Certainty
-    before_life_form: str | None
     seconds: float
     time: str
 
     def __post_init__(self) -> None:
         hidden = self.certainty == "cannot_be_seen"
-        for form in (self.life_form, self.before_life_form):
-            if form not in FORM_NAMES and form is not None and not (hidden and form == ""):
-                raise ConfigError(f"cell {self.cell}: life form {form!r} is unknown; use {', '.join(FORM_NAMES)}")
+        if self.life_form not in FORM_NAMES and not (hidden and self.life_form == ""):
+            raise ConfigError(f"cell {self.cell}: life form {self.life_form!r} is unknown; use {', '.join(FORM_NAMES)}")
         if self.certainty not in _CERTAINTIES:
             raise ConfigError(f"cell {self.cell}: certainty is {self.certainty!r}; use {', '.join(_CERTAINTIES)}")
         if hidden and self.life_form:
@@ -133,7 +129,6 @@ def read_answers(path: Path) -> list[Answer]:
                 int(row["cell"]),
                 row["life_form"],
                 cast(Certainty, row["certainty"]),
-                row["before_life_form"] or None,
                 float(row["seconds"]),
                 row["time"],
             )
@@ -160,25 +155,14 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, 
     replace_file(path, text.getvalue().encode())
 
 
-@dataclass(frozen=True)
-class FieldPlot:
-    """A plot that was visited. `cell`: the sampled cell that it lies in; None: it lies in none."""
+def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
+    """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage as sure answers for sampled cells.
 
-    lon: float
-    lat: float
-    life_form: str
-    date: str
-    cell: int | None
-
-
-def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
-    """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage, and find their sampled cells.
-
-    A plot in a sampled cell counts as a sure answer (`plot_answers`). Plots elsewhere were not drawn at random, so no
-    design-based estimate may use them: report them apart. Raises ConfigError for an invalid file, place or life form.
+    The latest plot of a cell counts. Plots elsewhere are ignored: they were not drawn at random. Raises ConfigError,
+    RasterError for an invalid file.
     """
     rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
-    half, frame, plots = plan.cell_m / 2, SiteFrame(plan.crs), []
+    half, frame, visited = plan.cell_m / 2, SiteFrame(plan.crs), list[Answer]()
     for number, row in enumerate(rows, 1):
         form, day = str(row["life_form"]).strip().lower(), str(row["date"])[:10]
         try:
@@ -191,15 +175,9 @@ def read_field_plots(path: Path, plan: Plan) -> list[FieldPlot]:
         except (ValueError, TypeError) as error:
             raise ConfigError(f"{path}: plot {number}: {error}") from error
         x, y = (float(value) for value in frame.from_lonlat(lon, lat))
-        inside = (c.cell for c in plan.cells if -half <= x - c.x < half and -half < y - c.y <= half)
-        plots.append(FieldPlot(lon, lat, form, day, next(inside, None)))
-    return plots
-
-
-def plot_answers(plots: Iterable[FieldPlot]) -> list[Answer]:
-    """Return the answers that field plots give for sampled cells; of several plots in a cell, the latest."""
-    latest = {plot.cell: plot for plot in sorted(plots, key=lambda plot: plot.date) if plot.cell is not None}
-    return [Answer(cell, plot.life_form, "sure", None, 0.0, plot.date) for cell, plot in latest.items()]
+        inside = [c.cell for c in plan.cells if -half <= x - c.x < half and -half < y - c.y <= half]
+        visited += [Answer(cell, form, "sure", 0.0, day) for cell in inside]
+    return list({answer.cell: answer for answer in sorted(visited, key=lambda answer: answer.time)}.values())
 
 
 _PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")
@@ -221,38 +199,12 @@ def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
 
 
 def _geopackage(path: Path) -> list[dict[str, Any]]:
-    """Return the points of a GeoPackage's first layer of features in degrees, with their life forms and dates."""
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
-            table, shape, epsg = base.execute(
-                "SELECT g.table_name, g.column_name, s.organization_coordsys_id FROM gpkg_geometry_columns g "
-                "JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id"
-            ).fetchone()
-            name, column = (str(text).replace('"', '""') for text in (table, shape))
-            cursor = base.execute(f'SELECT *, "{column}" FROM "{name}"')  # nosec B608 # quoted
-            head = [str(part[0]).lower().replace(" ", "_") for part in cursor.description]
-            rows = [dict(zip(head, row, strict=True)) | {"": row[-1]} for row in cursor]
-            points = [_point(row[""]) for row in rows]
-    except (sqlite3.Error, TypeError, struct.error, ValueError) as error:
-        raise ConfigError(f"{path}: is not a GeoPackage with a layer of points ({error})") from error
+    """Return the points of a GeoPackage in degrees, with their life forms and dates."""
+    rows, crs = read_points(path)
     if missing := [part for part in ("life_form", "date") if rows and part not in rows[0]]:
-        raise ConfigError(f"{path}: layer {table} has no column {missing[0]}")
+        raise ConfigError(f"{path}: the layer has no column {missing[0]}")
     from pyproj import Transformer
 
-    to_degrees = Transformer.from_crs(int(epsg), 4326, always_xy=True)
-    places = [to_degrees.transform(*point) for point in points]
+    to_degrees = Transformer.from_crs(crs, 4326, always_xy=True)
+    places = [to_degrees.transform(row["x"], row["y"]) for row in rows]
     return [row | {"lon": lon, "lat": lat} for row, (lon, lat) in zip(rows, places, strict=True)]
-
-
-def _point(blob: bytes) -> tuple[float, float]:
-    """Return x and y of a GeoPackage's point (OGC 12-128, 2.1.3). Raises ValueError for another geometry."""
-    if blob[:2] != b"GP":
-        raise ValueError("a geometry is not a GeoPackage's")
-    start = 8 + (0, 32, 48, 48, 64)[min(blob[3] >> 1 & 7, 4)]
-    order = "<" if blob[start] else ">"
-    kind, x, y = struct.unpack_from(f"{order}Idd", blob, start + 1)
-    if kind % 1000 != 1:
-        raise ValueError("a geometry is not a point")
-    return x, y

@@ -21,6 +21,7 @@ from ltm_core.site.site import Site
 from ltm_core.visibility.footprint import arrival_directions, ground_normals
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
+from ltm_msgs_py.bag.reader import is_bag_file
 from ltm_ros.assessment.answers_io import SampledCell
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame
 
@@ -68,23 +69,18 @@ class _Shot:
 
 
 class PhotoIndex:
-    """The clear photos of recordings, with their poses. Raises RecordingError if there are none."""
+    """The clear photos of recordings, or of an archive's, in folders at any depth, with their poses. Raises
+    RecordingError if there are none."""
 
     def __init__(self, site: Site, recordings: Sequence[Path]) -> None:
         self._frame = site.frame
         self._ground = site.open_dem()
         self._sight = PointVisibility(site.open_surface(self._ground), site.curvature, site.refraction)
-        self._shots = [
-            shot for bag in recordings for shot in _shots(bag, site, self._ground, MOST_FRAMES // len(recordings))
-        ]
+        bags = [bag for path in recordings for bag in _bags(path)]
+        self._shots = [shot for bag in bags for shot in _shots(bag, site, self._ground, MOST_FRAMES // len(bags))]
         if not self._shots:
             names = ", ".join(str(bag) for bag in recordings)
             raise RecordingError(f"{names}: no clear photo with a pose of the cameras of site {site.name}")
-
-    @property
-    def days(self) -> int:
-        """Return the number of different days with photos."""
-        return len({shot.day for shot in self._shots})
 
     def best(self, cell: SampledCell, cell_m: float) -> list[CellPhoto]:
         """Return up to three photos of a cell in order of time: of early and late days, and of different cameras.
@@ -176,6 +172,11 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
         if rest:
             chosen.append(max(rest, key=value))
     return sorted(chosen, key=lambda one: one[1].stamp_ns)
+
+
+def _bags(path: Path) -> list[Path]:
+    """Return the folders with bags in an archive; a path without any itself, so that its reader reports it."""
+    return sorted({file.parent for file in path.rglob("*") if is_bag_file(file.name)}) or [path]
 
 
 def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:

@@ -14,7 +14,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Int64Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import NODATA
-from ltm_ros.assessment.answers_io import Answer, plot_answers, read_answers, read_field_plots
+from ltm_ros.assessment.answers_io import Answer, read_answers, read_field_plots
 from ltm_ros.assessment.plan import NAMES, MapPlan, agrees_with_prior
 
 
@@ -99,7 +99,7 @@ def compute_figures(plan: MapPlan, plots: Path | None) -> Figures:
     answers. Raises ConfigError without answers."""
     given = {name: _by_cell(read_answers(plan.shown.answers_file(name))) for name in plan.shown.interpreters()}
     first = max(given, key=lambda name: len(given[name]), default="")
-    visited = {} if plots is None else _by_cell(plot_answers(read_field_plots(plots, plan.shown)))
+    visited = {} if plots is None else _by_cell(read_field_plots(plots, plan.shown))
     answers = given.get(first, {}) | visited
     learned = plan.shown.learned()
     counted = [

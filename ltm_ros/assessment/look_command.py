@@ -9,7 +9,9 @@ import typer
 
 PlanFolder = Annotated[Path, typer.Argument(help="Folder of the plan, written by `ltm assess plan`.")]
 SiteFile = Annotated[Path | None, typer.Option(help="Site file of the cameras. Default: the plan's.")]
-Recordings = Annotated[list[Path], typer.Option(help="Recording of the site's cameras. Repeatable.", metavar="FOLDER")]
+Recordings = Annotated[
+    list[Path], typer.Option(help="Recording, or folder of recordings, of the cameras. Repeatable.", metavar="FOLDER")
+]
 
 
 def look(

@@ -40,7 +40,6 @@ _KEPT_CELLS = 4
 class _Given(StrictModel):
     life_form: str = Field("", max_length=20)
     certainty: Certainty
-    before_life_form: str | None = Field(None, max_length=20)
     seconds: float = Field(ge=0, le=86400)
 
 
@@ -78,7 +77,6 @@ class LookSession:
             "interpreter": self.interpreter,
             "forms": [{"key": key, "name": name, "color": list(colors[name])} for key, name in KEYS.items()],
             "answers": answers,
-            "several_days": self._photos.days > 1,
             "orthophoto": self._orthophoto is not None,
             "orthophoto_m": _IMAGERY_M,
             "tiles": self.tiles,
@@ -96,7 +94,6 @@ class LookSession:
                 {
                     "camera": photo.camera,
                     "time": f"{taken:%Y-%m-%d %H:%M} UTC",
-                    "day": f"{taken:%Y-%m-%d}",
                     "range_m": round(photo.range_m),
                     "outline": photo.outline.round(1).tolist(),
                     "size": [photo.width, photo.height],
@@ -135,7 +132,7 @@ class LookSession:
         given = checked(_Given, content, "answer")
         cell, now = self._plan.cells[number].cell, datetime.now(UTC).isoformat(timespec="seconds")
         seconds = round(given.seconds, 1)
-        answer = Answer(cell, given.life_form, given.certainty, given.before_life_form, seconds, now)
+        answer = Answer(cell, given.life_form, given.certainty, seconds, now)
         with self._lock:
             answers = self._answers | {cell: answer}
             write_answers(self._file, answers.values())
@@ -154,8 +151,7 @@ class LookSession:
     def _shape(answer: Answer | None) -> dict[str, Any] | None:
         if answer is None:
             return None
-        form, before = answer.life_form, answer.before_life_form
-        return {"life_form": form, "certainty": answer.certainty, "before_life_form": before}
+        return {"life_form": answer.life_form, "certainty": answer.certainty}
 
 
 class LookServer(PageServer):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -68,24 +68,18 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     require_folder(out, "the plan")
     if (out / "plan.json").exists():
         raise ConfigError(f"{out}: contains a plan already; give another folder with --out")
-    layers, empty = source.layers, source.empty
-    observed = (layers.evidence > 0) & (layers.life_form != UNSEEN)
-    sample = drawn(layers.life_form, layers.changed, observed, NAMES, wanted, seed)
+    map_ = _map_of(source)
+    sample = drawn(map_.life_form, map_.changed, map_.observed, NAMES, wanted, seed)
     grid = source.geometry
     x, y = grid.to_map(sample.rows, sample.columns)
     frame = source.site.frame
     lon, lat = frame.to_lonlat(x - frame.x_origin, y - frame.y_origin)
     cells = sample.rows * grid.width + sample.columns
-    digest = hashlib.sha256(layers.life_form.tobytes() + layers.code.tobytes()).hexdigest()
     about = {
         "version": 1,
         "seed": seed,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "map": {
-            "path": str(path.resolve()),
-            "sha256": digest,
-            "as_of": source.provenance(layers, None).as_of,
-        },
+        "map": _about(source, path),
         "site": str(site.resolve()),
         "crs": str(grid.crs),
         "cell_m": grid.resolution,
@@ -95,32 +89,47 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     }
     out.mkdir(parents=True, exist_ok=True)
     places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
-    columns: tuple[str, ...] = ("cell", "row", "column", "lon", "lat", "x", "y")
-    rows = [
-        (*place[:3], f"{place[3]:.7f}", f"{place[4]:.7f}", f"{place[5]:.2f}", f"{place[6]:.2f}") for place in places
-    ]
-    write_table(out / "cells.csv", columns, (dict(zip(columns, row, strict=True)) for row in rows))
+    formats = {"cell": "d", "row": "d", "column": "d", "lon": ".7f", "lat": ".7f", "x": ".2f", "y": ".2f"}
+    rows = ({name: format(v, kind) for (name, kind), v in zip(formats.items(), one, strict=True)} for one in places)
+    write_table(out / "cells.csv", list(formats), rows)
     at = sample.rows, sample.columns
-    answers = zip(
-        cells.tolist(),
-        [sample.strata[index].name for index in sample.stratum.tolist()],
-        [NAMES[form] for form in layers.life_form[at].tolist()],
-        [NAMES[form] if form != UNSEEN else "" for form in empty.life_form[at].tolist()],
-        layers.changed[at].astype(int).tolist(),
-        strict=True,
-    )
-    columns = "cell", "stratum", "map_class", "prior_class", "changed"
-    write_table(out / "strata.csv", columns, (dict(zip(columns, row, strict=True)) for row in answers))
-    np.savez_compressed(
-        out / "map.npz",
-        life_form=layers.life_form,
-        prior_form=empty.life_form,
-        prior=layers.prior,
-        changed=layers.changed,
-        observed=observed,
-    )
+    answers = {
+        "cell": cells.tolist(),
+        "stratum": [sample.strata[index].name for index in sample.stratum.tolist()],
+        "map_class": [NAMES[form] for form in map_.life_form[at].tolist()],
+        "prior_class": [NAMES[form] if form != UNSEEN else "" for form in map_.prior_form[at].tolist()],
+        "changed": map_.changed[at].astype(int).tolist(),
+    }
+    lines = zip(*answers.values(), strict=True)
+    write_table(out / "strata.csv", list(answers), (dict(zip(answers, line, strict=True)) for line in lines))
+    np.savez_compressed(out / "map.npz", **vars(map_))
     (out / "plan.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     return about
+
+
+def _map_of(source: FuelSource) -> AssessedMap:
+    layers = source.layers
+    observed = (layers.evidence > 0) & (layers.life_form != UNSEEN)
+    return AssessedMap(layers.life_form, source.empty.life_form, layers.prior, layers.changed, observed)
+
+
+def _about(source: FuelSource, path: Path) -> dict[str, str]:
+    layers = source.layers
+    digest = hashlib.sha256(layers.life_form.tobytes() + layers.code.tobytes()).hexdigest()
+    return {"path": str(path.resolve()), "sha256": digest, "as_of": source.provenance(layers, None).as_of}
+
+
+def with_map(plan: MapPlan, source: FuelSource, path: Path) -> MapPlan:
+    """Return the plan with another map of its site, such as one after learning; sample and strata stay.
+
+    Raises ConfigError for another grid, or if the map does not state a life form of each sampled cell.
+    """
+    map_ = replace(_map_of(source), observed=plan.map.observed)
+    if source.geometry != plan.grid:
+        raise ConfigError(f"{path}: has another grid than the plan; make a new plan")
+    if unseen := sum(map_.life_form[cell.row, cell.column] == UNSEEN for cell in plan.shown.cells):
+        raise ConfigError(f"{path}: has no life form in {unseen} of the plan's cells; make a new plan")
+    return replace(plan, map=map_, about=plan.about | {"map": _about(source, path)})
 
 
 def read_map_plan(folder: Path) -> MapPlan:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +12,7 @@ import cv2
 import numpy as np
 
 from ltm_core.base.resources import config_path
-from ltm_core.base.types import BoolArray, Float64Array, RgbImage, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array, RgbImage
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import life_form_labels
@@ -29,12 +28,12 @@ from ltm_ros.assessment.figures import Figures
 from ltm_ros.assessment.plan import NAMES, MapPlan
 from ltm_ros.fuel_map.layers import canvas_of, places_of, seen_window
 from ltm_ros.fuel_map.source import ACCURACY_FILE
-from ltm_ros.pages import render_page
+from ltm_ros.pages import inlined, render_page
 
 _VERDICTS: Final = Palette(("map right", "map wrong"), ((0, 114, 178), (213, 94, 0)))
 _SHOWN_ERRORS: Final = 10
 _RANGES: Final = (500.0, 1000.0, 2000.0, 4000.0, np.inf)
-_INCIDENCES: Final = (75.0, 80.0, 85.0, 90.0)
+_INCIDENCES: Final = (75.0, 80.0, 85.0, np.inf)
 _CROP: Final = 360
 """Width and height in pixels of a photo's part around a cell, at least."""
 
@@ -57,7 +56,11 @@ def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequenc
     tables = [] if seen is None else _tables(figures, figures.right(plan), seen)
     page = render_page(
         "assessment.html",
-        {"picture": _picture, "drawing": _drawing, "interval": interval},
+        {
+            "picture": lambda picture: inlined(to_jpeg(picture, 85), "jpeg"),
+            "drawing": lambda picture: inlined(to_png(picture), "png"),
+            "interval": interval,
+        },
         title=f"Accuracy of the fuel map of {site.name}",
         plan=plan,
         figures=figures,
@@ -169,11 +172,3 @@ def _tables(figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhot
         ("camera", by_camera),
     ]
     return [(title, [one for one in rows if one[1]]) for title, rows in every]
-
-
-def _drawing(picture: RgbImage) -> str:
-    return "data:image/png;base64," + base64.b64encode(to_png(picture)).decode("ascii")
-
-
-def _picture(picture: UInt8Array) -> str:
-    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(picture, 85)).decode("ascii")

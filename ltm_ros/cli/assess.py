@@ -53,21 +53,31 @@ def report(
     plan_: Annotated[Path, typer.Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
     recordings: Annotated[
-        list[Path] | None, typer.Option(help="Recording for photos and ranges. Repeatable.", metavar="FOLDER")
+        list[Path] | None, typer.Option(help="Recording, or folder of recordings. Repeatable.", metavar="FOLDER")
     ] = None,
     plots: Annotated[
         Path | None, typer.Option(help="File of field plots: CSV or GeoPackage with lon, lat, life_form, date.")
     ] = None,
+    map_: Annotated[
+        Path | None,
+        typer.Option("--map", help="Another map of the site, such as one after `learn`. Default: the plan's."),
+    ] = None,
 ) -> None:
     """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""
+    from ltm_core.site.site_io import load_site
     from ltm_core.storage.disk_io import require_files
     from ltm_ros.assessment.figures import compute_figures
-    from ltm_ros.assessment.plan import read_map_plan
+    from ltm_ros.assessment.plan import find_map, read_map_plan, with_map
     from ltm_ros.assessment.report import keep_accuracy, write_report
+    from ltm_ros.fuel_map.source import FuelSource
     from ltm_ros.pages import write_figures
 
     require_files([out, out.with_suffix(".json")])
     planned = read_map_plan(plan_)
+    if map_ is not None:
+        path = find_map(map_)
+        with FuelSource.open(path, load_site(Path(planned.shown.site))) as source:
+            planned = with_map(planned, source, path)
     figures = compute_figures(planned, plots)
     more = write_report(out, planned, figures, recordings or [])
     write_figures(out.with_suffix(".json"), figures.as_json(planned) | more)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 import os
 import platform
@@ -23,7 +22,7 @@ from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.site.site import Site
 from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
-from ltm_ros.pages import render_page, shown
+from ltm_ros.pages import inlined, render_page, shown
 from ltm_ros.recordings.recorded_run import Recorded
 from ltm_ros.runtime.health import NodeRow
 
@@ -170,7 +169,7 @@ def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
 
 def _picture(picture: RgbImage) -> str:
     fitted = fit(picture, MAX_WIDTH) if picture.shape[1] > MAX_WIDTH else picture
-    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(fitted, 88)).decode("ascii")
+    return inlined(to_jpeg(fitted, 88), "jpeg")
 
 
 _AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}

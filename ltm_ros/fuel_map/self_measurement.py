@@ -27,6 +27,8 @@ MEASURED_AT: Final = (12, 24, 48)
 """Numbers of views at which labels are measured; the last result is final. 48 views take 15 MB until then."""
 DRIFT_FILE: Final = "label_drift.json"
 """Charts of label drift in the folder of the fuel map."""
+_CHART_WEEKS: Final = 52
+"""Weeks that the status page draws."""
 _SECTORS: Final = 24
 """Number of viewing directions per camera that count as different views: one for 15 degrees."""
 
@@ -134,8 +136,11 @@ class DriftWatch:
             self.save()
 
     def _report(self) -> None:
-        for camera, share in self._drift.agreement().items():
-            self._health.gauge(f"label_agreement.{camera}", f"{share:.4f}")
+        for camera, shares in self._drift.weeks().items():
+            self._health.gauge(f"label_agreement.{camera}", f"{shares[-1]:.4f}")
+            if len(shares) > 1:
+                chart = " ".join(f"{share:.3f}" for share in shares[-_CHART_WEEKS:])
+                self._health.gauge(f"label_weeks.{camera}", chart)
             self._health.gauge(f"label_drift_sigmas.{camera}", f"{self._drift.sigmas(camera):.2f}")
         self._health.lasting(self._drift.problem())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -36,6 +37,11 @@ def shown(value: object, digits: int = 2) -> str:
     if not isinstance(value, int | float | np.number):
         return str(value)
     return number(float(value), 0 if isinstance(value, int | np.integer) else digits)
+
+
+def inlined(image: bytes, kind: str) -> str:
+    """Return the URL of an image that the page itself contains; `kind`: "png" or "jpeg"."""
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode('ascii')}"
 
 
 def render_page(

@@ -17,6 +17,7 @@ def assessment(
     truth: Annotated[Path | None, typer.Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
     cells: Annotated[int, typer.Option(min=20, help="Sampled cells.")] = 300,
     samples: Annotated[int, typer.Option(min=10, help="Number of samples.")] = 500,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
     json_path: JsonFile = None,
 ) -> None:
     """Draw samples of maps with known truth, with simulated interpreters, and count intervals that contain the truth.
@@ -27,27 +28,38 @@ def assessment(
 
     from rich.console import Console
 
-    from ltm_lab.evaluation.assessment_trial import coverage, drawn_population, rendered_population
+    from ltm_lab.evaluation.assessment_trial import FEWEST_EVENTS, coverage, drawn_population, rendered_population
     from ltm_ros.cli.output import print_table
     from ltm_ros.pages import write_figures
 
     populations = [
-        drawn_population("standard"),
-        drawn_population("1 % change", changed=0.01, errors=0.0),
-        drawn_population("clustered errors", cluster=3.0),
-        drawn_population("interpreter right in 90 %", accuracy=0.9),
+        drawn_population("standard", seed),
+        drawn_population("1 % change", seed, changed=0.01),
+        drawn_population("1 % change, no other errors", seed, changed=0.01, errors=0.0),
+        drawn_population("clustered errors", seed, cluster=3.0),
+        drawn_population("interpreter right in 90 %", seed, accuracy=0.9),
     ]
     if plan is not None and truth is not None:
         populations += [
-            rendered_population("rendered map", plan, truth, 1.0),
-            rendered_population("rendered map, interpreter right in 90 %", plan, truth, 0.9),
+            rendered_population("rendered map", plan, truth, seed, 1.0),
+            rendered_population("rendered map, interpreter right in 90 %", plan, truth, seed, 0.9),
         ]
-    found = [row for population in populations for row in coverage(population, cells, samples)]
+    found = [row for population in populations for row in coverage(population, cells, samples, seed)]
+    console = Console()
     rows = [
-        (r.population, r.figure, f"{100 * r.truth:.1f} %", f"{100 * r.covered:.1f} %", f"{100 * r.half_width:.1f} %")
+        (r.population, r.figure, *(f"{100 * v:.1f} %" for v in (r.truth, r.covered, r.half_width)), f"{r.events:.1f}")
         for r in found
     ]
-    columns = ("map", "figure", ">true value", ">intervals that contain it", ">half-width")
-    print_table(Console(), f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
+    columns = ("map", "figure", ">true value", ">intervals that contain it", ">half-width", ">events")
+    print_table(console, f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
+    means = []
+    for population in populations:
+        judged = [r.covered for r in found if r.population == population.name and r.events >= FEWEST_EVENTS]
+        ends = (min(judged), sum(judged) / len(judged), max(judged)) if judged else ()
+        means.append((population.name, str(len(judged)), *(f"{100 * v:.1f} %" for v in ends)))
+    title = f"Figures with at least {FEWEST_EVENTS:.0f} events"
+    print_table(console, title, ("map", ">figures", ">lowest", ">mean", ">highest"), means)
     if json_path is not None:
-        write_figures(json_path, {"samples": samples, "cells": cells, "coverage": [asdict(row) for row in found]})
+        write_figures(
+            json_path, {"samples": samples, "cells": cells, "seed": seed, "coverage": [asdict(row) for row in found]}
+        )

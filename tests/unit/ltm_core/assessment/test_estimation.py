@@ -59,9 +59,22 @@ def test_a_census_has_no_error_and_a_sample_without_errors_has_an_interval() -> 
     whole = StratifiedSample(stratum, np.array([20])).ratio(right, right, "whole")
     assert (whole.value, whole.low, whole.high) == (1, 1, 1)
     part = StratifiedSample(stratum, np.array([100_000])).ratio(right, right, "whole")
-    # Jeffreys' interval of 20 of 20: the 2.5 % quantile of Beta(20.5, 0.5).
+    # One more success and failure: the 2.5 % quantile of Beta(21, 1) is the 21st root.
     assert (part.value, part.high) == (1, 1)
-    assert part.low == pytest.approx(0.883, abs=0.01)
+    assert part.low == pytest.approx(0.025 ** (1 / 21), abs=1e-3)
+
+
+def test_an_unseen_error_counts_in_the_stratum_where_a_cell_weighs_most() -> None:
+    """20 right cells of each of two strata: an unseen error has the weight of a cell of the larger one."""
+    stratum, right = np.repeat([0, 1], 20), np.ones(40, np.bool_)
+    low = [
+        StratifiedSample(stratum, np.array(sizes)).ratio(right, right, "whole").low
+        for sizes in ([10**6, 10**6], [10**6, 3 * 10**6], [3 * 10**6, 10**6])
+    ]
+    assert low[1] == pytest.approx(low[2], rel=1e-9)
+    # Beta's quantiles with the mean and variance that one unseen error of half, and of 3/4, of a cell's weight gives.
+    assert low[0] == pytest.approx(0.919, abs=0.002)
+    assert low[1] == pytest.approx(1 - 1.5 * (1 - low[0]), abs=0.005)
 
 
 def test_the_standard_error_is_that_of_random_sampling_in_strata() -> None:

@@ -58,9 +58,9 @@ def test_the_share_of_a_week_is_the_mean_over_its_frames_in_unchanged_cells() ->
     drift = watched()
     for frame in (votes(0, 900, 100), votes(0, 500, 500), votes(0, 0, 1000, col=1), votes(0, 1, 100)):
         assert not drift.take(frame)  # the third lies in a changed cell, the fourth has too few pixels
-    assert drift.agreement() == {}
+    assert drift.weeks() == {}
     assert drift.take(votes(1, 900, 100))
-    assert drift.agreement() == {"north": pytest.approx(0.7)}
+    assert drift.weeks() == {"north": pytest.approx((0.7,))}
     assert not drift.take(votes(0, 0, 1000)), "late"
 
 
@@ -70,7 +70,7 @@ def test_charts_survive_a_restart_and_end_with_the_network(tmp_path: Path) -> No
         drift = watched(file)  # a new process each week
         drift.take(votes(week, *((850, 150) if week < FIRST_WEEKS + 3 else (400, 600))), "network a")
         drift.save()
-    assert drift.agreement() == {"north": pytest.approx(0.4)}
+    assert drift.weeks()["north"][-1] == pytest.approx(0.4)
     assert drift.sigmas("north") < -LIMIT
     assert "north" in drift.problem()
     drift.take(votes(FIRST_WEEKS + 8, 400, 600), "network b")

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_ros.assessment.answers_io import (
     Answer,
     Plan,
-    plot_answers,
     read_answers,
     read_field_plots,
     read_plan,
@@ -38,9 +37,9 @@ def plan(tmp_path: Path) -> Plan:
 
 def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
     answers = [
-        Answer(7, "shrub", "sure", None, 4.5, "2026-06-01T12:00:00+00:00"),
-        Answer(3, "grass", "unsure", "tree", 12.0, "2026-06-01T12:00:09+00:00"),
-        Answer(9, "", "cannot_be_seen", None, 0.5, "2026-06-01T12:00:10+00:00"),
+        Answer(7, "shrub", "sure", 4.5, "2026-06-01T12:00:00+00:00"),
+        Answer(3, "grass", "unsure", 12.0, "2026-06-01T12:00:09+00:00"),
+        Answer(9, "", "cannot_be_seen", 0.5, "2026-06-01T12:00:10+00:00"),
     ]
     path = tmp_path / "answers/first.csv"
     write_answers(path, answers)
@@ -50,19 +49,19 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "7,lava,sure,,1,t",
-        "7,grass,certain,,1,t",
-        "7,grass,cannot_be_seen,,1,t",
-        "7,,sure,,1,t",
-        "x,grass,sure,,1,t",
+        "7,lava,sure,1,t",
+        "7,grass,certain,1,t",
+        "7,grass,cannot_be_seen,1,t",
+        "7,,sure,1,t",
+        "x,grass,sure,1,t",
         "7,grass,sure,,nan,t",
         "7,grass,sure",
-        "7,grass,sure,,1,t\n7,shrub,sure,,1,t",
+        "7,grass,sure,1,t\n7,shrub,sure,1,t",
     ],
 )
 def test_an_invalid_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.csv"
-    path.write_text(f"cell,life_form,certainty,before_life_form,seconds,time\n{line}\n")
+    path.write_text(f"cell,life_form,certainty,seconds,time\n{line}\n")
     with pytest.raises(ConfigError, match=r"a\.csv"):
         read_answers(path)
 
@@ -70,8 +69,8 @@ def test_an_invalid_line_is_named(tmp_path: Path, line: str) -> None:
 def geopackage(path: Path, plots: list[tuple[float, float, str, str]]) -> None:
     """Write the tables that OGC 12-128 requires for a layer of points, in UTM with a box in each header."""
     with closing(sqlite3.connect(path)) as base:
-        base.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id)")
-        base.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (5, 'EPSG', 32611)")
+        base.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id, definition)")
+        base.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (5, 'EPSG', 32611, '')")
         base.execute("CREATE TABLE gpkg_geometry_columns (table_name, column_name, srs_id)")
         base.execute("INSERT INTO gpkg_geometry_columns VALUES ('my plots', 'geom', 5)")
         base.execute('CREATE TABLE "my plots" (fid, geom, "Life form", date)')
@@ -83,7 +82,7 @@ def geopackage(path: Path, plots: list[tuple[float, float, str, str]]) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".gpkg"])
-def test_field_plots_in_sampled_cells_count_and_others_are_apart(plan: Plan, suffix: str) -> None:
+def test_field_plots_in_sampled_cells_count_and_others_do_not(plan: Plan, suffix: str) -> None:
     degree = 1 / 92_400  # of a metre eastwards at this latitude
     rows = [
         (LON, LAT, "shrub", "2026-05-01"),
@@ -96,9 +95,7 @@ def test_field_plots_in_sampled_cells_count_and_others_are_apart(plan: Plan, suf
         path.write_text("\n".join(["lon,lat,life form,date", *(",".join(map(str, row)) for row in rows)]))
     else:
         geopackage(path, rows)
-    plots = read_field_plots(path, plan)
-    assert [plot.cell for plot in plots] == [7, 7, 3, None]
-    answers = {answer.cell: answer.life_form for answer in plot_answers(plots)}
+    answers = {answer.cell: answer.life_form for answer in read_field_plots(path, plan)}
     assert answers == {7: "grass", 3: "tree"}, "the later of two plots of a cell counts"
 
 
@@ -113,5 +110,5 @@ def test_an_invalid_plot_is_rejected(plan: Plan, row: str) -> None:
 def test_a_file_that_is_no_geopackage_is_rejected(plan: Plan) -> None:
     path = plan.folder / "plots.gpkg"
     path.write_bytes(b"SQLite format 3\x00" + b"\xff" * 200)
-    with pytest.raises(ConfigError, match=r"plots\.gpkg"):
+    with pytest.raises(RasterError, match=r"plots\.gpkg"):
         read_field_plots(path, plan)

@@ -16,7 +16,7 @@ from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.site.site_io import load_site
 from ltm_ros.assessment.answers_io import FORM_NAMES, Answer, SampledCell, write_answers
 from ltm_ros.assessment.figures import compute_figures
-from ltm_ros.assessment.plan import MapPlan, read_map_plan
+from ltm_ros.assessment.plan import NAMES, MapPlan, read_map_plan, with_map
 from ltm_ros.assessment.report import keep_accuracy
 from ltm_ros.cli.main import cli
 from ltm_ros.fuel_map.source import FuelSource
@@ -42,7 +42,7 @@ def true_form(cell: SampledCell) -> str:
 
 
 def answer(cell: int, form: str) -> Answer:
-    return Answer(cell, form, "sure" if form else "cannot_be_seen", None, 5.0, "2026-11-29T00:00:00Z")
+    return Answer(cell, form, "sure" if form else "cannot_be_seen", 5.0, "2026-11-29T00:00:00Z")
 
 
 def test_true_answers_give_a_right_map_and_a_page(plan: MapPlan, tmp_path: Path) -> None:
@@ -76,6 +76,24 @@ def test_hidden_learned_and_missing_cells_do_not_count_and_plots_replace_answers
     assert (figures.unanswered, figures.hidden, figures.learned, figures.plots) == (10, 4, 2, 1)
     assert figures.right(plan).sum() == len(figures.rows) - 1
     assert [(a.name, a.cells, a.share, a.kappa) for a in figures.agreements] == [("b", 15, 1.0, 1.0)]
+
+
+def test_the_same_answers_assess_another_map_in_the_plans_strata(plan: MapPlan) -> None:
+    """In the other map all grass is shrub: overall accuracy is the true share of what is not grass."""
+    write_answers(plan.shown.answers_file("first"), [answer(c.cell, true_form(c)) for c in plan.shown.cells])
+    grass, shrub = NAMES.index("grass"), NAMES.index("shrub")
+    with FuelSource.open(DEMO / "fuel_truth.tif", load_site(DEMO / "site.yaml")) as source:
+        forms = source.layers.life_form
+        other = replace(source, layers=replace(source.layers, life_form=np.where(forms == grass, shrub, forms)))
+        assessed = with_map(plan, other, DEMO / "other.tif")
+        shifted = replace(source.geometry, x_min=source.geometry.x_min + 30)
+        with pytest.raises(ConfigError, match=r"other\.tif"):
+            with_map(plan, replace(source, geometry=shifted), DEMO / "other.tif")
+    assert assessed.about["map"]["sha256"] != plan.about["map"]["sha256"]
+    found = compute_figures(assessed, None).map
+    true = float((forms[plan.map.observed] != grass).mean())
+    assert found.overall.value == pytest.approx(true)  # grass is a stratum of its own
+    assert found.overall.low < true < found.overall.high
 
 
 def test_no_answers_is_an_error(plan: MapPlan) -> None:

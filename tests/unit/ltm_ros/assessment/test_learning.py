@@ -30,7 +30,7 @@ class _OnePhoto:
 
 
 def answer(cell: int, form: str, certainty: Certainty = "sure") -> Answer:
-    return Answer(cell, form, certainty, None, 1.0, "2026-06-01T00:00:00+00:00")
+    return Answer(cell, form, certainty, 1.0, "2026-06-01T00:00:00+00:00")
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from ltm_core.storage.image_io import decode_rgb
 from ltm_core.tracing import TerrainTracer
 from ltm_ros.assessment.answers_io import Plan, SampledCell, read_answers, read_plan, write_table
 from ltm_ros.assessment.cell_photos import PhotoIndex
-from ltm_ros.assessment.look_session import KEYS, LookServer, LookSession
+from ltm_ros.assessment.look_session import LookServer, LookSession
 
 DEMO = Path(__file__).parents[4] / "bags/demo"
 CELLS = 20
@@ -89,10 +89,10 @@ def ask(server: LookServer, path: str, method: str = "GET", body: Any = None) ->
 def test_an_answer_is_stored_at_once_and_the_next_session_resumes(
     server: LookServer, plan: Plan, site: Site, photos: PhotoIndex
 ) -> None:
-    given = {"life_form": "shrub", "certainty": "likely", "before_life_form": "tree", "seconds": 4.26}
+    given = {"life_form": "shrub", "certainty": "likely", "seconds": 4.26}
     assert ask(server, "answer/3", "PUT", given)[0] == 200
     (stored,) = read_answers(plan.folder / "answers/first.csv")
-    assert (stored.cell, stored.life_form, stored.before_life_form) == (plan.cells[3].cell, "shrub", "tree")
+    assert (stored.cell, stored.life_form, stored.certainty) == (plan.cells[3].cell, "shrub", "likely")
     assert stored.seconds == 4.3
     again = LookSession(plan, site, photos, "first").overview()["answers"]
     assert [number for number, answer in enumerate(again) if answer] == [3]
@@ -199,41 +199,10 @@ def test_photos_without_the_cell_are_not_shown(
     assert photos.best(replace(cell, x=cell.x + 50_000), 30.0) == []
 
 
-@pytest.mark.slow
-def test_twenty_cells_are_answered_in_a_real_browser(
-    server: LookServer, plan: Plan, sampled: tuple[list[SampledCell], list[str]]
+def test_photos_of_an_archive_are_those_of_its_recordings(
+    site: Site, photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]], tmp_path: Path
 ) -> None:
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'ltm[dev]'")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("needs a Chromium (Debian: apt install chromium)")
-    wrong: list[str] = []
-    hosts: set[str] = set()
-    letters = {name: key for key, name in KEYS.items()}
-    truth = sampled[1]
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1400, "height": 900})
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-        page.on("request", lambda request: hosts.add(urlsplit(request.url).netloc))
-        page.goto(server.url)
-        page.wait_for_selector("body[data-ready='0']")
-        page.keyboard.press("1")  # no cover yet: nothing is stored
-        assert not (plan.folder / "answers").exists()
-        page.keyboard.press("n")
-        page.wait_for_selector("body[data-ready='1']")
-        page.keyboard.press("Backspace")
-        page.wait_for_selector("body[data-ready='0']")
-        for number, form in enumerate(truth):
-            page.keyboard.press(letters[form])
-            page.keyboard.press("1")
-            state = "stored" if number + 1 == len(truth) else "ready"
-            page.wait_for_selector(f"body[data-{state}='{min(number + 1, len(truth) - 1)}']")
-        browser.close()
-    assert not wrong
-    assert hosts <= {urlsplit(server.url).netloc, ""}
-    answers = {answer.cell: answer for answer in read_answers(plan.folder / "answers/first.csv")}
-    assert [answers[cell.cell].life_form for cell in plan.cells] == truth
-    seconds = sum(answer.seconds for answer in answers.values())  # the page's own part of an answer
-    assert (5 + seconds / CELLS) * 300 <= 40 * 60
+    for day in ("2037/06/15", "2037/06/16"):
+        shutil.copytree(DEMO / "recording", tmp_path / day)
+    found, expected = (index.best(sampled[0][0], 30.0) for index in (PhotoIndex(site, [tmp_path]), photos))
+    assert {(p.camera, p.stamp_ns) for p in found} == {(p.camera, p.stamp_ns) for p in expected}

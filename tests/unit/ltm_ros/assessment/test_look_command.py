@@ -25,7 +25,7 @@ def test_learn_takes_the_site_of_the_plan_and_names_the_next_commands(
     (tmp_path / "plan.json").write_text(json.dumps(about))
     write_table(tmp_path / "cells.csv", list(vars(cells[0])), map(vars, cells))
     plan = read_plan(tmp_path)
-    write_answers(plan.answers_file("first"), [Answer(n, "shrub", "sure", None, 1.0, "") for n in range(81)])
+    write_answers(plan.answers_file("first"), [Answer(n, "shrub", "sure", 1.0, "") for n in range(81)])
     learn(tmp_path, [DEMO / "recording"])
     learned = plan.learned()
     assert learned

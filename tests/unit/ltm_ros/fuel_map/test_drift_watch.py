@@ -40,6 +40,8 @@ def test_the_node_reports_a_drift_and_again_after_a_restart(tmp_path: Path) -> N
             DriftWatch(LabelSet.load(), tmp_path, again)
         assert told.summary()["label_agreement.north"] == "0.4000"
         assert float(told.summary()["label_drift_sigmas.north"]) < -LIMIT
+        weeks = [float(share) for share in told.summary()["label_weeks.north"].split()]  # the chart of the status page
+        assert weeks == [0.85] * (FIRST_WEEKS + 3) + [0.4] * 4
         assert told.troubled
         assert "north" in told.message
 
