@@ -151,20 +151,6 @@ class Outcomes(StrictModel):
     outcomes: list[Outcome] = Field(max_length=MOST_OUTCOMES)
 
 
-class TileHeader(StrictModel):
-    """Header of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
-
-    version: int = VERSION
-    region: str = Field(pattern=NAME)
-    row: int
-    col: int
-    stamp_ns: int
-    grid: VotesGrid
-    """Grid of the whole map."""
-    classes: list[str]
-    """Names of the class indices."""
-
-
 HeaderT = TypeVar("HeaderT", bound=StrictModel)
 
 

@@ -25,7 +25,6 @@ from ltm_core.pipeline.fusing_step import FrameSteps, FrameVotes, FusingConfig, 
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import measured_digest, votes_digest
-from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader
 from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings, other_files
@@ -65,25 +64,25 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
     votes, measured = _VotesFile(), MeasuredFile()
-    with ArchiveImageReader(ArchiveFiles(settings.cache)) as reader:
-        for frame in task.frames:
-            picture = reader.read(frame)
+    reader = ArchiveImageReader()
+    for frame in task.frames:
+        picture = reader.read(frame)
+        try:
+            at_work = steps.of(PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera))
+        except LtmError as error:
+            votes.lose(frame, error)
+            measured.lose(frame, error)
+            continue
+        if VOTES in wanted:
             try:
-                at_work = steps.of(PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera))
+                votes.take(frame, at_work.votes(frame.pose_covariance))
             except LtmError as error:
                 votes.lose(frame, error)
+        if MEASURED in wanted:
+            try:
+                measured.take(frame, at_work.measured(frame.known_covariance))
+            except LtmError as error:
                 measured.lose(frame, error)
-                continue
-            if VOTES in wanted:
-                try:
-                    votes.take(frame, at_work.votes(frame.pose_covariance))
-                except LtmError as error:
-                    votes.lose(frame, error)
-            if MEASURED in wanted:
-                try:
-                    measured.take(frame, at_work.measured(frame.known_covariance))
-                except LtmError as error:
-                    measured.lose(frame, error)
     about = {"camera": camera, "model": steps.described}
     made = {VOTES: votes.content, MEASURED: measured.content}
     return {name: made[name](about) for name in wanted}

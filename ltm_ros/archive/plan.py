@@ -5,7 +5,7 @@ are digests of all that goes into them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from ltm_core.pipeline.fusing_step import FusingConfig
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_ros.archive.content_digest import burns_digest, digest, evidence_digest, measured_digest, votes_digest
-from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame, ManifestRules
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
@@ -30,15 +29,14 @@ VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL; `cache`:
-    where a worker puts files of archives on stores; `fusing`: how frames are measured, None where they are not."""
+    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: a folder;
+    `fusing`: how frames are measured, None where they are not."""
 
     site: str
     results: str
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
-    cache: CacheConfig = field(default_factory=CacheConfig)
     fusing: FusingConfig | None = None
 
 

@@ -31,7 +31,7 @@ from ltm_ros.archive.content_digest import (
     map_code_digest,
     map_settings,
 )
-from ltm_ros.archive.results import ResultFolder
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.source import FuelSource
 
@@ -198,7 +198,7 @@ def _own_store(results: ResultFolder, name: str) -> str:
         found = sha256_of(file)
     if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
-            f"{results.url}/{name} is not what the last run wrote: a node may have continued from it; move it "
+            f"{results.folder}/{name} is not what the last run wrote: a node may have continued from it; move it "
             "away or give another folder"
         )
     return found

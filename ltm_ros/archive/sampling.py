@@ -25,10 +25,9 @@ from ltm_core.base.utc_time import DAY_NS
 from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.site.site import Site
 from ltm_ros.archive.content_digest import code_digest, digest, look_digest
-from ltm_ros.archive.files import ArchiveFiles
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
-from ltm_ros.archive.results import ResultFolder
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _DAYLIGHT = 0.0
@@ -215,7 +214,6 @@ def chosen(
     sample: Sample,
     site: Site,
     results: ResultFolder,
-    files: ArchiveFiles,
 ) -> tuple[list[ArchiveFrame], Counter[str]]:
     """Choose the sample from all `frames` of an archive, by camera and stamp, with stamps `within`, both inclusive;
     also return the number of unclear images, by reason. Raises ArchiveError, OSError if an image cannot be read now.
@@ -224,24 +222,24 @@ def chosen(
     still = repeated(frames, longitude)
     taken, passed = list[ArchiveFrame](), Counter[str]()
     asked = [frame for frame in frames if within[0] <= frame.stamp_ns <= within[1]]
-    with ArchiveImageReader(files) as reader:
-        looks = {camera: SmallLook(site, camera, reader) for camera in {frame.camera for frame in asked}}
-        for span in spans(in_daylight(asked, site), sample, longitude):
-            new = [frame for frame in span if (frame.camera, frame.stamp_ns) not in still]
-            if repeats := len(span) - len(new):
-                passed[REPEATED] += repeats
-            camera = span[0].camera
-            turn = span_number(span[0].stamp_ns, sample, longitude)
-            lit = daylight_ns(turn, sample, site)
-            when = [sample.described, turn, lit]
-            of = [code_digest(), look_digest(site, camera), *when, [frame.identity() for frame in new]]
-            name = f"{LOOKS}/{digest(*of)}.json"
-            if not results.has(name):
-                found = sampled(new, sample, looks[camera], turn, lit)
-                kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
-                results.write(name, json.dumps(kept).encode())
-            known = json.loads(results.read(name))
-            stamps = set(known["stamps"])
-            taken += [frame for frame in new if frame.stamp_ns in stamps]
-            passed.update(known["passed_over"])
+    reader = ArchiveImageReader()
+    looks = {camera: SmallLook(site, camera, reader) for camera in {frame.camera for frame in asked}}
+    for span in spans(in_daylight(asked, site), sample, longitude):
+        new = [frame for frame in span if (frame.camera, frame.stamp_ns) not in still]
+        if repeats := len(span) - len(new):
+            passed[REPEATED] += repeats
+        camera = span[0].camera
+        turn = span_number(span[0].stamp_ns, sample, longitude)
+        lit = daylight_ns(turn, sample, site)
+        when = [sample.described, turn, lit]
+        of = [code_digest(), look_digest(site, camera), *when, [frame.identity() for frame in new]]
+        name = f"{LOOKS}/{digest(*of)}.json"
+        if not results.has(name):
+            found = sampled(new, sample, looks[camera], turn, lit)
+            kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
+            results.write(name, json.dumps(kept).encode())
+        known = json.loads(results.read(name))
+        stamps = set(known["stamps"])
+        taken += [frame for frame in new if frame.stamp_ns in stamps]
+        passed.update(known["passed_over"])
     return taken, passed

@@ -13,6 +13,7 @@ import posixpath
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import attrgetter, itemgetter
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -23,9 +24,8 @@ from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
 from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
-from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
+from ltm_ros.archive.files import ResultFolder, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
-from ltm_ros.archive.results import ResultFolder
 from ltm_ros.recordings.importing.pose_file import POSES
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
@@ -106,10 +106,10 @@ class Scan:
 
 
 def recordings(archives: Sequence[str]) -> list[Recording]:
-    """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth and on stores;
-    each once, by name.
+    """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth; each once, by
+    name.
 
-    Raises ArchiveError for a place without any, or that cannot be read now.
+    Raises ArchiveError for a place without any, OSError if it cannot be read now.
     """
     found: dict[str, Recording] = {}
     for archive in archives:
@@ -130,7 +130,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     return list(found.values())
 
 
-def scan(recording: Recording, site: Site, results: ResultFolder, files: ArchiveFiles) -> Scan:
+def scan(recording: Recording, site: Site, results: ResultFolder) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
     Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
@@ -141,11 +141,11 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     name = f"{SCANS}/{digest(_VERSION, state, _topics_of(site), placed)}.parquet"
     if not results.has(name):
         if is_pose_list(recording.name):
-            photos = photo_messages(recording.files[0], recording.files[1:], site, files)
+            photos = photo_messages(recording.files[0], recording.files[1:], site)
             placed_messages = sorted(map(_of_photo, photos), key=attrgetter("log_time_ns"))
             results.write(name, _packed(placed_messages))
         else:
-            results.write(name, _scanned_bag(recording.name, site, files))
+            results.write(name, _scanned_bag(recording.name, site))
     about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
     damage, kept = tuple(about["damage"]), lambda: results.read(name)
     return Scan(recording.name, about["begins"], damage, about["lost"], about["recorded"], kept)
@@ -164,17 +164,15 @@ def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:
     return None if message is None else decoded_input(topic, message.raw, message.type_name)
 
 
-def _scanned_bag(name: str, site: Site, files: ArchiveFiles) -> bytes:
-    with files.at_hand(name) as path:
-        reader = BagReader(path)
-        inputs = InputReader(reader, site)
-        topics = inputs.topics
-        messages = [_scanned(message, topics[message.topic]) for message in inputs.messages(topics)]
-        if reader.unread:
-            raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
-        lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}
-        damage = [note.replace(str(path), name) for note in reader.damage]
-        return _packed(messages, damage, lost, reader.topics())
+def _scanned_bag(name: str, site: Site) -> bytes:
+    reader = BagReader(Path(name))
+    inputs = InputReader(reader, site)
+    topics = inputs.topics
+    messages = [_scanned(message, topics[message.topic]) for message in inputs.messages(topics)]
+    if reader.unread:
+        raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
+    lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}
+    return _packed(messages, reader.damage, lost, reader.topics())
 
 
 def _scanned(message: BagMessage, topic: Topic) -> ScannedMessage:

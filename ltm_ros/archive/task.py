@@ -29,6 +29,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, evidence_digest
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_packed, read_votes
 from ltm_ros.archive.plan import (
     MEASURED,
@@ -41,7 +42,6 @@ from ltm_ros.archive.plan import (
     other_files,
     votes_name,
 )
-from ltm_ros.archive.results import ResultFolder
 
 _TILES = pa.schema(
     [("row", pa.int32()), ("col", pa.int32()), ("content", pa.binary()), ("stamps", pa.list_(pa.int64()))]

@@ -29,8 +29,6 @@ class Format(StrEnum):
     surface = "surface"
     coverage = "coverage"
     kmz = "kmz"
-    ply = "ply"
-    las = "las"
 
 
 class Codes(StrEnum):
@@ -41,8 +39,8 @@ class Codes(StrEnum):
 
 
 _TIFF = (Format.classes, Format.landscape)
-_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,), ".ply": (Format.ply,)}
-_BY_SUFFIX |= {".las": (Format.las,), ".png": (Format.png, Format.change, Format.coverage)}
+_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,)}
+_BY_SUFFIX |= {".png": (Format.png, Format.change, Format.coverage)}
 """Formats of a suffix; the first one is written if none is requested."""
 _OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
 _FOLDERS = (Format.elmfire, Format.layers)
@@ -67,7 +65,7 @@ def export(
         typer.Option(
             "--format",
             help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
-            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. 3D points: ply, las. "
+            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. "
             "Images: png (classes and confidence), change (before and after), coverage (cameras that see "
             "each cell), kmz (for globe programs). Terrain as GeoTIFF: change (shift, sigma, kind, since), "
             "surface (height, sigma).",

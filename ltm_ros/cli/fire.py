@@ -25,10 +25,6 @@ def fire(
         ),
     ] = None,
     hours: Annotated[float, typer.Option(help="Duration of the fire in hours.")] = 6.0,
-    ensemble: Annotated[
-        int, typer.Option(help="Store only: number of random landscapes drawn from cell probabilities.", min=0)
-    ] = 0,
-    seed: Annotated[int, typer.Option(help="Random seed of the draws.", min=0)] = 1,
     site: Annotated[Path | None, typer.Option("--site", help="Site file of a store.")] = None,
     before: Annotated[
         Path | None, typer.Option("--before", help="For a landscape file: the earlier landscape.")
@@ -62,19 +58,16 @@ def fire(
     ignition_cell(ignition, ignition_crs, pair.before)
     scenario = FireScenario(row, col, blowing, wet, hours)
     with console.status("") as status:
-        result = run_fires(pair, scenario, ensemble, seed, status.update)
+        result = run_fires(pair, scenario, status.update)
     write_results(out, pair, scenario, result)
     rows = []
     for area in result.effect.areas():
-        drawn = "" if area.ensemble is None else f"{number(area.ensemble[0])} to {number(area.ensemble[2])}"
         change = difference(area.before, area.after)
-        rows.append((f"{area.hours:g}", number(area.before), number(area.after), change, drawn))
+        rows.append((f"{area.hours:g}", number(area.before), number(area.after), change))
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
-    columns = (">hours", ">before", ">after", ">difference", ">80 % of draws")
+    columns = (">hours", ">before", ">after", ">difference")
     print_table(console, title, columns, rows)
     for sentence in [*sentences(pair, result), NO_FORECAST]:
         console.print(sentence, highlight=False)
-    if result.effect.probability is not None:
-        console.print(f"mean burn probability {result.effect.probability.mean():.2%} of all cells", highlight=False)
     slowest = f"{max(result.seconds):.1f} s for the slowest of {len(result.seconds)} fires"
     console.print(f"wrote {out / FILES[0]}; {slowest}", highlight=False)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def region(
     config: Annotated[Path, typer.Argument(help="Region file (YAML).")],
 ) -> None:
-    """Run the fuel map of a region: merge the votes of its towers (MQTT), send tiles, write GeoTIFFs. Ctrl-C or SIGTERM
+    """Run the fuel map of a region: merge the votes of its towers (MQTT), write GeoTIFFs. Ctrl-C or SIGTERM
     ends it.
     """
     import os
@@ -37,7 +37,6 @@ def certs(
     folder: Annotated[Path, typer.Argument(help="Folder for the files, created if missing; existing files are kept.")],
     region: Annotated[str, typer.Option(help="Name of the region.")],
     tower: Annotated[list[str] | None, typer.Option(help="Name of a tower. Repeatable.")] = None,
-    follower: Annotated[list[str] | None, typer.Option(help="Name of a follower of the map. Repeatable.")] = None,
     host: Annotated[
         list[str] | None, typer.Option(help="Host name or address of the broker. Default: this machine.")
     ] = None,
@@ -45,14 +44,14 @@ def certs(
     port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the broker.")] = 8883,
     days: Annotated[int, typer.Option(min=1, max=3650, help="Validity of the certificates in days.")] = 365,
 ) -> None:
-    """Make certificates for a region's broker, map, towers and followers, and a mosquitto configuration.
+    """Make certificates for a region's broker, map and towers, and a mosquitto configuration.
 
     Whoever can read ca.key can impersonate any tower: store it elsewhere. Use your own authority for more than a trial.
     """
     from ltm_ros.region.certs import TrialAuthority
 
     hosts = host or ["localhost", "127.0.0.1", "::1"]
-    new = TrialAuthority(folder, days).make(region, [*(tower or ()), *(follower or ())], hosts, listen, port)
+    new = TrialAuthority(folder, days).make(region, tower or (), hosts, listen, port)
     for path in new:
         typer.echo(f"wrote {path}")
     if not new:

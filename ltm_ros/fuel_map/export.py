@@ -11,7 +11,7 @@ from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
-from ltm_core.fuel.export.viewer_files_io import fuel_points, write_kmz, write_las, write_ply
+from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png
@@ -51,14 +51,11 @@ def export_site(
     if kind == "layers":
         write_layers(out, moved, target, made.tags(), palette)
         write_item(out, sorted(out.glob("*.tif")), target, made)
-    elif kind == "kmz":
+    else:
         shown = label_legend(520, palette, set(moved.life_form.ravel().tolist()) - {255})
         picture = overlay_picture(moved, heights, target.resolution, palette)
         write_kmz(out, picture, target, f"fuel map of {map_.site.name}", shown, made)
         write_item(out, [out], target, made)
-    else:
-        points = fuel_points(moved, heights, target, map_.labels)
-        (write_ply if kind == "ply" else write_las)(out, points, made)
     return target, [terrain.note] if terrain.note else []
 
 

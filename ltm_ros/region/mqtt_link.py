@@ -44,11 +44,6 @@ def presence_topic(region: str) -> str:
     return f"{ROOT}/{region}/aggregator"
 
 
-def tile_topic(region: str, row: int, col: int) -> str:
-    """Return the retained topic of a map tile, by its position in tiles from the north-west corner."""
-    return f"{ROOT}/{region}/tile/{row}/{col}"
-
-
 def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
     """Pass on a received message. A topic that is not UTF-8 is counted; it would end the connection's thread."""
     try:
@@ -62,7 +57,7 @@ def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
 class MqttLink:
     """Connects in the background after `start`, and again after each loss.
 
-    Votes and acknowledgements use QoS 0, because senders repeat them; tiles use QoS 1. `client_id`: unique among the
+    Votes and acknowledgements use QoS 0, because senders repeat them. `client_id`: unique among the
     broker's clients. `topics`: subscriptions, whose messages `take` receives. `will`: topic and payload that the broker
     publishes, retained, when this connection is lost.
     """
@@ -107,12 +102,11 @@ class MqttLink:
         self._client.disconnect(reasoncode=ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
         self._client.loop_stop()
 
-    def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
-        """Send a message; return whether it was handed over. It may still get lost; with QoS 1 only together with the
-        connection."""
+    def send(self, topic: str, payload: bytes, retain: bool = False) -> bool:
+        """Send a message; return whether it was handed over. It may still get lost."""
         if not self.connected.is_set():
             return False
-        return self._client.publish(topic, payload, qos=qos, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
+        return self._client.publish(topic, payload, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
 
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:

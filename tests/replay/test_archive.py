@@ -27,10 +27,10 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
-from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
 from ltm_ros.archive.task import work
@@ -113,15 +113,6 @@ def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) 
     assert not (Path(options.out) / STORE_FILE).exists()
     summary = reprocessed(options)
     assert (summary.digest, summary.worked) == (expected, 2 * FRAMES - 4)
-
-
-def test_shards_together_are_the_whole(options: ArchiveOptions, expected: str) -> None:
-    options = replace(options, frames_per_task=2)
-    parts = [reprocessed(replace(options, shard=(part, 3))) for part in (3, 1, 2)]
-    assert [part.digest for part in parts] == ["", "", ""]
-    assert sum(part.worked for part in parts) == 2 * FRAMES
-    whole = reprocessed(options)
-    assert (whole.digest, whole.worked) == (expected, 0)
 
 
 @pytest.fixture
@@ -467,8 +458,7 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
 
 @pytest.mark.parametrize(
     ("option", "wrong"),
-    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--workers", "tcp://10.0.0.1:8786"),
-     ("--workers", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
+    [("--sample", "4"), ("--max-failed", "many"), ("--cameras", "tower,nobody")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
     command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]

@@ -90,7 +90,7 @@ def test_a_run_that_is_stopped_while_it_writes_claims_nothing(
     options: ArchiveOptions, made: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of another choice of frames, whose layers are there in part, and then the former one again."""
-    from ltm_ros.archive.results import ResultFolder
+    from ltm_ros.archive.files import ResultFolder
 
     put = ResultFolder.put
 
