@@ -18,7 +18,6 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.locating.locator import CameraAgreement, Location
 from ltm_core.locating.posterior import Ellipse
 from ltm_core.locating.sight_fan import sight_fan
-from ltm_core.locating.wrong_camera import TurnVerdict
 from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
@@ -236,24 +235,7 @@ def agreement_data(agreement: CameraAgreement | None) -> dict[str, Any] | None:
         "agree": agreement.agree,
         "statistic": _round(min(agreement.statistic, 1e6)),
         "limit": _round(agreement.limit),
-        "wrong": agreement.wrong,
         "suspicion": {name: _round(share) for name, share in agreement.suspicion.items()},
-        "turned": None if agreement.wrong is None else turned_data(agreement.verdict),
-    }
-
-
-def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
-    """Return the camera that is named as turned, its probability, and by how much its stated azimuths are too great:
-    None for a camera that has marked no fire."""
-    if verdict.wrong is None:
-        return None
-    return {
-        "camera": verdict.wrong,
-        "probability": round(verdict.suspicion[verdict.wrong], 4),
-        "turned_deg": round(math.degrees(verdict.turn), 3) if verdict.fires else None,
-        "sigma_deg": round(math.degrees(verdict.sigma), 3) if verdict.fires else None,
-        "fires": verdict.fires,
-        "by": list(verdict.by),
     }
 
 

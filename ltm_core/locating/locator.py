@@ -28,8 +28,6 @@ from ltm_core.locating.fusion import Fused, fused_closely, mixture
 from ltm_core.locating.posterior import Posterior
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
-from ltm_core.locating.turn_evidence import TurnEvidence, turn_evidence
-from ltm_core.locating.wrong_camera import TurnVerdict, judged
 from ltm_core.raster.dem import Dem
 
 MOST_SIGHTINGS = 64
@@ -42,16 +40,11 @@ _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
 @dataclass(frozen=True)
 class CameraAgreement:
     """Agreement of the cameras. `statistic`: log likelihood ratio of one wrong camera to none; +inf if no place fits
-    all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong one if they disagree; else empty.
-    `wrong`: the reported camera, if `verdict` is certain. `turns`: evidence of each camera's turn, to be combined with
-    that of other fires."""
+    all. `limit`: of it. `suspicion`: by camera, the probability that it is wrong if they disagree, else empty."""
 
     statistic: float
     limit: float
     suspicion: dict[str, float]
-    wrong: str | None
-    turns: TurnEvidence
-    verdict: TurnVerdict
 
     @property
     def agree(self) -> bool:
@@ -100,19 +93,14 @@ class Locator:
         }
         turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
         evidences = np.array([part.log_evidence for part in turned])
-        profiles = {name: part.profile for name, part in zip(names, turned, strict=True)}
-        marked = {name: wrong for name, (_, wrong) in parted.items()}
-        turns = turn_evidence(profiles, fused.log_evidence, _ELSEWHERE, marked)
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
-        verdict = judged([turns], self.config.sure_of_wrong)
         if not statistic > limit:
-            return _location(fused, CameraAgreement(statistic, limit, {}, None, turns, verdict))
+            return _location(fused, CameraAgreement(statistic, limit, {}))
         # What a wrong camera marks may be another thing, in any direction.
         without = [fused_closely(terrain, others) for others, _ in parted.values()]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
         chances = _shares(np.logaddexp(evidences, elsewhere))
-        suspicion = dict(zip(names, chances, strict=True))
-        agreement = CameraAgreement(statistic, limit, suspicion, verdict.wrong, turns, verdict)
+        agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
 

@@ -37,5 +37,3 @@ class LocatingConfig(StrictModel):
     """Share of a camera's sightings that belong to another object than assumed."""
     wrong_odds: Expert[float] = Field(2.0, gt=0)
     """Odds ratio of one wrong camera against none above which cameras are reported to disagree."""
-    sure_of_wrong: Expert[float] = Field(0.75, ge=0.5, lt=1)
-    """Probability above which a camera is reported as turned."""

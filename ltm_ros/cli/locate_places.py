@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,20 +49,12 @@ def show_answer(said: LocateResult, frame: SiteFrame, console: Console) -> None:
         rows.append(("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})"))
     print_table(console, "base of the smoke" if said.smoke else "on the ground", ("", ""), rows)
     agreement = said.location.agreement
-    if agreement is not None and agreement.wrong is not None:
-        verdict = agreement.verdict
-        turn, sigma = math.degrees(verdict.turn), math.degrees(verdict.sigma)
-        left_out = agreement.suspicion[agreement.wrong]
+    if agreement is not None and not agreement.agree:
+        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
         console.print(
-            f"[yellow]The cameras disagree. {agreement.wrong} is probably misaligned "
-            f"({verdict.suspicion[agreement.wrong]:.0%}): its stated azimuth is {abs(turn):.1f} degrees (sigma "
-            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. The place ignores it with a weight of "
-            f"{left_out:.0%}; check its pose.",
+            f"[yellow]The cameras disagree. Probability of each to be the wrong one: {shares}. Check their poses.",
             highlight=False,
         )
-    elif agreement is not None and not agreement.agree:
-        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
-        console.print(f"[yellow]The cameras disagree, and it is unknown which one is wrong: {shares}.", highlight=False)
     print_views(console, said.views)
 
 
