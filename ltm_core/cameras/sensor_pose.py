@@ -4,8 +4,8 @@ Attitude of devices that carry a camera: from their own axes and worlds to the a
 
 A device tells how its axes lie in a world of its own. `ENU_FROM_*` take each of these worlds to east, north, up of the
 device's own north (true or magnetic); `phone_camera` says how a phone's back camera is mounted. Sources: Android's
-SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), ARKit's `gravityAndHeading`
-(x east, y up, z south), and the axes of a phone that all three share: x to the right of the screen, y to its top, z out
+SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), and the axes
+of a phone that both share: x to the right of the screen, y to its top, z out
 of it towards the person.
 """
 
@@ -35,10 +35,6 @@ from ltm_core.raster.dem import Dem
 ENU_FROM_ENU = np.eye(3)
 ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the world of Apple's CoreMotion (x north, z up) to east, north, up."""
-ENU_FROM_EUS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation from ARKit's world with `gravityAndHeading` (x east, y up, z south) to east, north, up."""
-OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
-"""Rotation from the optical frame (x right, y down, z forward) to ARKit and OpenGL axes (x right, y up, z backward)."""
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:

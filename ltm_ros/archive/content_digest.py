@@ -22,7 +22,6 @@ from pydantic import BaseModel
 import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
-import ltm_ros.fuel_map
 import ltm_ros.recordings.importing
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import load_fusion_config
@@ -51,7 +50,6 @@ _NOT_VOTES |= {"watchdog", "health", "region", "model", "label_heads", "labels",
 """Site keys without effect on the votes of a frame with known image, pose and calibration, or whose content is given
 beside them.
 """
-_NOT_MAP = _NOT_VOTES - {"terrain", "name"}
 _SEEN = {"mask", "view_masks", "judge_pictures"}
 """Camera keys that decide which of its images show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
@@ -92,12 +90,6 @@ def code_digest() -> str:
 def importer_digest() -> str:
     """Return the digest of the program that places photos."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.recordings.importing)
-
-
-@cache
-def map_code_digest() -> str:
-    """Return the digest of the program that makes a map and its layers from the tasks' results."""
-    return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive, ltm_ros.fuel_map)
 
 
 def _sources(*packages: ModuleType) -> str:
@@ -154,11 +146,6 @@ def evidence_digest(site: Site) -> str:
     settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
     frame = [site.crs, list(site.origin)]
     return digest(_by_content(settings), frame, _by_content(errors))
-
-
-def map_settings(site: Site) -> Any:
-    """Return the site settings, by content, for its map and layers, except evidence. Raises LtmError."""
-    return _by_content(site.model_dump(exclude=_NOT_MAP))
 
 
 def file_digest(path: Path) -> str:

@@ -40,7 +40,7 @@ from ltm_ros.archive.plan import (
     plan,
     refuse_terrain,
 )
-from ltm_ros.archive.publish import RUN, map_digest, publish, standing_record
+from ltm_ros.archive.publish import RUN, publish
 from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import first_message, recordings, scan
@@ -156,7 +156,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
     written.
     """
-    options, results = planned.options, planned.results
+    results = planned.results
     if not planned.frames and not planned.manifest.unread:
         results.write(RUN, _record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {})))
         raise ArchiveError(_no_frames(planned))
@@ -173,29 +173,10 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
             worked += ended.report.worked
     failures = (*planned.manifest.unread, *planned.manifest.failures, *broken.values())
     mapped = Summary(len(tasks), worked, 0, failures, {})
-    files = [name for task in tasks if task.evidence_key not in broken for name in task.files]
-    allowed = [options.max_failed, *(asdict(failure) for failure in failures)]
-    made_of = map_digest(planned.site, files, planned.burns, options.terrain, allowed)
-    standing = None if broken else standing_record(results, made_of)
-    return _reduced(planned, mapped, set(broken), made_of) if standing is None else _as_it_stands(mapped, standing)
+    return _reduced(planned, mapped, set(broken))
 
 
-def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
-    """Return the summary of a run without changes: its map is that of an earlier run, whose record stays."""
-    frames, terrain = record["frames"], record["terrain"]
-    worked: dict[str, Any] = terrain if isinstance(terrain, dict) else {"digest": "", "frames": 0}
-    return replace(
-        mapped,
-        merged=frames["merged"],
-        unused=frames["unused"],
-        failures=tuple(Failure(**failure) for failure in record["failures"]),
-        digest=record["digest"],
-        terrain_digest=worked["digest"],
-        terrain_frames=worked["frames"],
-    )
-
-
-def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> Summary:
+def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
     results = planned.results
     whole = [task for task in planned.tasks if task.evidence_key not in broken]
     dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image
@@ -225,7 +206,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> 
             with TileStore.open_read_only(path.with_name(TERRAIN_FILE), TERRAIN_KIND) as store:
                 summary = replace(summary, terrain_digest=store_digest(store), terrain_frames=terrain.frames)
         told = publish(results, planned.site, path, None if terrain is None else path.with_name(TERRAIN_FILE))
-        results.write(RUN, _record(planned, summary, {"made_of": made_of, **told}))  # last
+        results.write(RUN, _record(planned, summary, told))  # last
     return summary
 
 

@@ -15,7 +15,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="PHOTOS...",
-            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D recording.",
+            help="Photo, video, folder, or Sensor Logger recording.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],

@@ -79,7 +79,6 @@ EXAMPLES = {
         "ltm cameras probe http://192.168.1.20 --site site.yaml --camera north --lonlat -118.06,34.22 --height 20 "
         "--azimuth 214 --hfov 54",
     ),
-    "cameras watch": ("ltm cameras watch site.yaml", "ltm cameras watch site.yaml --once"),
     "cameras snapshot": ("ltm cameras snapshot site.yaml north --out presets",),
     "pose points": ("ltm pose points points.csv --guess guess.yaml --dem dem.tif --out pose.yaml",),
     "pose photo": ("ltm pose photo photo.jpg --guess guess.yaml --dem dem.tif --out pose.yaml --picture found.png",),

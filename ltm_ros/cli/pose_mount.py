@@ -154,7 +154,7 @@ def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, Z
     from ltm_core.site.networks import site_scene_filter, site_segmenter
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
-    from ltm_ros.cli.cameras_watch import READINGS
+    from ltm_ros.cli.cameras_snapshot import READINGS
 
     terrain, config = site_terrain(ptz.site)
     segmenter = site_segmenter(ptz.site, ptz.camera)

@@ -23,9 +23,6 @@ from ltm_ros.archive.engine import serial
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.recordings.importing.build import import_photos
 
-pytestmark = pytest.mark.usefixtures("without_page")
-
-
 DISK = Path(__file__).parents[1] / "scenes" / "archive_disk_process.py"
 
 

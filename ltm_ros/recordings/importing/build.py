@@ -218,10 +218,10 @@ def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose
 
 
 def _read(file: ImportedImage, row: PhotoPose) -> Photo:
-    """Read a photo; a frame with its own row is placed by that, not by the capture's first frame."""
+    """Read a photo; a frame with its own row has that row's time."""
     photo = file.read()
     own = row.name in (file.name, _without_suffix(file)) and row.pose != PartialPose()
-    return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
+    return replace(photo, sensed=replace(photo.sensed, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:

@@ -12,7 +12,7 @@ from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, moved_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, height_of, photo_time
 from ltm_ros.recordings.importing.intrinsics import intrinsics
@@ -62,9 +62,6 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     stated = known.model_dump(include=set(found), exclude_none=True)
     error = site.pose_error
     covariance = known.model_copy(update=found | stated).covariance(pose, error.position, error.angle_deg)
-    if photo.sensed.relative is not None:
-        first, pose = pose, photo.sensed.relative.placed(pose)
-        covariance = None if covariance is None else moved_covariance(covariance, pose.position - first.position)
     return PlacedPhoto(photo, _camera(photo, row, fixed, assumed), pose, covariance, stamp_ns, notes)
 
 

@@ -12,12 +12,6 @@ from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.sensor_pose import held_phone
 from ltm_core.storage.image_io import LARGEST_FILE
-from ltm_ros.recordings.importing.arkit import (
-    is_record3d,
-    is_stray_scanner,
-    record3d_pictures,
-    stray_scanner_pictures,
-)
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
@@ -106,10 +100,6 @@ def _found_in(path: Path, assumed: Assumptions) -> Iterator[ImportedImage | Sens
         files = CaptureFiles(path)
         if is_sensor_logger(files):
             yield from _sensor_logger(files)
-        elif is_stray_scanner(files):
-            yield from stray_scanner_pictures(files, assumed)
-        elif is_record3d(files):
-            yield from record3d_pictures(files, assumed)
         elif path.is_dir():
             yield from _in_folder(path, assumed)
         else:

@@ -17,7 +17,6 @@ from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
-from ltm_core.geometry.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,20 +29,6 @@ class Walk:
 
 
 @dataclass(frozen=True, eq=False)
-class Relative:
-    """Pose of a frame relative to the first frame of its capture: `rotation` (3, 3) and `translation` (3,) metres map
-    this frame's optical coordinates to the first's.
-    """
-
-    rotation: Float64Array
-    translation: Float64Array
-
-    def placed(self, first: Pose) -> Pose:
-        """Return the position of this frame, given the position of the first."""
-        return Pose(first.to_map(self.translation), first.rotation @ self.rotation)
-
-
-@dataclass(frozen=True, eq=False)
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
@@ -52,7 +37,6 @@ class Sensed:
     sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
     if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
     and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start.
-    `relative`: to the capture's first frame, to which all other values then belong.
     """
 
     source: str = "EXIF"
@@ -74,7 +58,6 @@ class Sensed:
     tilt_sigma_deg: float | None = None
     calibration: PartialCalibration = field(default_factory=PartialCalibration)
     seconds: float = 0.0
-    relative: Relative | None = None
     missing: str = ""
     """Reason why there is no position, if known."""
 

@@ -60,10 +60,6 @@ class Video:
         # The turn that shows it upright is counter-clockwise, as NumPy's.
         return np.ascontiguousarray(np.rot90(pixels, round(turn_deg / 90) % 4))
 
-    def stored(self, seconds: float) -> UInt8Array:
-        """Return the same in the orientation of the sensor."""
-        return self._frame(seconds)[0]
-
     def _frame(self, seconds: float) -> tuple[UInt8Array, float]:
         with _opened(self.path) as container:
             stream = container.streams.video[0]
