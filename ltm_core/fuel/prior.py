@@ -17,12 +17,10 @@ from ltm_core.geometry.grid import GridGeometry
 
 
 class BarrierConfig(StrictModel):
-    """Layer of a GeoPackage with areas or lines that do not burn."""
+    """GeoJSON file (longitude and latitude, WGS 84) with areas or lines that do not burn."""
 
     path: Path
-    """Path of the GeoPackage, relative to the site file."""
-    layer: str | None = None
-    """Name of the layer in a file with several."""
+    """Path of the GeoJSON file, relative to the site file."""
     kind: Literal["built", "road", "water"]
     """Kind of barrier: water gets the code NB8 (98), others NB1 (91)."""
     least_share: float = Field(0.5, gt=0, le=1)

@@ -333,16 +333,4 @@ class OnvifConfig(PtzSettings):
         return self
 
 
-class ReolinkConfig(PtzSettings):
-    """Reolink cameras with their own counts."""
-
-    kind: Literal["reolink"]
-    channel: int = Field(0, ge=0)
-    """Number of the channel on a device with several."""
-    pan_steps_per_deg: float = Field(10.0, gt=0)
-    """Counts of `Ppos` per degree; see the camera model's manual."""
-    tilt_steps_per_deg: float = Field(10.0, gt=0)
-    """Counts of `Tpos` per degree."""
-
-
-PtzConfig = Annotated[VapixConfig | IsapiConfig | OnvifConfig | ReolinkConfig, Field(discriminator="kind")]
+PtzConfig = Annotated[VapixConfig | IsapiConfig | OnvifConfig, Field(discriminator="kind")]

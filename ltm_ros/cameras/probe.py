@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -45,14 +44,11 @@ SNAPSHOT_PATHS = (
     "/snapshot.jpg",
 )
 """Common snapshot paths: Axis, Hikvision, Dahua, and others."""
-REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
-"""Only for Reolink cameras, because the URL contains the password."""
 PTZ_KINDS: tuple[dict[str, Any], ...] = (
     {"kind": "vapix"},
     {"kind": "isapi", "units": "degrees"},
     {"kind": "isapi", "units": "tenths"},
     {"kind": "onvif"},
-    {"kind": "reolink"},
 )
 
 
@@ -104,22 +100,18 @@ def probe(
         say("the stream")
         _try(found, url, lambda: _video(found, url, login))
         base = f"http://{host_of(url)}"
-        reolink = _is_reolink(base, timeout, ca, check_name)
     else:
         parts = urlsplit(url)
         base = f"{parts.scheme}://{parts.netloc}"
-        reolink = _is_reolink(base, timeout, ca, check_name)
         tls = login | {"ca": ca, "check_name": check_name}
         paths = [url] if parts.path not in ("", "/") else [base + path for path in SNAPSHOT_PATHS]
-        if parts.path in ("", "/") and user is not None and reolink:
-            paths = [base + REOLINK_SNAPSHOT]
         for place in paths:
             if found.source is None:
                 say(f"an image at {urlsplit(place).path}")
                 _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
     web = {"url": base, **login, "ca": ca, "check_name": check_name}
     for given in PTZ_KINDS:
-        if found.ptz is None and (given["kind"] == "reolink") <= reolink:
+        if found.ptz is None:
             say(f"a PTZ head by {given['kind']}")
             _try(found, f"PTZ head by {' '.join(given.values())}", lambda given=given: _try_ptz(found, given, web))  # type: ignore[misc]
     for stated in found.stated:
@@ -143,20 +135,6 @@ def _address_at(base: str, stated: str) -> str:
         return url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
         raise SourceError(f"invalid address reported by the camera: {error}") from None
-
-
-def _is_reolink(base: str, timeout: float, ca: Path | None, check_name: bool) -> bool:
-    """Return whether a camera answers as a Reolink camera; the request has no user or password."""
-    client = HttpClient(HttpSettings(url=base, timeout=timeout, ca=ca, check_name=check_name), most_bytes=MOST_WORDS)
-    try:
-        kind = {"content-type": "application/json"}
-        body = client.send("POST", f"{base}/cgi-bin/api.cgi?cmd=GetDevInfo", kind, b'[{"cmd":"GetDevInfo"}]').body
-        said = json.loads(body)
-        return isinstance(said, list) and bool(said) and isinstance(said[0], dict) and "cmd" in said[0]
-    except (SourceError, ValueError, RecursionError):
-        return False
-    finally:
-        client.close()
 
 
 def _try(found: Found, what: str, ask: Callable[[], str]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from ltm_core.site.source_config import IsapiConfig, OnvifConfig, PatrolConfig, PtzConfig, ReolinkConfig, VapixConfig
+from ltm_core.site.source_config import IsapiConfig, OnvifConfig, PatrolConfig, PtzConfig, VapixConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, StuckPtzError
 from ltm_ros.cameras.protocols.picture import PtzReading, Tolerance, at_rest
 
@@ -62,8 +62,6 @@ def tolerance_of(config: PtzConfig) -> Tolerance:
             return Tolerance(config.tolerance_deg or usual, zoom)
         case OnvifConfig():
             return Tolerance(config.tolerance_deg or 0.05, 0.002)
-        case ReolinkConfig():
-            return Tolerance(config.tolerance_deg or 0.15, 1.0)
 
 
 SLOWEST_DEG_S = 1.0

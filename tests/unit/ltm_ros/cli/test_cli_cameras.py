@@ -134,7 +134,6 @@ def test_a_camera_with_a_stated_pose_is_fixed_although_it_could_turn(camera: Htt
         ("isapi degrees", "/ISAPI/PTZCtrl/channels/1/absoluteEx"),
         ("isapi tenths", "/ISAPI/PTZCtrl/channels/1/status"),
         ("onvif", "/onvif"),
-        ("reolink", "/cgi-bin/api.cgi"),
     ],
 )
 def test_probe_tells_each_kind_of_head(camera: HttpCamera, kind: str, page: str) -> None:
