@@ -1,8 +1,7 @@
 """Messages without a standard type: JSON in std_msgs/String, each with its model, its JSON Schema and a version.
 
 A field that is added keeps the version; another meaning of a field, or one less, raises it. The schemas are in
-`config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints.
-"""
+`config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints."""
 
 from __future__ import annotations
 

@@ -14,12 +14,12 @@ import numpy as np
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.number_text import stamp_of_moment
 from ltm_core.base.types import BoolArray, Float32Array, Int16Array, Int64Array
-from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import BarrierConfig
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 
 _STRIP: Final = 256
 _FINE: Final = 8

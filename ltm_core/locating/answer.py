@@ -15,11 +15,9 @@ from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.locator import CameraAgreement, Location
-from ltm_core.locating.posterior import Ellipse
+from ltm_core.locating.locator import CameraAgreement, Ellipse, Location
 from ltm_core.locating.sight_fan import sight_fan
-from ltm_core.visibility.footprint import line_of_sight_vectors
-from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
+from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility, line_of_sight_vectors
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0
@@ -34,8 +32,7 @@ class PlaceView:
     `pixel`: u, v in the image, hidden or not; None if outside. `state`: seen, hidden, outside or unknown. `lift`:
     metres above the place from which the camera sees it; NaN if unknown ground decides. `hidden_by`: x, y, z of the
     crest before it. `azimuth_deg` (from grid north), `pitch_deg`: where to turn. `hfov_deg`: field of view that
-    contains the uncertainty. `distance`: horizontal, metres.
-    """
+    contains the uncertainty. `distance`: horizontal, metres."""
 
     camera: str
     pixel: tuple[float, float] | None

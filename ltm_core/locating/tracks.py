@@ -1,8 +1,7 @@
 """Assign sightings of several cameras and times to fires, with the pose that each was marked under.
 
 A sighting joins the track that it agrees with best (`Locator.limit`). If it agrees with none but lies in the direction
-of one, it begins a track of its own, and its cameras count as disagreeing about it.
-"""
+of one, it begins a track of its own, and its cameras count as disagreeing about it."""
 
 from __future__ import annotations
 
@@ -100,8 +99,7 @@ class Tracks:
     """The tracks of a site.
 
     `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends. `most`: maximum number of
-    tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera in a track, the newest.
-    """
+    tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera in a track, the newest."""
 
     locator: Locator
     smoke: bool = True

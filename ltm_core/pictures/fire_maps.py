@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, RgbImage
-from ltm_core.fire.effect import FireEffect
-from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fire.scenario import FireScenario, Wind
+from ltm_core.fire.effect import FireEffect, FireRun, FireScenario, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
 from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, label_legend
 from ltm_core.pictures.maps import MapCamera, interesting_bounds
-from ltm_core.pictures.photo_overlays import label_colors
-from ltm_core.pictures.sheets import panel
+from ltm_core.pictures.photo_overlays import label_colors, panel
 from ltm_core.raster.dem import Dem
 
 FLAME: Final = Scale(

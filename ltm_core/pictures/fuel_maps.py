@@ -1,8 +1,7 @@
 """Draw the fuel map over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes. Fuel models have
-LANDFIRE's colours, which do not: their names are written on the map.
-"""
+LANDFIRE's colours, which do not: their names are written on the map."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, label_legend, text_width
 from ltm_core.pictures.maps import MapCamera, draw_outline, finished, furnished, interesting_bounds, relief, view_of
-from ltm_core.pictures.photo_overlays import label_colors
-from ltm_core.pictures.sheets import panel, with_axes
+from ltm_core.pictures.photo_overlays import label_colors, panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)
@@ -84,8 +82,7 @@ class FuelCanvas:
 
     `geometry`: the fuel grid; `dem` in the same frame. `bounds`: (x_min, y_min, x_max, y_max) of the part; default: the
     whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its axes. `about`: a note
-    beside the scale bar. Raises RasterError for rasters in different CRSs.
-    """
+    beside the scale bar. Raises RasterError for rasters in different CRSs."""
 
     def __init__(
         self,

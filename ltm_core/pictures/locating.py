@@ -10,10 +10,10 @@ import numpy as np
 
 from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.posterior import Ellipse, Posterior
+from ltm_core.locating.locator import Ellipse, Posterior
 from ltm_core.pictures.legend import INK, PAPER, Text, apart, draw_texts, ramp_legend, with_legend
 from ltm_core.pictures.maps import MapCamera, finished, furnished, relief, view_of
-from ltm_core.pictures.sheets import panel, with_axes
+from ltm_core.pictures.photo_overlays import panel, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointState
 

@@ -31,8 +31,7 @@ class SurfaceLayers:
     cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN in unseen
     cells. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
     how many. `last_seen`: s, 0 never. `since`: s, when an accepted change had been seen, else 0. `by`: the mask of the
-    cameras that agreed on it. `label`: class last seen, 255 none.
-    """
+    cameras that agreed on it. `label`: class last seen, 255 none."""
 
     geometry: GridGeometry
     bare: Float32Array

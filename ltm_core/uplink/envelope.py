@@ -4,8 +4,7 @@
 
 Integers are big-endian, the header is JSON, the certificate X.509 DER. The lengths are checked against the whole before
 anything is decoded. The signature is over all before it, so that neither a broker nor a file in between can change what
-a tower has said.
-"""
+a tower has said."""
 
 from __future__ import annotations
 

@@ -14,8 +14,16 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals, line_of_sight_vectors
-from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, project
+from ltm_core.visibility.point_visibility import (
+    TOLERANCE,
+    PointVisibility,
+    arrival_directions,
+    ground_footprints,
+    ground_normals,
+    in_image,
+    line_of_sight_vectors,
+    project,
+)
 
 _CELLS = 1 << 18
 """Number of cells processed at a time, which bounds memory."""
@@ -39,8 +47,7 @@ class Coverage:
     `count`: int16, cameras that see the cell at the target's height; -1 where the ground is not known. `footprint`:
     float32 metres, the longer side of a pixel's footprint on the cell's ground, of the camera that sees it best; NaN
     where none does, or only over a crest whose slope faces away. `height`: float32 metres above the
-    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it.
-    """
+    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it."""
 
     geometry: GridGeometry
     count: Int16Array
@@ -71,8 +78,7 @@ def viewshed(
     with at most 16 million cells. `target_height`: metres above the ground of the target (smoke, a person). `ground`:
     bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen where their
     tops are. `max_range`: horizontal range of a camera in metres. `all_round`: cameras turn wherever needed. Raises
-    PoseError: no camera, or one under the ground; RasterError for an invalid resolution.
-    """
+    PoseError: no camera, or one under the ground; RasterError for an invalid resolution."""
     if not views:
         raise PoseError("a viewshed needs at least one camera with calibration and pose")
     if not (math.isfinite(target_height) and target_height >= 0):

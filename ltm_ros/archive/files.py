@@ -29,8 +29,7 @@ def files_below(archive: str) -> list[StoredFile]:
 def _files_in(folder: Path) -> list[Path]:
     """Return files at any depth, by path, also behind links, each folder once; none without such a folder. A broken
     link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises OSError for an unreadable
-    folder, unlike `Path.rglob`.
-    """
+    folder, unlike `Path.rglob`."""
 
     def failed(error: OSError) -> None:
         if not (isinstance(error, FileNotFoundError) and error.filename == str(folder)):

@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.named_columns import Columns
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import Columns, Float32Array
 from ltm_core.fuel.vote_columns import columns_to_votes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -59,8 +58,7 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
 
     Votes have one row per cell that a frame sees, with `frame` as its number in the file's metadata; measured data has
     one row per frame. Raises ArchiveError if an image cannot be read any more, because that must not count as a lost
-    frame.
-    """
+    frame."""
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
     votes, measured = _VotesFile(), MeasuredFile()
@@ -123,8 +121,7 @@ class _VotesFile(_Lost):
 
 class MeasuredFile(_Lost):
     """One row group per frame, so that frames can be read one at a time; kept compressed. A frame without a network
-    result counts as lost, although the terrain takes it, as live.
-    """
+    result counts as lost, although the terrain takes it, as live."""
 
     def __init__(self) -> None:
         super().__init__()

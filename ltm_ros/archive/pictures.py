@@ -33,8 +33,7 @@ class ArchiveImageReader:
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
         """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now,
-        OSError if the local disk fails.
-        """
+        OSError if the local disk fails."""
         found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
         if found is None:
             raise ArchiveError(

@@ -1,6 +1,5 @@
 """Plan an archive's tasks, a camera's day each: the node parameters from the site file, and the names of results, which
-are digests of all that goes into them.
-"""
+are digests of all that goes into them."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.pipeline.fusing_step import FusingConfig

@@ -1,7 +1,6 @@
 """Write the map of an archive with its layers.
 
-A run's record lists which files were published. It is removed before any of them is replaced, and written last.
-"""
+A run's record lists which files were published. It is removed before any of them is replaced, and written last."""
 
 from __future__ import annotations
 
@@ -23,14 +22,12 @@ LAYERS, LANDSCAPE = "layers", "landscape.tif"
 RUN = "run.json"
 STORES = "stores.json"
 """SHA-256 of existing stores and their replacements, all written by runs. A node continues from a store with another
-one.
-"""
+one."""
 
 
 def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None) -> dict[str, Any]:
     """Publish the map in `store` and, if used, the terrain's store; return their part of the run's record. Raises
-    ArchiveError if a node has continued from an existing store.
-    """
+    ArchiveError if a node has continued from an existing store."""
     former = [_own_store(results, name) for name in (STORE_FILE, TERRAIN_FILE)]
     out = store.parent / "out"
     landscape = _write_map(store, site, out)

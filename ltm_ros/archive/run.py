@@ -1,7 +1,6 @@
 """Reprocess an archive: scan, plan, run the tasks, and merge them into the site's store, layers and a record.
 
-All intermediate files are named by their content, so a stopped run is resumed by running it again.
-"""
+All intermediate files are named by their content, so a stopped run is resumed by running it again."""
 
 from __future__ import annotations
 
@@ -25,7 +24,6 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
 from ltm_ros.archive.content_digest import code_digest
-from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest, packed
@@ -44,6 +42,7 @@ from ltm_ros.archive.publish import RUN, publish
 from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import first_message, recordings, scan
+from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
 MANIFEST = "manifest.parquet"
@@ -55,8 +54,7 @@ _NAMED = 1000
 class ArchiveOptions:
     """Options of a run. `since_ns`, `until_ns`: stamps, both inclusive. `max_failed`: share of all frames that may be
     lost before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times. `terrain`: also
-    compute the terrain, and apply its changes to the fuel map.
-    """
+    compute the terrain, and apply its changes to the fuel map."""
 
     archives: tuple[str | Path, ...]
     site: Path
@@ -91,8 +89,7 @@ class Plan:
 @dataclass(frozen=True)
 class Summary:
     """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
-    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames.
-    """
+    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames."""
 
     tasks: int
     worked: int
@@ -110,8 +107,7 @@ class Summary:
 
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
     """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
-    be processed.
-    """
+    be processed."""
     site = load_site(options.site)
     if options.terrain:
         refuse_terrain(site)
@@ -154,8 +150,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
     Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
-    written.
-    """
+    written."""
     results = planned.results
     if not planned.frames and not planned.manifest.unread:
         results.write(RUN, _record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {})))

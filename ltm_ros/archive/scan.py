@@ -1,8 +1,7 @@
 """Scan a recording once: locations and digests of its images, and all messages that are joined to them.
 
 A scan depends only on the file and the topic names, so it is stored with the results and used again while the file is
-unchanged.
-"""
+unchanged."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
 from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
 from ltm_ros.archive.files import ResultFolder, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
-from ltm_ros.recordings.importing.pose_file import POSES
+from ltm_ros.recordings.importing.photo import POSES
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
@@ -42,8 +41,7 @@ class ScannedMessage:
     """A message of a recording, in the order of log times.
 
     For an image, `content` is its digest, `stamp_ns` and size are its own, and `raw` is empty; `trouble` says why it is
-    invalid; `file`: its own file, if any. For others, `raw` is the message.
-    """
+    invalid; `file`: its own file, if any. For others, `raw` is the message."""
 
     topic: str
     type_name: str
@@ -84,8 +82,7 @@ class Recording:
 class Scan:
     """Result of scanning the recording `name`, read on request. `begins`: log time of the first message of each topic.
     `damage`: unreadable parts, in words; `lost`: their messages as in `BagReader.lost`. `recorded`: types of the file's
-    topics.
-    """
+    topics."""
 
     name: str
     begins: Mapping[str, int]
@@ -109,8 +106,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth; each once, by
     name.
 
-    Raises ArchiveError for a place without any, OSError if it cannot be read now.
-    """
+    Raises ArchiveError for a place without any, OSError if it cannot be read now."""
     found: dict[str, Recording] = {}
     for archive in archives:
         below = files_below(archive)
@@ -134,8 +130,7 @@ def scan(recording: Recording, site: Site, results: ResultFolder) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
     Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
-    nothing is stored.
-    """
+    nothing is stored."""
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
     placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
     name = f"{SCANS}/{digest(_VERSION, state, _topics_of(site), placed)}.parquet"

@@ -26,8 +26,7 @@ from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import host_of, with_configured_host
-from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
+from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, host_of, with_configured_host
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
@@ -63,8 +62,7 @@ class PtzFound:
 @dataclass
 class Found:
     """Result of a probe. `source`: the camera's section of a site file, without user and password; `tried`: requests
-    and answers, in words.
-    """
+    and answers, in words."""
 
     source: dict[str, Any] | None = None
     size: tuple[int, int] | None = None
@@ -92,8 +90,7 @@ def probe(
 ) -> Found:
     """Request an image at `url` or at common paths, and look for a PTZ head.
 
-    Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures.
-    """
+    Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures."""
     found = Found()
     login = {"user": user, "password": password, "timeout": timeout}
     if url.startswith(("rtsp://", "rtsps://")):
@@ -129,8 +126,7 @@ def _stated(found: Found, base: str, stated: str, web: dict[str, Any]) -> str:
 
 def _address_at(base: str, stated: str) -> str:
     """Return an address that the camera at `base` reports. Raises SourceError if it is invalid, or would put a password
-    into the site file.
-    """
+    into the site file."""
     try:
         return url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:

@@ -38,8 +38,7 @@ def take_snapshot(
     site_file: Path, camera_name: str, out: Path, name: str, trace: bool, tries: int, overwrite: bool
 ) -> tuple[list[Path], list[str]]:
     """Take an image; return the written files and the lines to print. Raises ConfigError, and SourceError if no usable
-    image came.
-    """
+    image came."""
     site = load_site(site_file)
     require_folder(out, "an image")
     frame, reason = _frame(site, camera_name, tries)

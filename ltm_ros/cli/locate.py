@@ -116,7 +116,7 @@ def _write(out: Path, said: LocateResult, scene: LocatingScene, marked: list[str
     import json
 
     from ltm_core.locating.answer import SHARES, as_data, as_geojson
-    from ltm_core.locating.posterior import write_posterior
+    from ltm_core.locating.locator import write_posterior
     from ltm_core.pictures import MapCamera, to_png
     from ltm_core.pictures.locating import location_picture
 

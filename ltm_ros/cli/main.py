@@ -14,11 +14,8 @@ from typer.core import TyperGroup
 from ltm_core.base.errors import LtmError
 from ltm_ros.cli.assess import assess
 from ltm_ros.cli.cameras import cameras
-from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
-from ltm_ros.cli.export import export
-from ltm_ros.cli.fire import fire
-from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.export import export, fire
 from ltm_ros.cli.init import init
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import label, mask
@@ -27,9 +24,9 @@ from ltm_ros.cli.pose_import import import_poses
 from ltm_ros.cli.pose_mount import mount
 from ltm_ros.cli.pose_photo import photo
 from ltm_ros.cli.pose_points import points
-from ltm_ros.cli.record import record, replay
+from ltm_ros.cli.record import import_, record, replay
 from ltm_ros.cli.reprocess import reprocess
-from ltm_ros.cli.run import certs, region, run
+from ltm_ros.cli.run import certs, check, region, run
 from ltm_ros.cli.tower import doctor, rollback, status, upgrade
 from ltm_ros.cli.trace import trace, viewshed
 from ltm_ros.cli.train import train

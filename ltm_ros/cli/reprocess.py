@@ -45,13 +45,12 @@ def reprocess(
 ) -> None:
     """Reprocess all frames of ARCHIVES with SITE; write fuel map, layers and a record of the run to OUT.
 
-    Run it again to resume. After a change, only affected results are recomputed.
-    """
+    Run it again to resume. After a change, only affected results are recomputed."""
     from rich.console import Console
 
-    from ltm_ros.archive.engine import on_workers, serial
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
+    from ltm_ros.archive.task import on_workers, serial
     from ltm_ros.cli.output import counting_bar
     from ltm_ros.fuel_map.layers import when
 
@@ -126,8 +125,7 @@ def _cost_rows(planned: Plan) -> list[tuple[str, ...]]:
 
 def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, float, float]:
     """Return the CPU seconds of a camera's frame from image to results, the standard error of their mean, and the bytes
-    of the results, estimated from a few frames, spread over all; nothing is kept.
-    """
+    of the results, estimated from a few frames, spread over all; nothing is kept."""
     from ltm_ros.archive.frame_files import frame_files
     from ltm_ros.archive.plan import MEASURED, VOTES
 

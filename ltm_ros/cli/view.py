@@ -43,8 +43,7 @@ def view(
 ) -> None:
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 
-    Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s.
-    """
+    Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s."""
     from ltm_core.base.errors import ConfigError, RecordingError
     from ltm_core.storage.disk_io import require_files, require_folder
 

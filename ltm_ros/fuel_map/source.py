@@ -28,7 +28,7 @@ from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.networks import with_live_record
 from ltm_core.site.site import Site
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain

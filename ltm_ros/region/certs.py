@@ -1,7 +1,6 @@
 """Make a small certificate authority for trials: certificates of a region's broker, map and towers.
 
-It also writes the broker's configuration with the access rights.
-"""
+It also writes the broker's configuration with the access rights."""
 
 from __future__ import annotations
 

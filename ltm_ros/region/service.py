@@ -17,16 +17,14 @@ from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.launching.runner import print_line
-from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.exports import RegionExports
-from ltm_ros.region.inbox import Inbox
-from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
+from ltm_ros.region.aggregator import Aggregator, RegionExports
+from ltm_ros.region.mqtt_link import Inbox, MqttLink, ack_topic, presence_topic, votes_topic
 from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower import machine
+from ltm_ros.tower.health_client import PatientServer
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
-from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
 SETTLE_S: Final = 0.25

@@ -26,8 +26,7 @@ SAME_DEG = 0.1
 
 class PageMark(StrictModel):
     """A clicked mark. `stamp`: seconds, of the shown image; `across`, `down`: shares of its width and height, from the
-    upper left corner.
-    """
+    upper left corner."""
 
     camera: str
     stamp: float
@@ -116,8 +115,7 @@ class Marks:
 
     def places(self) -> list[dict[str, Any]]:
         """Return the site's tracks, newest first, as `locate` published them; `marks` are those that lie on the images
-        of the page, as shares of their width and height.
-        """
+        of the page, as shares of their width and height."""
         with self._lock:
             places = list(self._places)
         return [place.model_dump() | {"marks": self._drawn(place), "mark_count": len(place.marks)} for place in places]

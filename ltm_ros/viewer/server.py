@@ -2,8 +2,7 @@
 
 Rerun's programs send usage statistics, and its page loads fonts and looks for releases. The processes started here have
 a configuration of their own without statistics. The page is served again by our server, without links to other hosts
-and with a policy that makes the browser block requests to them.
-"""
+and with a policy that makes the browser block requests to them."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ WEB_PORT, GRPC_PORT = 9090, 9876
 """Default ports of the page and of its data."""
 LIVE_MEMORY = "384MiB"
 """Memory limit for the data that the server of a live view keeps for later viewers; the oldest goes first. While a
-viewer is open, the server uses up to twice that.
-"""
+viewer is open, the server uses up to twice that."""
 OPEN_MEMORY = "1GiB"
 """Memory limit of a window, and of the server of a recording. Rerun's own limit for a window is 75 % of the machine."""
 _PR_SET_PDEATHSIG = 1
@@ -52,8 +50,7 @@ _FOREIGN_LINK = re.compile(rb"<link\b[^>]*https?://[^>]*>")
 def rerun_binary() -> Path:
     """Return the viewer's binary: the `rerun` script is a wrapper that leaves it running when killed.
 
-    Raises ConfigError if rerun-sdk is not installed.
-    """
+    Raises ConfigError if rerun-sdk is not installed."""
     spec = find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         binary = Path(folder) / "rerun"
@@ -102,8 +99,7 @@ class RerunProcess:
     ) -> RerunProcess:
         """Start a gRPC server that keeps its data (and `recording`) for late viewers, and the web viewer's page.
 
-        Raises ConfigError if a port is in use or the server does not start.
-        """
+        Raises ConfigError if a port is in use or the server does not start."""
         for port in (web_port, grpc_port):
             _refuse_taken(port)
         own_page = _free_port()
@@ -203,8 +199,7 @@ def _end_with_parent() -> Callable[[], None] | None:
 def with_tab(blueprint: dict[str, Any], tab: str) -> dict[str, Any]:
     """Return a copy of the blueprint with another tab in front, by its name, ignoring case.
 
-    Raises ConfigError that lists the tabs, if the tab does not exist.
-    """
+    Raises ConfigError that lists the tabs, if the tab does not exist."""
     chosen = copy.deepcopy(blueprint)
     viewport = chosen.get("/viewport", {}).get("ViewportBlueprint", {})
     root = chosen.get(f"/container/{viewport.get('root_container')}", {}).get("ContainerBlueprint", {})
@@ -239,8 +234,7 @@ def screenshot(
     """Write `picture` (PNG, `size` pixels) of the last moment of `recording`, of `tab`, or of the first one.
 
     Needs a Vulkan driver, which may be Mesa's software one (Debian: mesa-vulkan-drivers). Raises RecordingError if the
-    file cannot be opened or nothing can be drawn, ConfigError for an unknown tab.
-    """
+    file cannot be opened or nothing can be drawn, ConfigError for an unknown tab."""
     if not recording.is_file():
         raise RecordingError(f"{recording}: no such recording")
     if picture.suffix != ".png":
@@ -276,8 +270,7 @@ def _shown(client: object) -> None:
 
 def _retry(action: Callable[[], T], viewer: RerunProcess, deadline: float, recording: Path) -> T:
     """Repeat a request: the viewer rejects requests until it has drawn its first frame, which is slow on
-    some machines.
-    """
+    some machines."""
     while True:
         try:
             return action()

@@ -9,9 +9,9 @@ from scenes.small_site import SmallSite, write_small_site
 
 from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
 from ltm_core.storage.tile_store import TileStore
-from ltm_ros.archive.engine import serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
+from ltm_ros.archive.task import serial
 
 
 @pytest.fixture(scope="session")

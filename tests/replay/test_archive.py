@@ -26,14 +26,13 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
-from ltm_ros.archive.task import work
+from ltm_ros.archive.task import Engine, on_workers, serial, work
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic

@@ -23,9 +23,9 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND, SURFACE_LAYER
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.engine import Engine, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.task import Engine, serial
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 

@@ -11,10 +11,9 @@ import pytest
 from scenes.small_site import SmallSite
 
 from ltm_core.base.errors import ArchiveError
-from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
-from ltm_ros.archive.task import TaskReport, work
+from ltm_ros.archive.task import Engine, TaskReport, on_workers, serial, work
 
 
 def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:

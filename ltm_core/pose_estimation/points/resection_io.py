@@ -19,7 +19,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 
 _COLUMNS: dict[str, Sequence[str]] = {
@@ -75,8 +75,7 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
     Columns (any case): id or name; x, y (also x_e, y_n, easting, northing) in the frame's CRS, or lon, lat in degrees;
     z (or height, elevation); u (column) and v (row). `first_pixel`: the number of the first pixel's centre in the
     file: 0 here and in OpenCV, 1 in Matlab, 0.5 where pixels are counted by their corners. Raises PoseError naming
-    file, line and column.
-    """
+    file, line and column."""
     names, values = read_point_rows(path, frame, first_pixel)
     return ControlPoints(names, values[:, :3], values[:, 3:5])
 

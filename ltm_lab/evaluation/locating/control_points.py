@@ -10,8 +10,7 @@ import numpy as np
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.locating.locator import Locator
-from ltm_core.locating.posterior import Posterior, reach_in_ellipse
+from ltm_core.locating.locator import Locator, Posterior, reach_in_ellipse
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
@@ -19,7 +18,7 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.footprint import pixel_rays
+from ltm_core.visibility.point_visibility import pixel_rays
 
 
 def credibility(posterior: Posterior, x: float, y: float) -> float:

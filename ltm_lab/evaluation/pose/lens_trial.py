@@ -20,14 +20,14 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_adjustment import applied, size_of
 from ltm_core.pose_estimation.points.resection_io import read_control_points
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.lens_search import find_pose_and_lens
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config, read_photo
-from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import line_of_sight_vectors
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
 from ltm_lab.evaluation.pose.pose_trial import Angles, Sensor, disturbed, sigmas_deg, three

@@ -1,8 +1,7 @@
 """Read PTZ heads of Hikvision (ISAPI) and Axis (VAPIX).
 
 ISAPI: source: ISAPI 2.0, PTZCtrl; fields as cameras send them. Units differ between pages: tenths of a degree in
-`status`, degrees with decimals in `absoluteEx`.
-"""
+`status`, degrees with decimals in `absoluteEx`."""
 
 from __future__ import annotations
 
@@ -20,15 +19,26 @@ from ltm_core.site.source_config import (
 )
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.picture import PtzReading
-from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of, span
-from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.head import (
+    Connection,
+    PtzHead,
+    PtzLimits,
+    found,
+    local,
+    number,
+    parsed_xml,
+    settings_of,
+    spacing_for,
+    span,
+    token_of,
+    tolerance_of,
+)
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 
 class IsapiPtzHead:
     """Azimuth is its pan, elevation its tilt. On most of these PTZ heads, elevation grows downwards (0 level, 90
-    straight down): `mount.tilt_sign: -1`.
-    """
+    straight down): `mount.tilt_sign: -1`."""
 
     def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._connection = connection or Connection(settings_of(config, source))
@@ -137,8 +147,7 @@ class VapixPtzHead:
 
 def open_ptz(config: PtzConfig, source: SourceConfig | None, connection: Connection | None = None) -> PtzHead:
     """Open a PTZ head without a request. `connection`: an existing one. Raises SourceError, and UnauthorisedError if
-    the password cannot be read.
-    """
+    the password cannot be read."""
     match config:
         case VapixConfig():
             return VapixPtzHead(config, source, connection)

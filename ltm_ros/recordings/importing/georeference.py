@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from ltm_core.base.errors import CameraError, PoseError, RecordingError
+from ltm_core.base.number_text import stamp_of_moment
 from ltm_core.base.types import Float64Array
-from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
@@ -16,8 +16,7 @@ from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGM
 from ltm_core.site.sections import CameraConfig
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, height_of, photo_time
 from ltm_ros.recordings.importing.intrinsics import intrinsics
-from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.pose_file import PhotoPose
+from ltm_ros.recordings.importing.photo import Photo, PhotoPose
 
 _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 
@@ -25,8 +24,7 @@ _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
     """A photo with everything that the graph needs. `covariance`: (6, 6) of the pose; None: the site's default.
-    `notes`: assumptions, for the user.
-    """
+    `notes`: assumptions, for the user."""
 
     photo: Photo
     camera: Camera
@@ -41,8 +39,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     precede its sensors and EXIF.
 
     Raises PoseError, CameraError or RecordingError with the remedy if position, azimuth, pitch, focal length or date
-    are unknown.
-    """
+    are unknown."""
     notes: list[str] = []
     taken = photo_time(photo, row.stamp, assumed.time_zone, notes)
     stamp_ns = _stamp_ns(photo, taken)

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ltm_core.base.errors import RecordingError
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
 
@@ -36,8 +36,7 @@ class Sensed:
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
     sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
     if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
-    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start.
-    """
+    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start."""
 
     source: str = "EXIF"
     stamp: datetime | None = None
@@ -92,8 +91,7 @@ _WALKING_SPEED = 1.4
 @dataclass(frozen=True, eq=False)
 class Fixes:
     """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
-    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too.
-    """
+    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too."""
 
     stamp_ns: Int64Array
     lon: Float64Array

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.fire.effect import BANDS, FireEffect, changed_fuel, write_fire
-from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind
+from ltm_core.fire.effect import BANDS, FireEffect, FireRun, FireScenario, Moisture, Wind, changed_fuel, write_fire
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, arrival_scale, difference_classes, fire_sheet

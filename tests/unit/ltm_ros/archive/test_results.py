@@ -10,11 +10,10 @@ import pytest
 
 from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
-from ltm_ros.archive.engine import on_workers
 from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
-from ltm_ros.archive.task import TaskReport
+from ltm_ros.archive.task import TaskReport, on_workers
 from ltm_ros.runtime.ros_environment import available_cores
 
 

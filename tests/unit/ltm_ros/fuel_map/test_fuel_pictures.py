@@ -47,7 +47,7 @@ from ltm_core.pictures.fuel_maps import (
     seen_sheet,
 )
 from ltm_core.pictures.maps import MapCamera
-from ltm_core.pictures.sheets import round_step, with_axes
+from ltm_core.pictures.photo_overlays import round_step, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter

@@ -15,8 +15,7 @@ from scenes.region_scene import write_region_scene
 from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
-from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.exports import RegionExports
+from ltm_ros.region.aggregator import Aggregator, RegionExports
 from ltm_ros.region.mqtt_link import votes_topic
 from ltm_ros.region.service import RegionService
 from ltm_ros.runtime.health import Health
@@ -63,7 +62,7 @@ def test_an_export_that_fails_by_a_bug_is_told_and_tried_again_and_the_map_lives
         raise ValueError("a library's")
 
     with monkeypatch.context() as patched:
-        patched.setattr("ltm_ros.region.exports.export_site", broken)
+        patched.setattr("ltm_ros.region.aggregator.export_site", broken)
         exports.look(0.0, changed=True)
 
         def looked() -> bool:

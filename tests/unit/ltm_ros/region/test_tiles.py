@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from ltm_ros.region.inbox import KEPT_BYTES, Inbox
+from ltm_ros.region.mqtt_link import KEPT_BYTES, Inbox
 from ltm_ros.runtime.health import Health
 
 

@@ -13,8 +13,7 @@ from scenes.waiting import wait_for
 
 from ltm_core.site.source_config import PtzConfig, RtspConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import PtzHead, tolerance_of
+from ltm_ros.cameras.ptz.head import PtzHead, parsed_xml, settings_of, tolerance_of
 from ltm_ros.cameras.ptz.makers import VapixPtzHead, open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 

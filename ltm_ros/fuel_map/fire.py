@@ -12,13 +12,13 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import difference, number
 from ltm_core.fire.effect import (
     FireEffect,
+    FireScenario,
     changed_fuel,
     read_landscape,
     require_same_grid,
     write_fire,
 )
 from ltm_core.fire.pyretechnics import Pyretechnics
-from ltm_core.fire.scenario import FireScenario
 from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
