@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 from functools import partial
 from pathlib import Path
 
 import pytest
+from scenes.archive_jobs import deadly_work
 from scenes.small_site import SmallSite
 
 from ltm_core.base.errors import ArchiveError
-from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
-from ltm_ros.archive.task import Engine, TaskReport, on_workers, serial, work
+from ltm_ros.archive.task import Engine, on_workers, serial
 
 
 def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
     return run(look_through(options, lambda done, total: None), engine, lambda done, total: None)
-
-
-def deadly_work(deadly: str, task: Task, settings: TaskSettings) -> TaskReport:
-    return os._exit(9) if task.evidence_key == deadly else work(task, settings)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from scenes.archive_jobs import full_disk_at_3, thread_count
 
 from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
@@ -49,19 +50,9 @@ def task(number: int) -> Task:
     return Task((frame,), "", f"{number}", f"{number}")
 
 
-def empty(task: Task, settings: TaskSettings) -> TaskReport:
-    if task.evidence_key == "3":
-        raise OSError("the disk is full")
-    return TaskReport(1)
-
-
-def surroundings(task: Task, settings: TaskSettings) -> TaskReport:
-    return TaskReport(kernel_threads())
-
-
 @pytest.mark.slow  # starts processes
 def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
-    done = list(on_workers(2, empty)([task(n) for n in range(6)], SETTINGS))
+    done = list(on_workers(2, full_disk_at_3)([task(n) for n in range(6)], SETTINGS))
     assert {one.task.evidence_key for one in done} == set("012345")
     assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
 
@@ -69,6 +60,6 @@ def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
 @pytest.mark.slow  # starts two processes
 def test_workers_leave_each_other_s_cores_alone() -> None:
     threads = max(1, available_cores() // 2)
-    done = list(on_workers(2, surroundings)([task(n) for n in range(3)], SETTINGS))
+    done = list(on_workers(2, thread_count)([task(n) for n in range(3)], SETTINGS))
     assert [one.report for one in done] == 3 * [TaskReport(threads)]
     assert kernel_threads() == numba.config.NUMBA_NUM_THREADS
