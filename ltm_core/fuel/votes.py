@@ -16,7 +16,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.point_visibility import arrival_directions
+from ltm_core.visibility.footprint import arrival_directions
 
 _LEAST_FACING = 0.02
 """Sine of about 1 degree, the flattest line of sight; flatter ones would give infinities to first order."""

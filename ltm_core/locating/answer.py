@@ -17,7 +17,8 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.locating.locator import CameraAgreement, Ellipse, Location
 from ltm_core.locating.sight_fan import sight_fan
-from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility, line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0

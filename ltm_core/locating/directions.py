@@ -25,7 +25,7 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
 from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 STEEPEST_DEG = 80.0
 """Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""

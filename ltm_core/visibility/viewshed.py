@@ -14,16 +14,8 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.point_visibility import (
-    TOLERANCE,
-    PointVisibility,
-    arrival_directions,
-    ground_footprints,
-    ground_normals,
-    in_image,
-    line_of_sight_vectors,
-    project,
-)
+from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals, line_of_sight_vectors
+from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, project
 
 _CELLS = 1 << 18
 """Number of cells processed at a time, which bounds memory."""

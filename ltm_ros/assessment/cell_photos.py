@@ -18,7 +18,8 @@ from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.pictures import to_jpeg
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
-from ltm_core.visibility.point_visibility import PointVisibility, arrival_directions, ground_normals, in_image, project
+from ltm_core.visibility.footprint import arrival_directions, ground_normals
+from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
 from ltm_ros.assessment.answers_io import SampledCell
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame

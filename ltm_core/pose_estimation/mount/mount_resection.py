@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.mount.mount_verdict import STEEPEST_LEAN, closed_f
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
 from ltm_core.pose_estimation.skyline.pose_prior import turned
-from ltm_core.visibility.point_visibility import line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
 
 LEAST_LANDMARKS = 4
 """Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with

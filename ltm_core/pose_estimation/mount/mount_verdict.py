@@ -24,7 +24,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConf
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
 @dataclass(frozen=True, eq=False)

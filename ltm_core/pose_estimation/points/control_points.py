@@ -16,7 +16,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from ltm_core.pose_estimation.points.resection_adjustment import (
     unbearable,
 )
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
 @dataclass(frozen=True)

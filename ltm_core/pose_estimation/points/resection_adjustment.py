@@ -15,7 +15,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector
 from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner_radius, radial_trend
 from ltm_core.pose_estimation.points.control_points import ControlPoints
-from ltm_core.visibility.point_visibility import line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
 
 Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]
 """Parameters that may be fitted in addition to the angles, which always are."""

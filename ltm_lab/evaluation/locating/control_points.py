@@ -18,7 +18,7 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 
 def credibility(posterior: Posterior, x: float, y: float) -> float:

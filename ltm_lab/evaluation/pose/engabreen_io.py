@@ -26,7 +26,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import read_text
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import read_photo
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.pose.pose_trial import Angles, three
 

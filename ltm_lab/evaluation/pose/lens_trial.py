@@ -27,7 +27,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE,
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config, read_photo
-from ltm_core.visibility.point_visibility import line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
 from ltm_lab.evaluation.pose.pose_trial import Angles, Sensor, disturbed, sigmas_deg, three

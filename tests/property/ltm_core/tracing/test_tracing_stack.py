@@ -15,7 +15,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import PointVisibility, line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_lab.tracers.reference import trace_reference
 
 

@@ -13,7 +13,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.lens import LensPrior, corner_radius, radial_trend
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 STATED = Camera(1920, 1080, 1484.0, 1484.0, 959.5, 539.5)
 LENS = replace(STATED, fx=1420.0, fy=1420.0, cx=968.0, cy=533.0, distortion=(-0.26, 0.07, 0.0, 0.0, -0.01))

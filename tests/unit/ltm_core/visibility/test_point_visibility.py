@@ -12,7 +12,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import PointState, PointVisibility, pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
+from ltm_core.visibility.point_visibility import PointState, PointVisibility
 
 pytestmark = pytest.mark.kernel
 

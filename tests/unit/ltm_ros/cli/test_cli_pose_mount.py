@@ -22,7 +22,7 @@ from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.vision.labels import Label
 from ltm_ros.cli.main import cli
 from ltm_ros.cli.pose_mount import ptz_mount_of

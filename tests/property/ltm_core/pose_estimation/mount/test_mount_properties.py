@@ -16,7 +16,7 @@ from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.pose_estimation.mount.mount_resection import resect_mount
 from ltm_core.pose_estimation.points.control_points import PtzPoints
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 angle = st.floats(-180, 180)
 lean = st.floats(-3, 3)

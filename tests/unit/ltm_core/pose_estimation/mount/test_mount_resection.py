@@ -16,7 +16,7 @@ from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.pose_estimation.mount.mount_resection import resect_mount
 from ltm_core.pose_estimation.points.control_points import PtzPoints
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 PLACE = np.array([120.0, -340.0, 812.0])
 LENS = LensConfig(

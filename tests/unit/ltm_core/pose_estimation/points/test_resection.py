@@ -24,7 +24,7 @@ from ltm_core.pose_estimation.points.resection_io import held_notes, read_contro
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import load_picture_config
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 from ltm_ros.cli.main import cli
 from ltm_ros.cli.trace import trace as trace_command
 
