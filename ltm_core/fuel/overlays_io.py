@@ -49,7 +49,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
     if lines:
         taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
     if areas:
-        taken |= covered_share(areas, geometry) >= barrier.least_share
+        taken |= covered_share(areas, geometry) >= LEAST_SHARE
     return taken
 
 
@@ -100,7 +100,7 @@ def near(rings: Any, geometry: GridGeometry) -> bool:
 BURNED_AT: Final = "burned_at"
 """Property of a feature with the time of the burn: ISO 8601, UTC unless it has a zone."""
 LEAST_SHARE: Final = 0.5
-"""Minimum burned share of a cell for it to count as burned."""
+"""Minimum share of a cell for it to count as burned, or as a barrier."""
 _LARGEST: Final = 64 << 20
 _LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
 """Latest time that fits a cell's state (`EvidenceMap.burn`)."""

@@ -317,7 +317,7 @@ class OnvifConfig(PtzSettings):
     kind: Literal["onvif"]
     path: Expert[str] = Field("/onvif/device_service", pattern=r"/[!-~]*")
     """Path of the device service."""
-    profile: str | None = None
+    profile: Expert[str | None] = None
     """Token of the media profile; None: the first profile with PTZ."""
     pan_range_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
     """Pan in degrees at the normalised values -1 and 1."""
