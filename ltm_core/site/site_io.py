@@ -120,7 +120,8 @@ def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replac
     """Write sections of a camera into a site file, and add the camera if it is missing; all other lines stay.
 
     The new file is read as a site before it takes the old one's place. Raises ConfigError, and leaves the file
-    unchanged, if the result is no site, or without `replace` if a section exists with another content."""
+    unchanged, if the result is no site, or without `replace` if a section exists with another content.
+    """
     path = Path(path)
     text, present = read_text(path, LARGEST_FILE, ConfigError), stated_sections(path, camera)
     changed = {key: section for key, section in sections.items() if present.get(key) != section}
@@ -145,7 +146,8 @@ def stated_sections(path: Path, camera: str) -> dict[str, Any]:
 def edited(text: str, keys: Sequence[str], value: object, place: str) -> str:
     """Return a YAML text with `value` at the path `keys`; a mapping in braces on the way is rewritten in lines.
 
-    Raises ConfigError if something on the way is not a mapping, or has comments within its braces."""
+    Raises ConfigError if something on the way is not a mapping, or has comments within its braces.
+    """
     node, content, way = compose_yaml(text, place), parse_yaml(text, place), list(keys)
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
