@@ -283,22 +283,6 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "")
     return _sheet(maps, heading)
 
 
-def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray], heading: str = "") -> RgbImage:
-    """Draw, for each camera, the cells (H, W) that it has seen, and how many cameras have seen each. Raises ImageError
-    without cameras."""
-    maps = {
-        f"Seen by {name}: {counted(int(cells.sum()), 'cell')}": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
-        for name, cells in sorted(by_camera.items())
-    }
-    if len(maps) > 1:
-        count = np.sum(list(by_camera.values()), axis=0)
-        maps["Number of cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
-    return _sheet(maps, heading)
-
-
-_SEEN = Scale(("seen",), (CAMERAS.colors[1],), ())
-
-
 def _sheet(maps: Mapping[str, RgbImage], heading: str) -> RgbImage:
     if not maps:
         raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")

@@ -27,7 +27,6 @@ class Format(StrEnum):
     png = "png"
     change = "change"
     surface = "surface"
-    coverage = "coverage"
     kmz = "kmz"
 
 
@@ -40,7 +39,7 @@ class Codes(StrEnum):
 
 _TIFF = (Format.classes, Format.landscape)
 _BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,)}
-_BY_SUFFIX |= {".png": (Format.png, Format.change, Format.coverage)}
+_BY_SUFFIX |= {".png": (Format.png, Format.change)}
 """Formats of a suffix; the first one is written if none is requested."""
 _OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
 _FOLDERS = (Format.elmfire, Format.layers)
@@ -65,10 +64,9 @@ def export(
         typer.Option(
             "--format",
             help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
-            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. "
-            "Images: png (classes and confidence), change (before and after), coverage (cameras that see "
-            "each cell), kmz (for globe programs). Terrain as GeoTIFF: change (shift, sigma, kind, since), "
-            "surface (height, sigma).",
+            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. Images: png (classes, "
+            "confidence, cameras), change (before and after), kmz (for globe programs). Terrain as GeoTIFF: change "
+            "(shift, sigma, kind, since), surface (height, sigma).",
         ),
     ] = Format.auto,
     system: Annotated[
