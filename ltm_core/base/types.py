@@ -1,4 +1,4 @@
-"""Array types by element type. Shapes and units are documented where an array is used."""
+"""Array types by element type, and tables of named columns. Shapes and units are documented where they are used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compare fires on the previous and the updated map, and read and write their rasters."""
+"""Describe a fire, compare it on the previous and the updated map, and read and write its rasters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw depth, labels, masks and skylines over a photo."""
+"""Draw depth, labels, masks and skylines over a photo, and put pictures on a sheet."""
 
 from __future__ import annotations
 

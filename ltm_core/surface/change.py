@@ -1,4 +1,4 @@
-"""Detect surface change: cells where independent views agree that the surface differs from the reference."""
+"""Detect surface change: cells where independent views and neighbours agree that the surface has changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layers of a surface map as rasters: height, sigma, change and their dates."""
+"""Make the layers of a surface map as rasters, and what its changes mean for the fuel map."""
 
 from __future__ import annotations
 

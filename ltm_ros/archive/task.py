@@ -1,4 +1,4 @@
-"""Run one task of an archive: a camera's day, from frames to votes to evidence, without middleware or other tasks.
+"""Run tasks of an archive, here or on processes: a camera's day each, from frames to votes to evidence.
 
 Each step writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it; its step is not
 repeated."""

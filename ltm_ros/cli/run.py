@@ -1,4 +1,4 @@
-"""`ltm run`, `ltm region` and `ltm certs`: run the graph of a site, or the map of a region."""
+"""`ltm check`, `ltm run`, `ltm region` and `ltm certs`: check and run a site, or the map of a region."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find and remove the shared memory that Fast DDS leaves in /dev/shm when a process is killed.
+"""Find and remove the shared memory that Fast DDS leaves in /dev/shm; as a program, print that of a ROS process.
 
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared), on which its owner
 holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only

@@ -1,5 +1,5 @@
-"""Keep the fuel map of a region: receive signed votes of many towers, count each frame once, and acknowledge stored
-frames.
+"""Keep the fuel map of a region: receive signed votes of many towers, count each frame once, acknowledge stored
+frames, and export the map.
 
 The map, its store and the rules for votes are those of a site's node `fuel_map`."""
 

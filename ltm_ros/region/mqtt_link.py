@@ -1,4 +1,4 @@
-"""Connect to an MQTT 5 broker and reconnect after losses; define topics and limits."""
+"""Connect to an MQTT 5 broker and reconnect after losses; define topics, limits and the queue of received messages."""
 
 from __future__ import annotations
 

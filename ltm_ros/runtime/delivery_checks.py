@@ -1,4 +1,4 @@
-"""Count messages sent, received and lost, and check that publishers and subscribers are matched.
+"""Publish diagnostics, count messages sent, received and lost, and check that all publishers are matched.
 
 Lost messages are counted from gaps in the middleware's sequence numbers. A reader keeps only the newest messages of a
 topic: what a slow process does not take in time is replaced without notice. The same holds for messages that did not

@@ -1,4 +1,4 @@
-"""Compute the pauses between failing attempts, for cameras, stores, disks and processes."""
+"""Compute the pauses between failing attempts, and start later what cannot start yet."""
 
 from __future__ import annotations
 

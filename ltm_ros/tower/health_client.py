@@ -1,4 +1,4 @@
-"""Query a tower's health port, and find which process uses it."""
+"""Serve a tower's health port, query it, and find which process uses it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decide whether a correction that several photos of a mount share is accepted.
+"""Find where the search for a mount begins, and decide whether a correction that several photos share is accepted.
 
 A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
 the focal length."""

@@ -1,4 +1,4 @@
-"""Score how well the terrain's occluding contours match a photo's edges, for many poses at once."""
+"""Prepare the evidence of a photo, and score how well the terrain's contours match its edges, for many poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read the directions of PTZ heads of all makers, with readings close enough to detect motion."""
+"""Connect to PTZ heads of all makers and read their directions, with readings close enough to detect motion."""
 
 from __future__ import annotations
 

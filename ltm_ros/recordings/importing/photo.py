@@ -1,4 +1,4 @@
-"""Read photos upright as JPEG or PNG bytes, with their sensor data."""
+"""Read photos upright as JPEG or PNG bytes with their sensor data, and the file of their poses."""
 
 from __future__ import annotations
 
