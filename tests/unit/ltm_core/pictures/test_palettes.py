@@ -107,7 +107,7 @@ def test_other_classes_differ_for_everyone(name: str, vision: str) -> None:
 
 SCALES = {
     "uncertainty": DOUBT, "frames": FRAMES, "cameras": CAMERAS, "footprint": FOOTPRINT, "flame": FLAME,
-    "probability": "arrival difference": DIFFERENCE, "flame difference": FLAME_DIFFERENCE,
+    "arrival difference": DIFFERENCE, "flame difference": FLAME_DIFFERENCE,
     "arrival": arrival_scale(6.0),
 }  # fmt: skip
 
