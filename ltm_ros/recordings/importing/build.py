@@ -200,11 +200,7 @@ def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Pat
 
 def _names_of(file: ImportedImage) -> tuple[str, str, str]:
     """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
-    return file.name, _without_suffix(file), file.capture
-
-
-def _without_suffix(file: ImportedImage) -> str:
-    return Path(file.name).with_suffix("").as_posix()
+    return file.name, Path(file.name).with_suffix("").as_posix(), file.capture
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
@@ -217,7 +213,7 @@ def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose
 def _read(file: ImportedImage, row: PhotoPose) -> Photo:
     """Read a photo; a frame with its own row has that row's time."""
     photo = file.read()
-    own = row.name in (file.name, _without_suffix(file)) and row.pose != PartialPose()
+    own = row.name in _names_of(file)[:2] and row.pose != PartialPose()
     return replace(photo, sensed=replace(photo.sensed, seconds=0.0)) if own else photo
 
 
