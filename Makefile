@@ -21,7 +21,7 @@ KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 # A fire model that reads our landscapes; it pins NumPy 1.26, so it lives in a place of its own.
 FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
-	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
+	--moisture D2L2 --hours 6 --out out/demo/fire --overwrite
 
 .PHONY: demo demo-phone demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.named_columns import take
-from ltm_core.base.types import Float32Array, Int64Array
+from ltm_core.base.types import Float32Array, Int64Array, take
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
@@ -66,8 +65,7 @@ def fuel_cells_to_msg(
 
 def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
     """Return fuel cells. Raises MessageError for missing fields or types, more points than the grid has cells, and
-    points outside it.
-    """
+    points outside it."""
     if int(msg.height) * int(msg.width) > geometry.width * geometry.height:
         raise MessageError(f"fuel cells: {int(msg.height) * int(msg.width)} points for a grid of {geometry.shape}")
     columns = msg_to_columns(msg)
@@ -103,8 +101,7 @@ def changed_to_msg(
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     """Return the changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError for other
-    fields or types, and for invalid kinds.
-    """
+    fields or types, and for invalid kinds."""
     columns = msg_to_columns(msg)
     rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
     kind = take(columns, "change", np.uint8, _WHAT)

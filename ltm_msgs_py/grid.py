@@ -8,8 +8,7 @@ with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown.
 Surface changes -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
 
 One point a cell whose kind of change is new: x, y, z float32 (its centre on the updated surface), row, col int32 of
-the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface).
-"""
+the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface)."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, f
     """Return a grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
     Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError for those,
-    or for a shape other than the geometry's.
-    """
+    or for a shape other than the geometry's."""
     if classes.shape != geometry.shape or classes.dtype != np.uint8:
         raise MessageError(f"class grid is {classes.shape} {classes.dtype}, its geometry says {geometry.shape} uint8")
     too_large = (classes > LARGEST_CLASS) & (classes != UNKNOWN)
@@ -66,8 +64,7 @@ def tile_to_msg(
 ) -> OccupancyGrid:
     """Return the part `window` = (row, col, height, width) of a class grid as its own OccupancyGrid.
 
-    Raises MessageError if the window exceeds the grid, and as `classes_to_msg`.
-    """
+    Raises MessageError if the window exceeds the grid, and as `classes_to_msg`."""
     row, col, height, width = window
     if row < 0 or col < 0 or height < 1 or width < 1 or row + height > geometry.height or col + width > geometry.width:
         raise MessageError(
@@ -81,8 +78,7 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
     """Return the class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
 
     Raises MessageError if the data's length is not width * height, a cell is below -1, the grid is empty, rotated,
-    tilted, or its resolution or origin are not finite.
-    """
+    tilted, or its resolution or origin are not finite."""
     info = msg.info
     height, width = int(info.height), int(info.width)
     if height < 1 or width < 1 or len(msg.data) != height * width:

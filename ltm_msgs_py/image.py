@@ -1,8 +1,7 @@
 """NumPy images <-> sensor_msgs/Image and sensor_msgs/CompressedImage.
 
 Assigning an ndarray to `msg.data` costs a Python loop over every byte (257 ms for 1080p rgb8); filling the message's
-buffer through a view costs 0.12 ms. So buffers are filled in place, and reused when the caller hands a message back.
-"""
+buffer through a view costs 0.12 ms. So buffers are filled in place, and reused when the caller hands a message back."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: st
     """Return an array as an Image.
 
     `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. `out`: a
-    message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError.
-    """
+    message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError."""
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
     expected_ndim = 2 if spec.channels == 1 else 3
     if (
@@ -99,8 +97,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
     """Return the pixels of an Image in the layout of the message: (H, W) or (H, W, channels), row padding cut off.
 
     A view of the message's buffer (no copy) unless the data is big-endian. Raises ImageError when the encoding is not
-    among `encodings`, or height, width, step and the data's length contradict each other.
-    """
+    among `encodings`, or height, width, step and the data's length contradict each other."""
     spec = _spec(msg.encoding, encodings, "to read")
     height, width, step = int(msg.height), int(msg.width), int(msg.step)
     row_bytes = width * spec.channels * spec.dtype.itemsize
@@ -126,8 +123,7 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
     """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. 16-bit samples keep their high
     byte.
 
-    Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have.
-    """
+    Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have."""
     pixels, code = msg_to_array(msg, COLOUR_ENCODINGS), _TO_RGB[msg.encoding]
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
@@ -150,8 +146,7 @@ def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image |
 def msg_to_depth(msg: Any) -> Float32Array:
     """Return a depth Image as (H, W) float32 metres: 32FC1 without a copy, 16UC1 from millimetres with 0 as NaN.
 
-    Source: REP-118. Raises ImageError as `msg_to_array`.
-    """
+    Source: REP-118. Raises ImageError as `msg_to_array`."""
     pixels = msg_to_array(msg, DEPTH_ENCODINGS)
     if msg.encoding == "32FC1":
         return pixels
@@ -192,8 +187,7 @@ def encode_rgb(image: UInt8Array, encoding: str = "jpeg", quality: int = 92) -> 
 
 def compressed_to_rgb(msg: Any, reduced: int = 1) -> UInt8Array:
     """Return a CompressedImage (jpeg or png, detected by its bytes) as (H, W, 3) uint8 RGB; `reduced` as for
-    `decode_rgb`. Raises ImageError with format and size when the data is neither, or is incomplete or damaged.
-    """
+    `decode_rgb`. Raises ImageError with format and size when the data is neither, or is incomplete or damaged."""
     return decode_rgb(_as_sent(bytes(memoryview(msg.data)), _named(msg)), _named(msg), reduced)
 
 

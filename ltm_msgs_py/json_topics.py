@@ -1,8 +1,7 @@
 """Messages without a standard type: JSON in std_msgs/String, each with its model, its JSON Schema and a version.
 
 A field that is added keeps the version; another meaning of a field, or one less, raises it. The schemas are in
-`config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints.
-"""
+`config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints."""
 
 from __future__ import annotations
 
@@ -133,18 +132,6 @@ class TerrainInfo(JsonMessage):
     cameras: list[str]
 
 
-class Turned(JsonMessage):
-    """A camera that is probably misaligned."""
-
-    camera: str
-    probability: float
-    turned_deg: float | None
-    """By how much its stated azimuths are too great; None without marks of fires."""
-    sigma_deg: float | None
-    fires: int
-    by: list[Literal["marks", "pictures"]]
-
-
 class Geometry(JsonMessage):
     """A geometry of RFC 7946."""
 
@@ -161,12 +148,11 @@ class Feature(JsonMessage):
 
 
 class LocateTracks(JsonMessage):
-    """`locate/tracks`: all tracks of the site, as GeoJSON (RFC 7946) with three further members."""
+    """`locate/tracks`: all tracks of the site, as GeoJSON (RFC 7946) with two further members."""
 
     version: Literal[1] = 1
     type: Literal["FeatureCollection"] = "FeatureCollection"
     stamp_ns: int
-    turned: Turned | None = None
     features: list[Feature]
 
 

@@ -8,8 +8,7 @@ Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
 
 One point a cell, the labelled 3D points of the map: x, y, z float32 (its centre on the terrain), life_form uint8, prior
 and code int16 (fuel models, -9999 none), p_max, entropy and evidence float32, changed and seen_by uint8. Any ROS tool
-colours points by such a field.
-"""
+colours points by such a field."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.named_columns import Columns
+from ltm_core.base.types import Columns
 from ltm_core.fuel.vote_columns import checked_names, columns_to_votes, most_bytes, votes_to_columns
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -49,8 +48,7 @@ def columns_to_msg(
 ) -> PointCloud2:
     """Columns of N values each, packed without gaps in their order, as an unorganised PointCloud2.
 
-    Raises MessageError on columns of unequal length or of a dtype that PointField does not have.
-    """
+    Raises MessageError on columns of unequal length or of a dtype that PointField does not have."""
     lengths = {name: column.shape for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
         raise MessageError(f"point columns must be one-dimensional and of equal length, got {lengths}")
@@ -80,8 +78,7 @@ def msg_to_columns(msg: Any) -> Columns:
     """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
     Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an unknown
-    datatype, or holds more than one element.
-    """
+    datatype, or holds more than one element."""
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
     fits = 1 <= point_step <= _LARGEST_POINT and row_step >= width * point_step
@@ -117,8 +114,7 @@ def msg_to_columns(msg: Any) -> Columns:
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
     """Return votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
-    `votes_to_columns`.
-    """
+    `votes_to_columns`."""
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
@@ -128,8 +124,7 @@ def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], s
     """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
 
     Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
-    message is refused unread.
-    """
+    message is refused unread."""
     names = checked_names(class_names)
     cells = geometry.width * geometry.height
     most = most_bytes(cells, names)

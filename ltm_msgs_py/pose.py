@@ -4,8 +4,7 @@
 - A correction of a mount is a PoseWithCovarianceStamped that moves nothing, with a covariance of zeros if it is as
   stated; the tilt zero of a PTZ head is in the status `pose/info` of the same stamp.
 - Regions of images are PolygonStamped or PointStamped in the optical frame: x and y are pixels u and v; z is ignored.
-- Places are PoseWithCovarianceStamped in `map`, without orientation.
-"""
+- Places are PoseWithCovarianceStamped in `map`, without orientation."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ POSE_TYPES = (
 """Message types of poses that are read."""
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
 """Variances from here on mean unknown, in m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the largest double, and a
-direction with a larger standard deviation than half a turn is unknown.
-"""
+direction with a larger standard deviation than half a turn is unknown."""
 
 
 def pose_to_msg(
@@ -42,8 +40,7 @@ def pose_to_msg(
 ) -> PoseWithCovarianceStamped:
     """Return a pose with its covariance, (6, 6) over x, y, z (m) and rotations about x, y, z (rad); zeros: unknown.
 
-    Raises PoseError on a covariance of another shape or that is not finite.
-    """
+    Raises PoseError on a covariance of another shape or that is not finite."""
     msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, frame_id))
     msg.pose.pose = _pose_msg(pose)
     if covariance is not None:
@@ -57,8 +54,7 @@ def pose_to_msg(
 def as_stamped_pose(msg: Any, any_frame: bool = False) -> PoseWithCovarianceStamped:
     """Return a message of `POSE_TYPES` as a pose with covariance; zeros if it has none.
 
-    Raises PoseError for the odometry or transform of another frame than a camera's optical one, unless `any_frame`.
-    """
+    Raises PoseError for the odometry or transform of another frame than a camera's optical one, unless `any_frame`."""
     if isinstance(msg, PoseWithCovarianceStamped):
         return msg
     child = getattr(msg, "child_frame_id", "optical")
@@ -98,8 +94,7 @@ def mount_transform(camera: str) -> TransformStamped:
 def link_transform(camera: str, posed: Any) -> TransformStamped:
     """Return the transform from the map to a camera's link, of its PoseWithCovarianceStamped.
 
-    The quaternion is multiplied here, because recorders need no other rotation, and SciPy's take 20 MB.
-    """
+    The quaternion is multiplied here, because recorders need no other rotation, and SciPy's take 20 MB."""
     made = TransformStamped(header=posed.header, child_frame_id=f"{camera}_link")
     p, q = posed.pose.pose.position, posed.pose.pose.orientation
     move, turn = made.transform.translation, made.transform.rotation
@@ -115,8 +110,7 @@ def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:
     """Return the pose of a PoseWithCovarianceStamped or PoseStamped.
 
     `frame_id`: the frame that the pose must be given in, when it matters. Raises PoseError on another frame, NaN or
-    infinite numbers, or a quaternion whose norm is not 1 within 1e-3 (an unset one is zero).
-    """
+    infinite numbers, or a quaternion whose norm is not 1 within 1e-3 (an unset one is zero)."""
     stamped_in = msg.header.frame_id
     if frame_id is not None and stamped_in != frame_id:
         raise PoseError(f"pose is in frame {stamped_in!r}, expected {frame_id!r}")
@@ -130,8 +124,7 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
 
     Unknown are: all of it where all is zero or the first number is -1 (as in sensor_msgs/Imu), and each axis whose
     variance is infinite or `UNKNOWN_VARIANCES` at least. `assumed`: (6, 6), stands for what is unknown; without it the
-    answer is None where anything is. Raises PoseError for one that is none: NaN, not symmetric, negative variances.
-    """
+    answer is None where anything is. Raises PoseError for one that is none: NaN, not symmetric, negative variances."""
     given = np.array(msg.pose.covariance, np.float64).reshape(6, 6)
     if given[0, 0] == -1.0 or not given.any():
         return assumed
@@ -223,8 +216,7 @@ def msgs_to_correction(correction: Any, info: Any) -> PoseCorrection:
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
     """Return pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
 
-    Raises MessageError: another frame, no point, too many, numbers that are not finite.
-    """
+    Raises MessageError: another frame, no point, too many, numbers that are not finite."""
     if msg.header.frame_id != frame_id:
         raise MessageError(f"region is in frame {msg.header.frame_id!r}, expected {frame_id!r}, in pixels")
     points = [msg.point] if hasattr(msg, "point") else msg.polygon.points

@@ -21,8 +21,7 @@ def msg_to_attitude(msg: Any) -> Attitude:
     """Return an attitude in a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is unknown.
 
     Raises PoseError if the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1, and
-    for an invalid covariance.
-    """
+    for an invalid covariance."""
     covariance = np.array(msg.orientation_covariance, np.float64).reshape(3, 3)
     if covariance[0, 0] == -1.0:
         raise PoseError(
@@ -111,8 +110,7 @@ def msg_to_camera(msg: Any) -> Camera:
 
     Taken: plumb_bob with D of 0, 4 (k1 k2 p1 p2) or 5 (and k3) numbers, at full resolution. R and P are for rectified
     images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a skewed
-    or non-finite K, binning, or a region of interest.
-    """
+    or non-finite K, binning, or a region of interest."""
     who = f"CameraInfo of frame {msg.header.frame_id!r}"
     k = np.asarray(msg.k, np.float64)
     d = [float(v) for v in msg.d]

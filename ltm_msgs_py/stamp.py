@@ -8,7 +8,7 @@ from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.utc_time import moment_of_stamp
+from ltm_core.base.number_text import moment_of_stamp
 
 NS_PER_S = 1_000_000_000
 LATEST_NS = 2**31 * NS_PER_S - 1
@@ -17,8 +17,7 @@ LATEST_NS = 2**31 * NS_PER_S - 1
 
 def ns_to_time(stamp_ns: int) -> Time:
     """Return a stamp in nanoseconds since the epoch as a Time. Raises MessageError if it is negative or past
-    `LATEST_NS`.
-    """
+    `LATEST_NS`."""
     stamp_ns = int(stamp_ns)
     if not 0 <= stamp_ns <= LATEST_NS:
         raise MessageError(
@@ -31,8 +30,7 @@ def ns_to_time(stamp_ns: int) -> Time:
 
 def time_to_ns(time: Any) -> int:
     """Return a Time as nanoseconds since the epoch. Raises MessageError for negative seconds or nanosec of a second or
-    more.
-    """
+    more."""
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
         raise MessageError(
@@ -53,8 +51,7 @@ def stamp_of(msg: Any) -> int:
 
 def time_text(stamp_ns: int) -> str:
     """Return nanoseconds since the epoch for people and machines: `2023-11-14T22:13:20.100Z
-    (1700000000100000000 ns)`.
-    """
+    (1700000000100000000 ns)`."""
     moment = moment_of_stamp(stamp_ns)
     return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
 

@@ -1,8 +1,7 @@
 """Compile kernels with numba, run them on all threads, and prefetch memory in them.
 
 Kernels are cached on disk (`numba_cache`) and compiled when they are first called. Division by zero gives infinity or
-NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions.
-"""
+NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions."""
 
 from __future__ import annotations
 
@@ -76,8 +75,7 @@ def in_parallel(work: Callable[[int, int], object], count: int, least: int = 1) 
     """Call `work(first, end)` for consecutive parts of range(count), in several threads. `work`: calls a kernel that
     releases the interpreter lock. `least`: minimum size of a part.
 
-    Numba's own `parallel=True` takes seconds to compile, and its launches must not overlap in a process.
-    """
+    Numba's own `parallel=True` takes seconds to compile, and its launches must not overlap in a process."""
     threads = kernel_threads()
     size = max(least, -(-count // (threads * _PARTS_PER_THREAD)))
     if threads == 1 or count <= size:

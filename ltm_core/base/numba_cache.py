@@ -10,8 +10,7 @@ changed meanwhile may have mixed two states: it marks its folder, which is never
 marks nothing: after edit, kill and an exact undo of the edit, only deleting `ltm_core/__pycache__` helps.)
 
 A release carries folders compiled for two levels of x86-64, made by `packaging/precompile.py` and named by the state,
-the versions of Python and numba, and the level. The best that the processor can run is copied to where the cache is.
-"""
+the versions of Python and numba, and the level. The best that the processor can run is copied to where the cache is."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def use_own_cache(source: Path) -> Path | None:
 
     Numba reads the variable when it is imported; if it was imported before, as by pytest, its setting is changed too.
     A NUMBA_CACHE_DIR that the user has set is kept; without a writable place nothing changes. Cached code is executed,
-    so a folder outside the source must belong to us.
-    """
+    so a folder outside the source must belong to us."""
     given = os.environ.get(_VARIABLE)
     if given and not Path(given).name.startswith(_PREFIX):
         return None

@@ -41,8 +41,7 @@ def section_models(annotation: object) -> list[type[BaseModel]]:
 def with_expert(model: type[BaseModel], content: dict[Any, Any]) -> dict[Any, Any]:
     """Return the content of a file with the keys of its section `expert` in their places.
 
-    Those of a section that is off have no effect. Raises ConfigError for keys in the wrong part.
-    """
+    Those of a section that is off have no effect. Raises ConfigError for keys in the wrong part."""
     plain = {key: value for key, value in content.items() if key != "expert"}
     tuning = content.get("expert") or {}
     if not isinstance(tuning, dict):

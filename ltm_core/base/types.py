@@ -1,9 +1,13 @@
-"""Array types by element type. Shapes and units are documented where an array is used."""
+"""Array types by element type, and tables of named columns. Shapes and units are documented where they are used."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from ltm_core.base.errors import MessageError
 
 BoolArray = NDArray[np.bool_]
 UInt8Array = NDArray[np.uint8]
@@ -19,3 +23,16 @@ RgbImage = UInt8Array
 """RGB image, (H, W, 3), 0 to 255."""
 RecordArray = NDArray[np.void]
 """Array of a structured dtype."""
+
+
+Columns = dict[str, NDArray[Any]]
+
+
+def take(columns: Columns, name: str, dtype: Any, what: str) -> NDArray[Any]:
+    """Return the column `name`, which must be there with that dtype. Raises MessageError naming what is there."""
+    if name not in columns:
+        raise MessageError(f"{what} lacks the field {name!r}; it has {', '.join(columns)}")
+    column = columns[name]
+    if column.dtype != np.dtype(dtype):
+        raise MessageError(f"{what}: field {name!r} is {column.dtype}, must be {np.dtype(dtype)}")
+    return column

@@ -1,7 +1,6 @@
 """Pose and calibration of a camera: one set of keys for site files, pose files and CSV columns.
 
-A *partial* model holds what is known of a photo, the other what a camera needs.
-"""
+A *partial* model holds what is known of a photo, the other what a camera needs."""
 
 from __future__ import annotations
 
@@ -173,8 +172,7 @@ class PartialPose(StrictModel):
     def covariance(self, pose: Pose, position: float, angle_deg: float) -> Float64Array | None:
         """Return the (6, 6) covariance as in `pose_covariance` from the stated sigmas; None if there are none.
 
-        `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not.
-        """
+        `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not."""
         metres = (self.position_sigma, self.height_sigma)
         degrees = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
         if all(sigma is None for sigma in (*metres, *degrees)):
@@ -194,8 +192,7 @@ class PartialPose(StrictModel):
     def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
         """Return the position in the map frame; None if it is not known.
 
-        Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's.
-        """
+        Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's."""
         if self.lon is not None and self.lat is not None:
             x, y = _transformed(self.lon, self.lat, "EPSG:4326", frame.crs)
         elif self.x is None or self.y is None:

@@ -34,8 +34,7 @@ class ForeignPose:
     `position`: (3,) map coordinates without an origin, or Earth-centred. `rotation`: (3, 3) from optical axes to east,
     north, up. `place`: file and entry, for errors. `camera`: None if the file states no lens. `angles`: (3,) the stated
     rotation angles, by which `turned` makes the rotation. `target`: (3,) a point on the optical axis, stated instead of
-    the pitch; its height and that of the position are then above the ground.
-    """
+    the pitch; its height and that of the position are then above the ground."""
 
     name: str
     place: str
@@ -138,8 +137,7 @@ def alternatives(pose: ForeignPose) -> dict[str, ForeignPose]:
 def closest_camera(start: Camera, project: Callable[[Float64Array], Float64Array], place: str) -> Camera:
     """Return the camera whose pixels are closest to those of another lens model over the image of `start`.
 
-    `project`: pixels (N, 2) of optical rays (N, 3). Raises PoseError if they differ by more than 0.5 px.
-    """
+    `project`: pixels (N, 2) of optical rays (N, 3). Raises PoseError if they differ by more than 0.5 px."""
     u, v = np.meshgrid(np.linspace(0, start.width - 1, 15), np.linspace(0, start.height - 1, 11))
     x, y = (u.ravel() - start.cx) / start.fx, (v.ravel() - start.cy) / start.fy
     rays = np.column_stack([x, y, np.ones_like(x)])

@@ -1,8 +1,7 @@
 """Detect values in another unit: angles of poses in radians or gon, heights of cameras in feet.
 
 An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
-false warnings.
-"""
+false warnings."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
     """Return why the azimuths of a file may be in radians; None if they are plausible.
 
     They are doubted where all lie within 2 pi and one at least is no whole number. Of right azimuths, spread evenly,
-    2 pi / 360 = 1.7 % lie there: one camera in 57 is doubted, of files with two cameras one in 3,300.
-    """
+    2 pi / 360 = 1.7 % lie there: one camera in 57 is doubted, of files with two cameras one in 3,300."""
     different = sorted(set(azimuths_deg))
     if not different or max(map(abs, different)) > 2 * math.pi or all(value == round(value) for value in different):
         return None
@@ -71,8 +69,7 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
 def doubt_of_height(z: float, ground: float) -> str | None:
     """Return why a camera's height `z` over `ground`, in metres, may be in feet or wrong; None if it is plausible.
 
-    Warns of cameras TALLEST_MAST or more above the ground, and under it. NaN ground gives no warning.
-    """
+    Warns of cameras TALLEST_MAST or more above the ground, and under it. NaN ground gives no warning."""
     above = z - ground
     if math.isnan(above) or 0.0 < above <= TALLEST_MAST:
         return None

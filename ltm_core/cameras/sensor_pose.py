@@ -4,10 +4,9 @@ Attitude of devices that carry a camera: from their own axes and worlds to the a
 
 A device tells how its axes lie in a world of its own. `ENU_FROM_*` take each of these worlds to east, north, up of the
 device's own north (true or magnetic); `phone_camera` says how a phone's back camera is mounted. Sources: Android's
-SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), ARKit's `gravityAndHeading`
-(x east, y up, z south), and the axes of a phone that all three share: x to the right of the screen, y to its top, z out
-of it towards the person.
-"""
+SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), and the axes
+of a phone that both share: x to the right of the screen, y to its top, z out
+of it towards the person."""
 
 from __future__ import annotations
 
@@ -19,9 +18,9 @@ import numpy as np
 from pydantic import Field
 
 from ltm_core.base.errors import PoseError
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import Float64Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import (
     UNKNOWN_AZIMUTH_SIGMA_DEG,
@@ -35,18 +34,13 @@ from ltm_core.raster.dem import Dem
 ENU_FROM_ENU = np.eye(3)
 ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the world of Apple's CoreMotion (x north, z up) to east, north, up."""
-ENU_FROM_EUS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation from ARKit's world with `gravityAndHeading` (x east, y up, z south) to east, north, up."""
-OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
-"""Rotation from the optical frame (x right, y down, z forward) to ARKit and OpenGL axes (x right, y up, z backward)."""
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
     """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
     `turned_deg`: counter-clockwise turn of the phone from portrait, as its user sees it: 90 for landscape with the top
-    to the left.
-    """
+    to the left."""
     t = math.radians(turned_deg)
     cosine, sine = (round(v, 12) if turned_deg % 90 == 0 else v for v in (math.cos(t), math.sin(t)))
     right, down = np.array([cosine, -sine, 0.0]), np.array([-sine, -cosine, 0.0])
@@ -66,8 +60,7 @@ def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: 
 def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
     """Return the azimuth from the world's north, pitch and roll of a camera, as used by `Pose.from_angles`.
 
-    Raises PoseError on a matrix that is no rotation.
-    """
+    Raises PoseError on a matrix that is no rotation."""
     return Pose(np.zeros(3), enu_from_optical).angles_deg
 
 
@@ -133,8 +126,7 @@ def sensed_pose(
 ) -> tuple[Pose, Float64Array]:
     """Return the pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
 
-    Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known.
-    """
+    Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known."""
     for what, stamp, age in (
         ("fix", fix.stamp_ns, config.fix_age),
         ("attitude", attitude.stamp_ns, config.attitude_age),

@@ -1,31 +1,22 @@
-"""Compare fires on the previous and the updated map and on drawn ones, and read and write their rasters.
-
-A draw takes the shares of life forms in each cell from their Dirichlet distribution (`docs/how/fuel.md`). Neighbouring
-cells are correlated by a Gaussian copula of a smooth field, as wide as the map's context, and an independent one.
-"""
+"""Describe a fire, compare it on the previous and the updated map, and read and write its rasters."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy import ndimage
-from scipy.special import gammaincinv, ndtr
 
 from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
-from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.base.types import BoolArray, Float32Array
 from ltm_core.fuel.band_values_io import in_landfire_units, read_quantity
-from ltm_core.fuel.codes import FuelClimate, FuelSystem, system_of_codes
-from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.codes import system_of_codes
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
 from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands
-from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
+from ltm_core.fuel.life_form import NODATA, NONBURNABLE
 from ltm_core.geometry.geodesy import MOST_EXPORTED, map_problem, read_crs, same_crs, scale_problem
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import open_raster
@@ -35,28 +26,45 @@ USUAL_HOURS = (1.0, 3.0, 6.0)
 
 @dataclass(frozen=True)
 class Area:
-    """Burned area in hectares some hours after ignition; `ensemble`: lowest, median and highest of the draws without
-    the outermost tenths, None without one."""
+    """Burned area in hectares some hours after ignition."""
 
     hours: float
     before: float
     after: float
-    ensemble: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FireRun:
+    """Result of a fire, (H, W) each. `arrival`: hours after ignition, NaN where the fire does not arrive. `flame`:
+    length in metres, 0 where it does not arrive."""
+
+    arrival: Float32Array
+    flame: Float32Array
+
+    @property
+    def burned(self) -> BoolArray:
+        return np.isfinite(self.arrival)
+
+    def burned_by(self, hours: float) -> BoolArray:
+        return np.nan_to_num(self.arrival, nan=np.inf) <= hours
+
+    def reaches_edge(self) -> float | None:
+        """Return the hours until the fire reaches the landscape's edge; None: never."""
+        edge = np.ones(self.arrival.shape, np.bool_)
+        edge[1:-1, 1:-1] = False
+        there = self.arrival[edge & self.burned]
+        return float(there.min()) if there.size else None
 
 
 @dataclass(frozen=True, eq=False)
 class FireEffect:
-    """Comparison of two fires. `changed`: (H, W) cells with different fuel or canopy. `probability`: (H, W) share of
-    the drawn landscapes on which a cell burns; None: none was drawn."""
+    """Comparison of two fires. `changed`: (H, W) cells with different fuel or canopy."""
 
     before: FireRun
     after: FireRun
     changed: BoolArray
     cell: float
     hours: float
-    probability: Float32Array | None = None
-    members: tuple[tuple[float, ...], ...] = ()
-    """Burned area of each draw in hectares at the hours of `hours_shown`."""
 
     def difference(self) -> Float32Array:
         """Return (H, W) hours by which the fire arrives later on the updated map; NaN unless it arrives on both."""
@@ -67,18 +75,9 @@ class FireEffect:
         both = self.before.burned & self.after.burned
         return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
 
-    def hours_shown(self) -> tuple[float, ...]:
-        return tuple(sorted({h for h in USUAL_HOURS if h < self.hours} | {self.hours}))
-
     def areas(self) -> list[Area]:
-        rows = []
-        for k, hours in enumerate(self.hours_shown()):
-            spread = None
-            if self.members:
-                low, middle, high = np.quantile([member[k] for member in self.members], (0.1, 0.5, 0.9))
-                spread = float(low), float(middle), float(high)
-            rows.append(Area(hours, self._hectares(self.before, hours), self._hectares(self.after, hours), spread))
-        return rows
+        hours = sorted({h for h in USUAL_HOURS if h < self.hours} | {self.hours})
+        return [Area(h, self._hectares(self.before, h), self._hectares(self.after, h)) for h in hours]
 
     def first_contact(self) -> float | None:
         """Return hours until a fire, on the previous or the updated map, reaches a changed cell; None: never. Cells
@@ -87,11 +86,7 @@ class FireEffect:
         return float(there.min()) if there.size else None
 
     def _hectares(self, run: FireRun, hours: float) -> float:
-        return hectares(run, hours, self.cell)
-
-
-def hectares(run: FireRun, hours: float, cell: float) -> float:
-    return float(run.burned_by(hours).sum() * cell**2 / 1e4)
+        return float(run.burned_by(hours).sum() * self.cell**2 / 1e4)
 
 
 def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
@@ -99,95 +94,6 @@ def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
     if before.geometry.shape != after.geometry.shape:
         raise RasterError(f"landscapes of {before.geometry.shape} and {after.geometry.shape} cells cannot be compared")
     return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
-
-
-def burn_probability(runs: Sequence[FireRun]) -> Float32Array:
-    """Return (H, W) the share of the fires that reach a cell."""
-    return np.asarray(np.mean([run.burned for run in runs], axis=0), np.float32)
-
-
-_USUAL_STAND: Final = 0.4
-"""Correlation of two observations of cells of a stand if none was measured."""
-_RARE: Final = (LifeForm.BARE, LifeForm.WATER, LifeForm.BUILT, LifeForm.BURNED)
-"""Life forms that are drawn only if a camera has seen them, because prior maps rarely miss lakes. Bare ground drawn
-wherever the prior may err would break up the fuel of all unseen cells."""
-_SHOWN: Final = 1.0
-"""Evidence above which a life form counts as seen."""
-
-
-@dataclass(frozen=True, eq=False)
-class CellDoubt:
-    """Uncertainty of each cell. `alpha`: (H, W, FORMS) of the Dirichlet distribution of its life forms, prior and
-    evidence together. `prior`, `code`: (H, W) fuel codes before and now. `fixed`: (H, W) cells that no draw changes."""
-
-    alpha: Float64Array
-    prior: Int16Array
-    code: Int16Array
-    fixed: BoolArray
-
-    @classmethod
-    def of(cls, layers: FuelLayers, alpha: Float64Array, mask: tuple[int, ...]) -> CellDoubt:
-        """Return the uncertainty of a map; `mask`: codes that labels never change (`FusionRules.mask`)."""
-        fixed = held(layers.prior, mask) | (layers.code == NODATA)
-        return cls(alpha, layers.prior, layers.code, fixed)
-
-
-def drawn_codes(
-    doubt: CellDoubt,
-    climate: FuelClimate,
-    system: FuelSystem,
-    rng: np.random.Generator,
-    width: float = 3.0,
-    stand: float | None = None,
-) -> Int16Array:
-    """Return (H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
-    shared = _USUAL_STAND if stand is None else stand
-    agreeing = forms_of(doubt.prior)
-    prior = np.where(agreeing, doubt.alpha, 0.0).sum(axis=-1)
-    has_prior = agreeing.any(axis=-1)
-    best = np.where(has_prior, _gamma(prior, rng, width, shared), -1.0)
-    form = np.full(doubt.prior.shape, -1)
-    for k in range(FORMS):
-        alpha = np.where(agreeing[..., k] & has_prior, 0.0, doubt.alpha[..., k])
-        if LifeForm(k + 1) in _RARE:
-            alpha = np.where(alpha >= _SHOWN, alpha, 0.0)
-        drawn = _gamma(alpha, rng, width, shared)
-        larger = (alpha > 0) & (drawn > best)
-        best, form = np.where(larger, drawn, best), np.where(larger, k, form)
-    over_shrubs = agreeing[..., LifeForm.SHRUB - 1]
-    codes = np.where(form < 0, doubt.prior, getattr(climate.changed, system).of(form, over_shrubs))
-    # Where the draw is of what the map says anyway, its own code of that form: a mixture, or what grew after a burn.
-    own = forms_of(doubt.code)
-    rows, cols = np.indices(form.shape)
-    same = (form >= 0) & own[rows, cols, np.maximum(form, 0)]
-    codes = np.where(same | doubt.fixed, doubt.code, codes)
-    return codes.astype(np.int16)
-
-
-def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """Return the layers with other codes."""
-    return replace(layers, code=codes)
-
-
-def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
-    """Return (H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
-    smooth = ndimage.gaussian_filter(rng.standard_normal(alpha.shape), width, mode="wrap")
-    smooth /= _smoothed_deviation(alpha.shape, width)
-    field = np.sqrt(shared) * smooth + np.sqrt(1 - shared) * rng.standard_normal(alpha.shape)
-    share = np.clip(ndtr(field), 1e-9, 1 - 1e-9)
-    result = np.zeros(alpha.shape)
-    some = alpha > 0
-    result[some] = gammaincinv(alpha[some], share[some])
-    return result
-
-
-@lru_cache(maxsize=4)
-def _smoothed_deviation(shape: tuple[int, ...], width: float) -> float:
-    """Return what the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is
-    left."""
-    impulse = np.zeros(shape)
-    impulse[0, 0] = 1.0
-    return float(np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum()))
 
 
 def read_landscape(path: Path) -> Landscape:
@@ -252,9 +158,8 @@ BANDS: Mapping[str, str] = {
     "flame_after": "m",
     "flame_difference": "m, positive: longer on the updated map",
     "changed": "fuel or canopy changed: 0 no, 1 yes",
-    "burn_probability": "1",
 }
-"""Name and unit of each band; the last one exists only for ensembles."""
+"""Name and unit of each band."""
 
 
 def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Mapping[str, str]) -> None:
@@ -269,9 +174,147 @@ def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Map
         effect.flame_difference(),
         effect.changed,
     ]
-    if effect.probability is not None:
-        layers.append(effect.probability)
-    count = len(layers)
     array = np.stack([np.asarray(layer, np.float32) for layer in layers])
-    names, units = tuple(BANDS)[:count], tuple(BANDS.values())[:count]
-    write_raster(path, array, geometry, float("nan"), names, units, tags=tags)
+    write_raster(path, array, geometry, float("nan"), tuple(BANDS), tuple(BANDS.values()), tags=tags)
+
+
+_DEAD: Final = {"D1": (3.0, 4.0, 5.0), "D2": (6.0, 7.0, 8.0), "D3": (9.0, 10.0, 11.0), "D4": (12.0, 13.0, 14.0)}
+_LIVE: Final = {"L1": (30.0, 60.0), "L2": (60.0, 90.0), "L3": (90.0, 120.0), "L4": (120.0, 150.0)}
+"""Live fuel moistures of Scott and Burgan (2005), tables 5 and 6: very low, low, moderate, high; fully, two thirds and
+one third cured, green."""
+MOISTURE_HELP: Final = (
+    "a scenario of Scott and Burgan such as D2L2 (dead D1 very low to D4 high, live L1 cured to L4 green), or five "
+    "percentages: dead 1 h, 10 h, 100 h, live herbaceous, live woody, such as 6,7,8,60,90"
+)
+_MOST_HOURS: Final = 72.0
+_WATER: Final = 98
+
+
+@dataclass(frozen=True)
+class Moisture:
+    """Fuel moisture in % of the dry weight: dead fuel of 1 h, 10 h and 100 h, live herbs, live wood, crown needles."""
+
+    dead_1h: float
+    dead_10h: float
+    dead_100h: float
+    live_herbaceous: float
+    live_woody: float
+    foliar: float = 100.0
+
+    @classmethod
+    def parse(cls, text: str | None) -> Moisture:
+        """Parse a moisture. Raises ConfigError unless it is a scenario or five percentages."""
+        if not text:
+            raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
+        name = text.strip().upper()
+        if len(name) == 4 and name[:2] in _DEAD and name[2:] in _LIVE:
+            return cls(*_DEAD[name[:2]], *_LIVE[name[2:]])
+        try:
+            values = [float(part) for part in text.split(",")]
+        except ValueError:
+            values = []
+        if len(values) != 5 or not all(0 < v <= 400 for v in values):
+            raise ConfigError(f"--moisture {text}: invalid; give {MOISTURE_HELP}")
+        return cls(*values)
+
+    def described(self) -> str:
+        return (
+            f"dead {self.dead_1h:g}, {self.dead_10h:g}, {self.dead_100h:g} %, live {self.live_herbaceous:g}, "
+            f"{self.live_woody:g} %, needles {self.foliar:g} %"
+        )
+
+
+@dataclass(frozen=True)
+class Wind:
+    """Wind. `speed`: m/s at 10 m above ground or open canopy. `direction`: degrees clockwise from grid north from which
+    it blows."""
+
+    speed: float
+    direction: float
+
+    @classmethod
+    def parse(cls, text: str) -> Wind:
+        """Parse a wind. Raises ConfigError unless it is a speed and a direction."""
+        try:
+            speed, direction = (float(part) for part in text.split(","))
+        except ValueError:
+            raise ConfigError(
+                f"--wind {text}: give the speed at 10 m in m/s and the direction it blows from, degrees clockwise "
+                "from north, such as 8,45"
+            ) from None
+        if not 0 <= speed <= 60 or not 0 <= direction <= 360:
+            raise ConfigError(f"--wind {text}: speeds are 0 to 60 m/s, directions 0 to 360 degrees")
+        return cls(speed, direction % 360)
+
+    def described(self) -> str:
+        return f"{self.speed:g} m/s at 10 m, from {self.direction:g} degrees"
+
+
+@dataclass(frozen=True)
+class FireScenario:
+    """Fire under constant wind. `row`, `col`: the ignition cell. `hours`: its duration."""
+
+    row: int
+    col: int
+    wind: Wind
+    moisture: Moisture
+    hours: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.hours <= _MOST_HOURS:
+            raise ConfigError(f"--hours {self.hours:g}: give at most {_MOST_HOURS:g} hours for a constant wind")
+
+
+def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
+    """Return row and column of "x,y" in `crs`, by default the landscape's own. Raises ConfigError for an invalid place,
+    one outside, and one where nothing burns."""
+    from pyproj import Transformer
+    from pyproj.exceptions import CRSError
+
+    g = landscape.geometry
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(
+            f"--ignition {text}: give x,y in metres of {_named(landscape)}, such as {_middle(g)}"
+        ) from None
+    if crs is not None:
+        try:
+            x, y = Transformer.from_crs(crs, g.crs, always_xy=True).transform(x, y)
+        except CRSError as error:
+            raise ConfigError(f"--ignition-crs {crs}: not a CRS ({error})") from error
+    known = bool(np.isfinite([x, y]).all())
+    row, col = (int(v) for v in g.cell_of(x, y)) if known else (-1, -1)
+    if not g.contains(np.array(row), np.array(col)):
+        degrees = crs is None and abs(x) <= 180 and abs(y) <= 90
+        remedy = "it looks like degrees: add --ignition-crs EPSG:4326" if degrees else f"such as {_middle(g)}"
+        raise ConfigError(
+            f"--ignition {text}: is outside the landscape, {g.described()} in {_named(landscape)}; {remedy}"
+        )
+    code = int(landscape.band("fuel")[row, col])
+    if code == NODATA or code in NONBURNABLE:
+        what = {NODATA: "nothing is known", _WATER: "there is water"}.get(code, f"nothing burns (code {code})")
+        raise ConfigError(f"--ignition {text}: {what} there; {_nearest(landscape, row, col)}")
+    return row, col
+
+
+def _nearest(landscape: Landscape, row: int, col: int) -> str:
+    fuel = landscape.band("fuel")
+    burns = ~np.isin(fuel, [NODATA, *NONBURNABLE])
+    if not burns.any():
+        return "nothing burns anywhere on this landscape"
+    rows, cols = np.nonzero(burns)
+    k = int(np.argmin((rows - row) ** 2 + (cols - col) ** 2))
+    x, y = landscape.geometry.to_map(rows[k], cols[k])
+    return f"the nearest cell that burns is at {float(x):.0f},{float(y):.0f}"
+
+
+def _middle(g: GridGeometry) -> str:
+    x_min, y_min, x_max, y_max = g.bounds
+    return f"{(x_min + x_max) / 2:.0f},{(y_min + y_max) / 2:.0f}"
+
+
+def _named(landscape: Landscape) -> str:
+    from pyproj import CRS
+
+    return str(CRS(landscape.geometry.crs).name)

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -17,8 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.base.types import BoolArray, Float32Array
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind
+from ltm_core.fire.effect import FireRun, FireScenario, Moisture, Wind
 from ltm_core.fuel.export.landscape import Landscape
 
 VARIABLE: Final = "LTM_PYRETECHNICS"
@@ -28,29 +26,6 @@ _LAST_WORDS: Final = 2000
 
 class FireModelError(LtmError):
     """The fire model could not be started, or failed."""
-
-
-@dataclass(frozen=True, eq=False)
-class FireRun:
-    """Result of a fire, (H, W) each. `arrival`: hours after ignition, NaN where the fire does not arrive. `flame`:
-    length in metres, 0 where it does not arrive."""
-
-    arrival: Float32Array
-    flame: Float32Array
-
-    @property
-    def burned(self) -> BoolArray:
-        return np.isfinite(self.arrival)
-
-    def burned_by(self, hours: float) -> BoolArray:
-        return np.nan_to_num(self.arrival, nan=np.inf) <= hours
-
-    def reaches_edge(self) -> float | None:
-        """Return the hours until the fire reaches the landscape's edge; None: never."""
-        edge = np.ones(self.arrival.shape, np.bool_)
-        edge[1:-1, 1:-1] = False
-        there = self.arrival[edge & self.burned]
-        return float(there.min()) if there.size else None
 
 
 def interpreter() -> Path:

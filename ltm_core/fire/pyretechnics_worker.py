@@ -2,8 +2,7 @@
 
 Pyretechnics pins a NumPy that excludes ours, so `ltm_core.fire.pyretechnics` starts this file with the Python of
 another environment, and asks by lines of JSON: {"given": "in.npz", "result": "out.npz"} for a fire, {"rates": {...}}
-for the head fire over one cell. Each answer is a line of JSON.
-"""
+for the head fire over one cell. Each answer is a line of JSON."""
 
 import json
 import sys

@@ -18,7 +18,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArra
 from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.surface.fuel_change import LEAST_SHARE
+from ltm_core.surface.layers import LEAST_SHARE
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 

@@ -167,17 +167,6 @@ class ChangeDecision:
             layers.evidence[touched] = cells.evidence.sum(axis=1)
         return layers
 
-    def alpha(self, codes: Int16Array, touched: BoolArray, cells: CellEvidence, now_s: float) -> Float64Array:
-        """Return (H, W, FORMS) parameters of the Dirichlet distribution of each cell's life forms; arguments as of
-        `decide`."""
-        index = np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
-        agreeing = forms_of(index)
-        flat = self._prior_evidence(agreeing.reshape(-1, FORMS), agreeing.any(axis=-1).ravel())
-        result = flat.reshape(*codes.shape, FORMS)
-        if touched.any():
-            result[touched] = self._judge(codes[touched], cells, now_s).alpha
-        return result
-
     def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _JudgedCells:
         rules = self._rules
         original = forms_of(codes)

@@ -192,12 +192,6 @@ class EvidenceMap:
         cell."""
         return None
 
-    def alpha(self, at_ns: int | None = None) -> Float64Array:
-        """Return (H, W, FORMS) Dirichlet parameters of each cell's life forms, from prior and evidence, at a time; by
-        default that of the latest frame."""
-        codes, touched, cells, now, _ = self._known((0, 0, *self.geometry.shape), at_ns)
-        return self._decider.alpha(codes, touched, cells, now)
-
     def _known(
         self, window: Window, at_ns: int | None
     ) -> tuple[Int16Array, BoolArray, CellEvidence, float, dict[str, NDArray[Any]]]:
@@ -245,11 +239,6 @@ class EvidenceMap:
         """Return (H, W) tree cover by labels and its standard error in %; NaN where unseen. `before` (H, W): cover from
         other sources."""
         return label_cover(self._state["woody"], before)
-
-    @property
-    def stand_correlation(self) -> float:
-        """Return the correlation of the evidence of two cells of one stand."""
-        return self._errors.correlation.between_cells
 
     def seen_by(self, source: str) -> BoolArray:
         """Return (H, W) cells that a camera sees, as far as they are recorded (`CAMERAS_KEPT`)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,13 +14,12 @@ import numpy as np
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array
-from ltm_core.base.utc_time import stamp_of_moment
+from ltm_core.base.number_text import stamp_of_moment
+from ltm_core.base.types import BoolArray, Float32Array, Int16Array, Int64Array
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import BarrierConfig
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.geopackage_io import read_geopackage
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 
 _STRIP: Final = 256
 _FINE: Final = 8
@@ -27,8 +27,8 @@ _FINE: Final = 8
 
 
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
-    """Return (H, W) NB1 and NB8 where the layers have barriers, NODATA elsewhere. Raises RasterError for an unreadable
-    file, a missing layer or one without CRS."""
+    """Return (H, W) NB1 and NB8 where the layers have barriers, NODATA elsewhere. Raises ConfigError for an unreadable
+    file."""
     codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
         codes[_cells(barrier, geometry)] = barrier.code
@@ -49,7 +49,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
     if lines:
         taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
     if areas:
-        taken |= covered_share(areas, geometry) >= barrier.least_share
+        taken |= covered_share(areas, geometry) >= LEAST_SHARE
     return taken
 
 
@@ -69,20 +69,19 @@ def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
 
 
 def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
-    """Return the lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
-    layer = read_geopackage(barrier.path, barrier.layer)
-    turn = Transformer.from_crs(layer.crs, geometry.crs, always_xy=True)
-
-    def here(points: Float64Array) -> list[tuple[float, float]]:
-        x, y = turn.transform(points[:, 0], points[:, 1])
-        return list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True))
-
-    lines = [{"type": "LineString", "coordinates": here(line)} for line in layer.lines if len(line) > 1]
-    areas = [
-        {"type": "Polygon", "coordinates": [here(ring) for ring in rings if len(ring) > 3]}
-        for rings in layer.areas
-        if len(rings[0]) > 3
-    ]
+    """Return the lines and areas that come near the grid, in its CRS, as GeoJSON geometries. Raises ConfigError."""
+    turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
+    lines: list[Any] = []
+    areas: list[Any] = []
+    for place, feature in _features(barrier.path):
+        with _geometry(place):
+            shape = feature["geometry"] or {"type": "GeometryCollection", "geometries": []}
+            for part in shape["geometries"] if shape["type"] == "GeometryCollection" else [shape]:
+                if part["type"] in ("LineString", "MultiLineString"):
+                    several = [part["coordinates"]] if part["type"] == "LineString" else part["coordinates"]
+                    lines += [{"type": "LineString", "coordinates": _turned(line, turn, place, 2)} for line in several]
+                elif part["type"] not in ("Point", "MultiPoint"):
+                    areas += _areas(part, turn, place)
     return [s for s in lines if near([s["coordinates"]], geometry)], [
         a for a in areas if near(a["coordinates"], geometry)
     ]
@@ -101,7 +100,7 @@ def near(rings: Any, geometry: GridGeometry) -> bool:
 BURNED_AT: Final = "burned_at"
 """Property of a feature with the time of the burn: ISO 8601, UTC unless it has a zone."""
 LEAST_SHARE: Final = 0.5
-"""Minimum burned share of a cell for it to count as burned."""
+"""Minimum share of a cell for it to count as burned, or as a barrier."""
 _LARGEST: Final = 64 << 20
 _LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
 """Latest time that fits a cell's state (`EvidenceMap.burn`)."""
@@ -127,20 +126,12 @@ def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
 
     Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
     """
-    try:
-        content = json.loads(read_text(path, _LARGEST, ConfigError))
-        features = [content] if content["type"] == "Feature" else list(content["features"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read as GeoJSON ({error}); give a FeatureCollection of areas") from error
     turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
     areas: dict[int, list[Any]] = {}
-    for number, feature in enumerate(features):
-        place = f"{path}, feature {number}"
-        try:
+    for place, feature in _features(path):
+        with _geometry(place):
             stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
             areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise ConfigError(f"{place}: not an area ({type(error).__name__}: {error})") from error
     burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
     return [burn for burn in burns if len(burn.cells)]
 
@@ -150,27 +141,47 @@ def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
     return Burn(stamp_ns, np.flatnonzero(covered_share(here, geometry) >= LEAST_SHARE))
 
 
+def _features(path: Path) -> list[tuple[str, Any]]:
+    """Return the features of a GeoJSON file with their places, for errors. Raises ConfigError."""
+    try:
+        content = json.loads(read_text(path, _LARGEST, ConfigError))
+        features = [content] if content["type"] == "Feature" else list(content["features"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as GeoJSON ({error}); give a FeatureCollection") from error
+    return [(f"{path}, feature {number}", feature) for number, feature in enumerate(features)]
+
+
+@contextmanager
+def _geometry(place: str) -> Iterator[None]:
+    """Raise ConfigError for a feature without a valid geometry."""
+    try:
+        yield
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise ConfigError(f"{place}: not a valid geometry ({type(error).__name__}: {error})") from error
+
+
 def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
     kinds = {"Polygon": lambda found: [found], "MultiPolygon": list}
     if shape["type"] not in kinds:
-        raise ConfigError(f"{place}: is a {shape['type']}; a burned area must be a Polygon or MultiPolygon")
+        raise ConfigError(f"{place}: is a {shape['type']}; an area must be a Polygon or MultiPolygon")
     found = []
     for rings in kinds[shape["type"]](shape["coordinates"]):
-        turned = []
-        for ring in rings:
-            points = np.asarray([point[:2] for point in ring], np.float64)
-            if len(points) < 4:
-                raise ConfigError(
-                    f"{place}: a ring of {len(points)} points; give at least four, the last equal to the first"
-                )
-            if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
-                raise ConfigError(f"{place}: points must be [longitude, latitude] in degrees")
-            x, y = turn.transform(points[:, 0], points[:, 1])
-            turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
+        turned = [_turned(ring, turn, place, 4) for ring in rings]
         if not turned:
             raise ConfigError(f"{place}: a polygon without a ring")
         found.append({"type": "Polygon", "coordinates": turned})
     return found
+
+
+def _turned(coordinates: Any, turn: Transformer, place: str, least: int) -> list[tuple[float, float]]:
+    """Return the points of a line or ring of at least `least` points in the grid's CRS."""
+    points = np.asarray([point[:2] for point in coordinates], np.float64)
+    if len(points) < least:
+        raise ConfigError(f"{place}: {len(points)} points; a ring has at least four, the last equal to the first")
+    if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
+        raise ConfigError(f"{place}: points must be [longitude, latitude] in degrees")
+    x, y = turn.transform(points[:, 0], points[:, 1])
+    return list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True))
 
 
 def _stamp_ns(text: Any, place: str) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.strict_model import Expert, StrictModel
@@ -17,17 +17,13 @@ from ltm_core.geometry.grid import GridGeometry
 
 
 class BarrierConfig(StrictModel):
-    """Layer of a GeoPackage with areas or lines that do not burn."""
+    """GeoJSON file (longitude and latitude, WGS 84) that does not burn: areas take cells that they cover by half, lines
+    all cells that they cross, so that no fire passes between two of them."""
 
     path: Path
-    """Path of the GeoPackage, relative to the site file."""
-    layer: str | None = None
-    """Name of the layer in a file with several."""
+    """Path of the GeoJSON file, relative to the site file."""
     kind: Literal["built", "road", "water"]
     """Kind of barrier: water gets the code NB8 (98), others NB1 (91)."""
-    least_share: float = Field(0.5, gt=0, le=1)
-    """Minimum share of a cell that an area must cover. A line takes every cell that it crosses, so that no fire passes
-    between two of them."""
 
     @property
     def code(self) -> int:

@@ -22,8 +22,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import Key
 from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
-from ltm_core.surface.layers import SurfaceLayers
+from ltm_core.surface.layers import LEAST_SEEN, SHRUB_BELOW, FuelChange, SurfaceLayers, cover_after, fuel_changes
 
 UNSEEN: Final = 255
 """Value in a grid of changes for cells that independent views have not seen."""

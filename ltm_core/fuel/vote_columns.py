@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.named_columns import Columns, take
-from ltm_core.base.types import Int32Array, Int64Array
+from ltm_core.base.types import Columns, Int32Array, Int64Array, take
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 

@@ -21,8 +21,7 @@ class Camera:
 
     Pixels (u, v) = (column, row) with integers at pixel centres, as OpenCV and ROS count them. `distortion` is
     (k1, k2, p1, p2, k3), the plumb_bob order of sensor_msgs/CameraInfo. Optical frame: x right, y down, z forward.
-    Raises CameraError on values that make no camera.
-    """
+    Raises CameraError on values that make no camera."""
 
     width: int
     height: int
@@ -102,8 +101,7 @@ class Camera:
         """Return the unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.
 
         NaN where the distortion cannot be inverted: such a pixel lies beyond the model's fold, and no ray projects
-        to it.
-        """
+        to it."""
         return _rays(self)
 
     def cosines(self) -> Float32Array:

@@ -1,7 +1,6 @@
 """Read, check and compare CRSs; convert coordinates and north references; compute the sun's elevation.
 
-Compass north, true north and grid north are three things; this is the one place that converts between them.
-"""
+Compass north, true north and grid north are three things; this is the one place that converts between them."""
 
 from __future__ import annotations
 
@@ -31,8 +30,7 @@ def ray_bend(curvature: bool, refraction: float) -> float:
     """Return the coefficient c of a ray's height z(r) = z0 + s r + c r^2 over horizontal range r, 1/metres.
 
     The earth falls away by r^2 / 2R and standard air bends light by the share `refraction` (k) of that back down:
-    c = (1 - k) / (2 R). Zero on a flat earth. Source: surveying's combined correction, e.g. Torge, Geodesy, 5.1.
-    """
+    c = (1 - k) / (2 R). Zero on a flat earth. Source: surveying's combined correction, e.g. Torge, Geodesy, 5.1."""
     if not 0 <= refraction < 1:
         raise ConfigError(f"refraction coefficient must lie in [0, 1), standard air is 0.13; got {refraction}")
     return (1 - refraction) / (2 * EARTH_RADIUS) if curvature else 0.0
@@ -158,8 +156,7 @@ class SiteFrame:
     """The map frame of a site: a projected CRS in metres minus an origin; z stays orthometric.
 
     With an origin near the site, float32 coordinates keep millimetres. Raises ConfigError where the CRS is unknown or
-    not a map's (see `map_problem`).
-    """
+    not a map's (see `map_problem`)."""
 
     crs: str
     x_origin: float = 0.0
@@ -204,8 +201,7 @@ class SiteFrame:
 def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0.0) -> float:
     """Return the magnetic declination (east positive), degrees, from the World Magnetic Model of the epoch of `on`.
 
-    `height`: metres above the ellipsoid. Raises ConfigError outside the years that the models cover (2010-2029).
-    """
+    `height`: metres above the ellipsoid. Raises ConfigError outside the years that the models cover (2010-2029)."""
     from pygeomag import GeoMag
 
     year = on.year + (on.timetuple().tm_yday - 1) / 365.25
@@ -236,8 +232,7 @@ def sun_elevation(latitude: float, longitude: float, stamps_ns: ArrayLike) -> Fl
     from 1950 to 2050.
 
     `latitude`, `longitude`: radians, north and east. `stamps_ns`: any shape. Source: J. J. Michalsky, "The Astronomical
-    Almanac's algorithm for approximate solar position (1950-2050)", Solar Energy 40 (1988).
-    """
+    Almanac's algorithm for approximate solar position (1950-2050)", Solar Energy 40 (1988)."""
     days = np.asarray(stamps_ns, np.float64) / 86_400e9 - _J2000_S / 86_400
     anomaly = np.radians(357.528 + 0.9856003 * days)
     mean_longitude = 280.460 + 0.9856474 * days

@@ -18,8 +18,7 @@ class GridGeometry:
     """A north-up raster of square cells; row 0 is the northernmost.
 
     `x_min`, `y_max`: outer edges of the raster (not cell centres), metres in `crs` or, where `crs` is None, in the
-    site's map frame. `resolution`: cell size, metres. Raises RasterError on values that make no raster.
-    """
+    site's map frame. `resolution`: cell size, metres. Raises RasterError on values that make no raster."""
 
     x_min: float
     y_max: float
@@ -77,8 +76,7 @@ class GridGeometry:
     def cell_of(self, x: ArrayLike, y: ArrayLike) -> tuple[Int64Array, Int64Array]:
         """Return the (row, col) of the cell that holds each point; may lie outside the raster (see `contains`).
 
-        Cells partition the plane: a point on a shared edge belongs to the cell to its east or south.
-        """
+        Cells partition the plane: a point on a shared edge belongs to the cell to its east or south."""
         col = np.floor((np.asarray(x, np.float64) - self.x_min) / self.resolution).astype(np.int64)
         row = np.floor((self.y_max - np.asarray(y, np.float64)) / self.resolution).astype(np.int64)
         return row, col
@@ -115,8 +113,7 @@ class GridGeometry:
         """Return the smallest raster over `bounds` (x_min, y_min, x_max, y_max) whose cell edges lie at phase mod
         resolution.
 
-        LANDFIRE's grid has resolution 30 and phase 15 in EPSG:5070.
-        """
+        LANDFIRE's grid has resolution 30 and phase 15 in EPSG:5070."""
         x_min, y_min, x_max, y_max = bounds
         first_col = math.floor((x_min - phase) / resolution)
         last_col = math.ceil((x_max - phase) / resolution)

@@ -35,8 +35,7 @@ def undistorted_rays(
     pixel that does not converge inside the fold is NaN.
 
     It starts at the distorted point. Where the model all but folds, steps from there may never settle; then a second
-    start, at the radius that the radial part alone gives, lies next to the solution.
-    """
+    start, at the radius that the radial part alone gives, lies next to the solution."""
     fx, fy, cx, cy = intrinsics
     k1, k2, p1, p2, k3 = distortion
     width = rays.shape[1]

@@ -1,8 +1,7 @@
 """Describe camera poses: rotations, position and angles in the map frame, and their covariance.
 
 SciPy's rotations are loaded on first use: they take 0.2 s and 20 MB, and most processes of a graph (recorder, uplink,
-health, the runner) read a site and rotate nothing.
-"""
+health, the runner) read a site and rotate nothing."""
 
 from __future__ import annotations
 
@@ -68,8 +67,7 @@ class Pose:
     """Position and orientation of a camera.
 
     `position`: (3,) metres in the map frame (x grid east, y grid north, z up). `rotation`: (3, 3), optical frame
-    (x right, y down, z forward) to map frame. Raises PoseError on NaN or on a matrix that is no rotation.
-    """
+    (x right, y down, z forward) to map frame. Raises PoseError on NaN or on a matrix that is no rotation."""
 
     position: Float64Array
     rotation: Float64Array
@@ -105,8 +103,7 @@ class Pose:
         """Return a pose from angles in degrees.
 
         `azimuth_deg`: of the optical axis, clockwise from grid north. `pitch_deg`: up from the horizon. `roll_deg`:
-        of the camera, clockwise about its viewing direction (the image's content turns counter-clockwise).
-        """
+        of the camera, clockwise about its viewing direction (the image's content turns counter-clockwise)."""
         angles = (azimuth_deg, pitch_deg, roll_deg)
         if not all(math.isfinite(a) for a in angles):
             raise PoseError(f"camera angles must be finite degrees, got azimuth, pitch, roll = {angles}")
@@ -122,8 +119,7 @@ class Pose:
     def angles_deg(self) -> tuple[float, float, float]:
         """Return (azimuth in [0, 360), pitch, roll) in degrees.
 
-        Straight down the azimuth is that of the image's top, straight up that of its bottom, and roll is 0.
-        """
+        Straight down the azimuth is that of the image's top, straight up that of its bottom, and roll is 0."""
         right, down, forward = self.rotation.T
         level = math.hypot(forward[0], forward[1])
         pitch = math.atan2(forward[2], level)
@@ -209,8 +205,7 @@ def pose_covariance(
     geometry_msgs/PoseWithCovariance.
 
     The errors are independent: azimuth turns about the vertical, pitch about the level axis to the camera's right, roll
-    about the viewing direction (`Pose.from_angles`).
-    """
+    about the viewing direction (`Pose.from_angles`)."""
     axes = axes_of_angles(pose)
     variances = np.radians([azimuth_sigma_deg, pitch_sigma_deg, roll_sigma_deg]) ** 2
     covariance = np.zeros((6, 6))

@@ -20,8 +20,7 @@ class RangeImage:
     `range`: (H, W) float32 slant metres along each pixel's ray; +inf sky, NaN unknown (outside the DEM, nodata, or
     a pixel without a ray), after REP-117. `bend`: the ray's curvature coefficient (see `geodesy.ray_bend`): over
     horizontal range r a ray of slope s stands at z0 + s r + bend r^2, and its slant range is r sqrt(1 + s^2).
-    `geometry`: the raster whose cells `cells()` counts.
-    """
+    `geometry`: the raster whose cells `cells()` counts."""
 
     range: Float32Array
     camera: Camera
@@ -95,8 +94,7 @@ class RangeImage:
 class DepthImage:
     """Depths of one image as sent between nodes: the part of a `RangeImage` that fusion needs.
 
-    `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
-    """
+    `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown."""
 
     along: Float32Array
     camera: Camera

@@ -87,8 +87,7 @@ class ZoomLens:
 
     `table`: rows of zoom, horizontal field of view (deg), k1, k2, p1, p2, k3, from wide to long. Between them log
     tan(hfov / 2) and the distortion are interpolated by monotone cubics over log(zoom - wide + c). c is such that a
-    lens of tan(hfov / 2) = a / (1 + b (zoom - wide)), as most are over most of their range, is met exactly.
-    """
+    lens of tan(hfov / 2) = a / (1 + b (zoom - wide)), as most are over most of their range, is met exactly."""
 
     width: int
     height: int

@@ -1,8 +1,7 @@
 """Draw training samples of a label head from labelled photos, group the photos into folds, and fit the head.
 
 A sample is a pixel of known class with the network's scores and decoder maps. Photos of one site are in one group; of a
-single view, its areas are dealt into folds instead.
-"""
+single view, its areas are dealt into folds instead."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.label_heads.labelled_frames import Frame
-from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.vision.labels import UNLABELLED
 from ltm_core.vision.segmenter import Segmenter
 
@@ -73,8 +72,7 @@ def photo_samples(
 def sites_of(frames: list[Frame]) -> list[str]:
     """Return the site of each photo: by `sites.csv` (columns image, site) beside it, else its name up to the first `_`.
 
-    Raises RecordingError for such a file without these columns.
-    """
+    Raises RecordingError for such a file without these columns."""
     named: dict[Path, Mapping[str, str]] = {}
     sites = []
     for frame in frames:
@@ -112,8 +110,7 @@ def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], l
     """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names.
 
     An area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class
-    go to the folds in turn, the largest first, so that a class of two areas is in two folds.
-    """
+    go to the folds in turn, the largest first, so that a class of two areas is in two folds."""
     parts, names = [], []
     turn: dict[int, int] = {}
     for frame in frames:
@@ -152,8 +149,7 @@ class HeadFitConfig(StrictModel):
     0.02). They hold more of the place than of the plant, and lead astray elsewhere: few places need 1, dozens bear
     less. `rarity`: a class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0,
     each class alike, a lake of a few pixels. Chosen on the five views of `hpwren_towers`, each site by heads that the
-    others taught.
-    """
+    others taught."""
 
     ridge: float = Field(default=1.0, gt=0)
     rarity: float = Field(default=0.8, ge=0, le=1)
@@ -176,8 +172,7 @@ def fit_head(
     """Return the mean of label heads trained on two thirds of the photos each, so that a single photo has less weight.
 
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
-    Raises ImageError where there is no sample.
-    """
+    Raises ImageError where there is no sample."""
     config = config or HeadFitConfig()
     parts = min(_PARTS, len(samples))
     if one_view or parts < 2:
@@ -255,8 +250,7 @@ def balanced(confusions: Sequence[Int64Array]) -> Float64Array:
 
     Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
     less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a
-    row that is mostly itself: nothing is known of it.
-    """
+    row that is mostly itself: nothing is known of it."""
     classes = len(confusions[0])
     rows = np.zeros((classes, classes))
     for confusion in confusions:

@@ -105,8 +105,7 @@ def teach_head(
     held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
     `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
     photos are of one view, which the head is for alone: areas are held out instead. Raises ModelError for a network
-    without maps, or for a single photo without `one_view`.
-    """
+    without maps, or for a single photo without `one_view`."""
     manifest = segmenter.manifest
     if not manifest.maps:
         raise ModelError(f"model {manifest.name!r} has no decoder maps in its manifest; label heads need them")

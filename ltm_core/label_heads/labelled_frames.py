@@ -1,8 +1,7 @@
 """Read frames with their labels, to train or to score a label network.
 
 A set is a folder of images `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
-person named in the folder's `polygons.json`. If an image has both, the PNG is used.
-"""
+person named in the folder's `polygons.json`. If an image has both, the PNG is used."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
     With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
     enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError
     where an image cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
-    and 255.
-    """
+    and 255."""
     frames = []
     for truth in sorted(folder.glob(f"*{LABELS_SUFFIX}")):
         stem = truth.name.removesuffix(LABELS_SUFFIX)
@@ -93,8 +91,7 @@ def without_classes(frames: Sequence[Frame], classes: Sequence[int]) -> list[Fra
 def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
     """Return the areas of each photo, in the order of the file.
 
-    Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder.
-    """
+    Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder."""
     named: dict[str, list[NamedArea]] = {}
     for place, area in enumerate(read_areas(path)):
         if area.kind not in labels.names and area.kind not in _NO_CLASS:

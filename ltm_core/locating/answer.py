@@ -15,10 +15,8 @@ from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.locator import CameraAgreement, Location
-from ltm_core.locating.posterior import Ellipse
+from ltm_core.locating.locator import CameraAgreement, Ellipse, Location
 from ltm_core.locating.sight_fan import sight_fan
-from ltm_core.locating.wrong_camera import TurnVerdict
 from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
@@ -35,8 +33,7 @@ class PlaceView:
     `pixel`: u, v in the image, hidden or not; None if outside. `state`: seen, hidden, outside or unknown. `lift`:
     metres above the place from which the camera sees it; NaN if unknown ground decides. `hidden_by`: x, y, z of the
     crest before it. `azimuth_deg` (from grid north), `pitch_deg`: where to turn. `hfov_deg`: field of view that
-    contains the uncertainty. `distance`: horizontal, metres.
-    """
+    contains the uncertainty. `distance`: horizontal, metres."""
 
     camera: str
     pixel: tuple[float, float] | None
@@ -236,24 +233,7 @@ def agreement_data(agreement: CameraAgreement | None) -> dict[str, Any] | None:
         "agree": agreement.agree,
         "statistic": _round(min(agreement.statistic, 1e6)),
         "limit": _round(agreement.limit),
-        "wrong": agreement.wrong,
         "suspicion": {name: _round(share) for name, share in agreement.suspicion.items()},
-        "turned": None if agreement.wrong is None else turned_data(agreement.verdict),
-    }
-
-
-def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
-    """Return the camera that is named as turned, its probability, and by how much its stated azimuths are too great:
-    None for a camera that has marked no fire."""
-    if verdict.wrong is None:
-        return None
-    return {
-        "camera": verdict.wrong,
-        "probability": round(verdict.suspicion[verdict.wrong], 4),
-        "turned_deg": round(math.degrees(verdict.turn), 3) if verdict.fires else None,
-        "sigma_deg": round(math.degrees(verdict.sigma), 3) if verdict.fires else None,
-        "fires": verdict.fires,
-        "by": list(verdict.by),
     }
 
 

@@ -7,8 +7,7 @@ at (azimuth, slope) + [G / r, -T] (o, w): its covariance is a quadratic in 1 / r
 Something on the ground is marked at its own direction. Smoke is marked at the lowest part of it that is visible: its
 foot, or behind a crest the highest of the terrain's slopes from the camera to the place, where it has drifted sideways
 the more, the farther that is above the foot's slope. Slopes of the place and of crests have errors by the terrain
-model's, the larger the nearer they are (`sight_kernels`).
-"""
+model's, the larger the nearer they are (`sight_kernels`)."""
 
 from __future__ import annotations
 
@@ -231,8 +230,7 @@ def sight_likelihood(
 
     `height`: of the camera, metres. `variances`: of the terrain's heights, by raster of the stack, square metres;
     `apart`: metres beyond which their errors are independent. `smoke`: the lowest visible part of smoke is marked, else
-    something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`.
-    """
+    something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`."""
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
     terrain = RayTerrain(fan.heights, fan.levels, fan.ranges, knots, height, bend)

@@ -15,7 +15,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import SightLikelihood
 from ltm_core.locating.sight_fan import FanSamples, SightFan, SplatSums
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
-from ltm_core.locating.turn_evidence import TurnProfile, turn_profile
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,15 +95,13 @@ _SHRINKS = 0.5
 class Fused:
     """Fused raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density of
     the posterior. `lift`: metres above ground from which the camera with the worst view of a cell sees something.
-    `log_evidence`: logarithm of the probability density of all marks, over all places; -inf if none is possible.
-    `profile`: the same by the angle of a turned camera."""
+    `log_evidence`: logarithm of the probability density of all marks, over all places; -inf if none is possible."""
 
     window: GridGeometry
     misfit: Float64Array
     weight: Float64Array
     lift: Float64Array
     log_evidence: float
-    profile: TurnProfile | None = None
 
     @cached_property
     def least(self) -> float:
@@ -204,7 +201,7 @@ def _fused(
     if not len(rows):
         return Fused(window, misfit, weight, lift, -math.inf)
     x, y = window.to_map(rows, cols)
-    fit, density, evidence, apart, raised = (np.zeros(len(rows)) for _ in range(5))
+    fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
     loose = {sight.name for sight in turned}
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
@@ -213,14 +210,12 @@ def _fused(
             here = np.log(raster.density[rows, cols])
             density += here * part
             evidence += here / len(rasters)
-            apart += here / len(rasters) if name not in loose else 0.0
             if name not in loose:  # what it marks may be something else
                 raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         noticed = np.log1p(squared / terrain.config.detection_range**2)
         density -= noticed / shared[name]
         evidence -= noticed
-        apart -= noticed if name not in loose else 0.0
     rising = np.log(terrain.chance(raised))
     density += rising
     evidence += rising
@@ -229,5 +224,4 @@ def _fused(
     lift[rows, cols] = raised
     greatest = float(evidence.max())
     total = greatest + math.log(float(np.exp(evidence - greatest).sum()) * window.resolution**2)
-    profile = turn_profile(evidence, apart + rising, x, y, turned, window.resolution) if turned else None
-    return Fused(window, misfit, weight, lift, total, profile)
+    return Fused(window, misfit, weight, lift, total)

@@ -72,8 +72,7 @@ def marked_polygon(
 
     `sigma`: of a place, pixels, or `share` of the region's height if more. `smoke`: the lowest part is the foot, higher
     parts lean over; else every place of the edge may be it. `mask`: (H, W), True is left out. Raises RegionError: not a
-    polygon, outside the image, its lower edge cut off by the border, all masked.
-    """
+    polygon, outside the image, its lower edge cut off by the border, all masked."""
     points = np.asarray(outline, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MOST_VERTICES:
         raise RegionError(f"a region has 1 to {MOST_VERTICES} points u, v, got an array of {points.shape}")

@@ -24,7 +24,7 @@ class LocatingConfig(StrictModel):
     min_range: Expert[float] = Field(30.0, ge=3.0)
     """Minimum range in metres to search; nearer, an error of half a metre in the camera's position makes any mark
     possible."""
-    max_range: float = Field(40_000.0, ge=100.0)
+    max_range: Expert[float] = Field(40_000.0, ge=100.0)
     """Maximum range in metres to search."""
     pixel_sigma: Expert[float] = Field(2.0, gt=0)
     """Standard deviation of a marked pixel in pixels, in each direction."""
@@ -37,5 +37,3 @@ class LocatingConfig(StrictModel):
     """Share of a camera's sightings that belong to another object than assumed."""
     wrong_odds: Expert[float] = Field(2.0, gt=0)
     """Odds ratio of one wrong camera against none above which cameras are reported to disagree."""
-    sure_of_wrong: Expert[float] = Field(0.75, ge=0.5, lt=1)
-    """Probability above which a camera is reported as turned."""

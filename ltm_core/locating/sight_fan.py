@@ -54,8 +54,7 @@ def sight_fan(
 
     Args:
         azimuths: (A,) radians, two or more, ascending.
-        fine: (from, to, step) metres: the ranges that are sampled at this step, if that is finer than elsewhere.
-    """
+        fine: (from, to, step) metres: the ranges that are sampled at this step, if that is finer than elsewhere."""
     ranges = fan_ranges(max_range, fine)
     heights = np.full((len(azimuths), len(ranges)), np.nan, np.float32)
     levels = np.full(heights.shape, NO_LEVEL, np.uint8)

@@ -2,8 +2,7 @@
 
 Smoke is first seen at the highest of several slopes: the place's own ground or a crest close before it (`near`), and
 the crests farther before it (`far`), whose heights have errors of their own. The density of the greatest of independent
-normal variables is the sum of each one's, times the chance that all others are lower.
-"""
+normal variables is the sum of each one's, times the chance that all others are lower."""
 
 from __future__ import annotations
 

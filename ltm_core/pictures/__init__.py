@@ -2,9 +2,8 @@
 
 from ltm_core.pictures.legend import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
 from ltm_core.pictures.maps import MapCamera, terrain_map_picture
-from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
+from ltm_core.pictures.photo_overlays import fit, label_colors, overlay_depth, overlay_labels, panel
 from ltm_core.pictures.relief import hillshade, terrain_colors
-from ltm_core.pictures.sheets import fit, panel
 
 __all__ = [
     "MapCamera",

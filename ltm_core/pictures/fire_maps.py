@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, RgbImage
-from ltm_core.fire.effect import FireEffect
-from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fire.scenario import FireScenario, Wind
+from ltm_core.fire.effect import FireEffect, FireRun, FireScenario, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
 from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, label_legend
 from ltm_core.pictures.maps import MapCamera, interesting_bounds
-from ltm_core.pictures.photo_overlays import label_colors
-from ltm_core.pictures.sheets import panel
+from ltm_core.pictures.photo_overlays import label_colors, panel
 from ltm_core.raster.dem import Dem
 
 FLAME: Final = Scale(
@@ -30,11 +27,6 @@ FLAME: Final = Scale(
 )  # fmt: skip
 """Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and
 darker."""
-PROBABILITY: Final = Scale.of(
-    ("below 5 %", "5 to 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 to 95 %", "95 % and more"),
-    (0.05, 0.2, 0.4, 0.6, 0.8, 0.95),
-    cv2.COLORMAP_VIRIDIS,
-)
 _SOON: Final = 5 / 60
 """Hours within which two arrivals count as equal; the model's steps are minutes."""
 DIFFERENCE: Final = Scale(
@@ -103,11 +95,6 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, scenario: FireScenario,
             canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
         ),
     }
-    if effect.probability is not None:
-        count = len(effect.members)
-        maps[f"Probability to burn, of {count} landscapes drawn from the fuel probabilities"] = _drawn(
-            canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
-        )
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)
 
 

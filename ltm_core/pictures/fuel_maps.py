@@ -1,8 +1,7 @@
 """Draw the fuel map over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes. Fuel models have
-LANDFIRE's colours, which do not: their names are written on the map.
-"""
+LANDFIRE's colours, which do not: their names are written on the map."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, label_legend, text_width
 from ltm_core.pictures.maps import MapCamera, draw_outline, finished, furnished, interesting_bounds, relief, view_of
-from ltm_core.pictures.photo_overlays import label_colors
-from ltm_core.pictures.sheets import panel, with_axes
+from ltm_core.pictures.photo_overlays import label_colors, panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)
@@ -84,8 +82,7 @@ class FuelCanvas:
 
     `geometry`: the fuel grid; `dem` in the same frame. `bounds`: (x_min, y_min, x_max, y_max) of the part; default: the
     whole grid. `offset`: added to coordinates on the axes. `width`: pixels of a map without its axes. `about`: a note
-    beside the scale bar. Raises RasterError for rasters in different CRSs.
-    """
+    beside the scale bar. Raises RasterError for rasters in different CRSs."""
 
     def __init__(
         self,
@@ -284,22 +281,6 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "")
         known = np.isfinite(seen.footprint)
         maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
     return _sheet(maps, heading)
-
-
-def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray], heading: str = "") -> RgbImage:
-    """Draw, for each camera, the cells (H, W) that it has seen, and how many cameras have seen each. Raises ImageError
-    without cameras."""
-    maps = {
-        f"Seen by {name}: {counted(int(cells.sum()), 'cell')}": canvas.scaled(cells.astype(np.uint8), cells, _SEEN)
-        for name, cells in sorted(by_camera.items())
-    }
-    if len(maps) > 1:
-        count = np.sum(list(by_camera.values()), axis=0)
-        maps["Number of cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
-    return _sheet(maps, heading)
-
-
-_SEEN = Scale(("seen",), (CAMERAS.colors[1],), ())
 
 
 def _sheet(maps: Mapping[str, RgbImage], heading: str) -> RgbImage:

@@ -10,10 +10,10 @@ import numpy as np
 
 from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.posterior import Ellipse, Posterior
+from ltm_core.locating.locator import Ellipse, Posterior
 from ltm_core.pictures.legend import INK, PAPER, Text, apart, draw_texts, ramp_legend, with_legend
 from ltm_core.pictures.maps import MapCamera, finished, furnished, relief, view_of
-from ltm_core.pictures.sheets import panel, with_axes
+from ltm_core.pictures.photo_overlays import panel, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointState
 
@@ -88,23 +88,15 @@ def _heat_colors(heat: Float64Array) -> RgbImage:
     return np.stack(colors, axis=-1).astype(np.uint8)
 
 
-def places_picture(
-    photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]], marked: Float64Array | None = None
-) -> RgbImage:
+def places_picture(photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]]) -> RgbImage:
     """Return a photo with places of the map drawn where they lie in it: blue seen, orange hidden by terrain, grey
-    where unknown ground decides. `marked`: (N, 2) where they were marked, a cross each with a line to where they lie.
-    """
+    where unknown ground decides."""
     picture = photo.copy()
     size = max(13, round(photo.shape[1] / 80))
     line = max(1, size // 8)
     labels: list[Text] = []
-    for number, (name, (u, v), state) in enumerate(places):
+    for name, (u, v), state in places:
         centre = _fixed(np.array([[u, v]]))[0]
-        if marked is not None and np.isfinite(marked[number]).all():
-            there = _fixed(marked[number : number + 1])[0]
-            cv2.line(picture, tuple(centre), tuple(there), (255, 255, 255), line, cv2.LINE_AA, _SHIFT)
-            cross = tuple(round(float(value)) for value in marked[number])
-            cv2.drawMarker(picture, cross, (255, 255, 255), cv2.MARKER_CROSS, size, line, cv2.LINE_AA)
         color = STATE_COLORS[state]
         cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, (255, 255, 255), line + 2, cv2.LINE_AA, _SHIFT)
         cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, color, line, cv2.LINE_AA, _SHIFT)

@@ -27,8 +27,8 @@ from ltm_core.pictures.legend import (
     text_width,
     with_legend,
 )
+from ltm_core.pictures.photo_overlays import with_axes
 from ltm_core.pictures.relief import Window, hillshade, terrain_colors
-from ltm_core.pictures.sheets import with_axes
 from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)

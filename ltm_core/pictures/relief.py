@@ -43,8 +43,7 @@ def drawn(
     memory.
 
     `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32, and may use a cell's
-    neighbours. `window`: (row, col, height, width) of the part, multiples of `factor`; default: all whole blocks.
-    """
+    neighbours. `window`: (row, col, height, width) of the part, multiples of `factor`; default: all whole blocks."""
     rows, cols = dem.elevation.shape
     top, left, height, width = window or (0, 0, rows // factor * factor, cols // factor * factor)
     before, after = min(left, 1), min(cols - left - width, 1)

@@ -22,8 +22,8 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, terrain_map_picture, with_legend
 from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.legend import UNLABELLED, Palette, draw_texts
+from ltm_core.pictures.photo_overlays import panel
 from ltm_core.pictures.relief import brightness_at
-from ltm_core.pictures.sheets import panel
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
@@ -240,8 +240,7 @@ def site_picture(
     """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3).
 
     `dem`, `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to
-    vote; a camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS.
-    """
+    vote; a camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
     bounds = _around(dem.geometry, cameras)
     reach = 0.14 * (bounds[2] - bounds[0])
     drawn = [replace(camera, reach=reach) for camera in cameras]

@@ -9,10 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, ModelError
-from ltm_core.base.named_columns import Columns
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import DescribedModel
-from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.base.types import Columns, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth

@@ -12,8 +12,8 @@ from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior

@@ -20,7 +20,7 @@ from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, re
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
-from ltm_core.storage.text_io import load_array
+from ltm_core.storage.config_io import load_array
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile
 from ltm_core.surface.change import Changed

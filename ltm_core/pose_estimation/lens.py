@@ -3,8 +3,7 @@
 The corner shares are 1.5 to 4 robust standard deviations of the lensfun database (lensfunpy 1.18, focal lengths of 15
 to 90 mm at 35 mm: 2,223 calibrations of interchangeable lenses 0.033, 1,230 of compact cameras 0.040, 7 of action
 cameras 0.126 about -0.117, 8 of phones 0.035), because its lenses have a known maker. Lenses of fire-watch cameras are
-in no database; the surveyed webcam of Finse shifts corners by 15 %.
-"""
+in no database; the surveyed webcam of Finse shifts corners by 15 %."""
 
 from __future__ import annotations
 
@@ -86,8 +85,7 @@ def radial_trend(errors: Float64Array, fitted: Float64Array, by_k: Float64Array,
 
     `errors`: (N,) pixels; `fitted`: (N, P) their slopes by the fitted parameters; `by_k`: (N,) by the radial term;
     `sigma`: (N,) smallest standard deviations. Least squares over the part of `by_k` orthogonal to `fitted`; the
-    scale is that of the misfits that remain.
-    """
+    scale is that of the misfits that remain."""
     rows = np.column_stack([fitted, by_k]) / sigma[:, None]
     scales = np.linalg.norm(rows, axis=0)
     scales[scales == 0] = 1.0

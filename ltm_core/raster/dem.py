@@ -123,8 +123,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
 def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
     """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
 
-    Raises RasterError: not readable; OSError: no file can be written beside it.
-    """
+    Raises RasterError: not readable; OSError: no file can be written beside it."""
     with open_raster(path) as source:
         check_size(source, path, source.height, source.width)
         return write_heights(path, source, StoredHeights.of(source, path, crs).fill)
@@ -136,8 +135,7 @@ def read_around(
     """Read elevations as `read_heights` does, over `bounds` (x_min, y_min, x_max, y_max) in the CRS `target`, warped
     bilinearly if their own grid differs; degrees are allowed.
 
-    Raises RasterError: not readable, no CRS, or nothing of it within the bounds.
-    """
+    Raises RasterError: not readable, no CRS, or nothing of it within the bounds."""
     from rasterio import Affine
     from rasterio.enums import Resampling
     from rasterio.warp import calculate_default_transform, reproject, transform_bounds
@@ -240,8 +238,7 @@ class Dem:
 
     `elevation`: (H, W) float32, metres, north up, NaN where unknown; values sit at cell centres and the surface is
     bilinear between them. `doubts`: what may be wrong with the file. Raises RasterError when shape and geometry
-    disagree or no height is known.
-    """
+    disagree or no height is known."""
 
     elevation: Float32Array
     geometry: GridGeometry
@@ -268,8 +265,7 @@ class Dem:
 
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
         south-up are turned. Raises RasterError: not readable, no CRS, one that is no map's or distorts distances,
-        rotated, cells not square, or values that are no heights (see `heights_check`).
-        """
+        rotated, cells not square, or values that are no heights (see `heights_check`)."""
         return cls(*read_heights(path, crs))
 
     def in_frame(self, frame: SiteFrame) -> Dem:

@@ -12,8 +12,7 @@ one, once, when a stack is made:
   first known node, or 0 at the raster's edge, and r_k its distance. This is the delta surface fill of Grohman, Kroenung
   and Strebeck (2006), Photogrammetric Engineering & Remote Sensing 72(3).
 * **The border**: within `BAND` coarse cells the fine heights give way to the coarser surface in proportion to the
-  distance from the edge. The small step that may remain between two fine nodes is a wall: no ray slips through.
-"""
+  distance from the edge. The small step that may remain between two fine nodes is a wall: no ray slips through."""
 
 from __future__ import annotations
 
@@ -70,8 +69,7 @@ class DemStack(Dem):
 
     It is a `Dem` whose `elevation` and `geometry` are its finest level's, and which goes on beyond that level's edge.
     The given levels are not changed. Raises RasterError: fewer than two levels, not in order of resolution, in
-    different CRSs, or one that reaches beyond the next.
-    """
+    different CRSs, or one that reaches beyond the next."""
 
     coarser: tuple[Dem, ...]
     """Coarser levels, finest first."""
@@ -85,8 +83,7 @@ class DemStack(Dem):
         ones. These may be in another CRS, in degrees too: they are warped, bilinearly, to that of the finest.
 
         All levels must have the same vertical datum: correct a datum shift of more than a few metres beforehand
-        (gdalwarp with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
-        """
+        (gdalwarp with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do."""
         finest = Dem.open(path, crs)
         x_min, y_min, x_max, y_max = finest.geometry.bounds
         around = x_min - REACH, y_min - REACH, x_max + REACH, y_max + REACH
@@ -166,8 +163,7 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
     """Return the terrain with the tops of trees and buildings where `surface` has them, and bare earth elsewhere.
 
     `surface` heights are elevations, as the ground's; where it is NaN, the ground shows. Raises RasterError as
-    `DemStack` does.
-    """
+    `DemStack` does."""
     tops = surface.elevation.copy()
     for row in np.flatnonzero([np.isnan(heights).any() for heights in tops]):
         cols = np.flatnonzero(np.isnan(tops[row]))
@@ -199,8 +195,7 @@ def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, in
 def _within(fine: Dem, coarse: Dem) -> Dem:
     """Return `fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
 
-    Raises RasterError where that is more than a coarse cell, or the two do not go together.
-    """
+    Raises RasterError where that is more than a coarse cell, or the two do not go together."""
     a, b = fine.geometry, coarse.geometry
     if not same_crs(a.crs, b.crs):
         raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")

@@ -1,8 +1,7 @@
 """Decide what the numbers of an elevation raster mean: which band, which unit, which values are no ground.
 
 Every raster of heights passes here when it is opened, whatever the command, and whether it is the finest one, a coarser
-one or the surface. What cannot be right is a RasterError; what may be wrong is a `HeightsDoubt`.
-"""
+one or the surface. What cannot be right is a RasterError; what may be wrong is a `HeightsDoubt`."""
 
 from __future__ import annotations
 
@@ -158,8 +157,7 @@ class HeightsSurvey:
     def finish(self, heights: Float32Array, path: Path | str) -> list[HeightsDoubt]:
         """Replace marks for nodata in `heights` (H, W) by NaN, in place; return what may be wrong.
 
-        Raises RasterError for other heights that no ground has.
-        """
+        Raises RasterError for other heights that no ground has."""
         marks, rest = self._marks()
         doubts, counts = [], dict.fromkeys(sorted(marks), 0)
         for strip in _strips(heights) if marks else ():

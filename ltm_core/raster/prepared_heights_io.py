@@ -7,8 +7,7 @@ of which that consists, each with its inode, size and times. `ctime`, which no p
 that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
 state, or was written by another version, counts as absent; and so does one of an owner who is neither this process's,
 nor the raster's, nor root: otherwise, users with access to the folder could replace the heights of a raster that they
-may not write. Its read permissions are those of the raster.
-"""
+may not write. Its read permissions are those of the raster."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
     state.
 
     They are mapped copy-on-write: what is written to them stays in this process, and the arrays are of the type for
-    which the kernels are compiled.
-    """
+    which the kernels are compiled."""
     try:
         with heights_path(raster).open("rb") as file:
             found = os.fstat(file.fileno())
@@ -104,8 +102,7 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
     """Prepare `source`, the open dataset of `raster`; return the file, or None if it exists already or is not needed.
 
     `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
-    cannot be written; the previous file is kept then, unless it is of another state.
-    """
+    cannot be written; the previous file is kept then, unless it is of another state."""
     cells, path = source.height * source.width, heights_path(raster)
     if map_heights(raster, source) is not None:
         return None

@@ -35,8 +35,7 @@ def open_raster(path: Path | str, driver: str | None = None) -> Iterator[Any]:
 
     `driver`: the only format that is accepted, for files of unknown origin. Any GDAL error in the block becomes a
     RasterError that names the file; so does a file without a band (netCDF and HDF hold several rasters), and a mosaic
-    of which a file is missing.
-    """
+    of which a file is missing."""
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
     from rasterio.errors import CRSError, RasterioError
@@ -55,8 +54,7 @@ def open_raster(path: Path | str, driver: str | None = None) -> Iterator[Any]:
 def read_band(source: Any, band: int, window: Any = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Return the stored values of a band (H, W), unscaled, and where they are unknown: nodata, mask or alpha.
 
-    GDAL takes only one of these; a file that has a mask and a nodata value needs both.
-    """
+    GDAL takes only one of these; a file that has a mask and a nodata value needs both."""
     from rasterio.enums import ColorInterp
 
     read = source.read(band, window=window, masked=True)
@@ -155,8 +153,7 @@ def write_geotiff(
     """Write an (H, W) or (bands, H, W) array as a tiled, deflated GeoTIFF.
 
     `colormap`: value -> RGB, for uint8 rasters. The bytes depend on the arguments alone. Raises RasterError where
-    the geometry has no CRS or does not fit the array, OSError where the file cannot be written.
-    """
+    the geometry has no CRS or does not fit the array, OSError where the file cannot be written."""
     import rasterio
     from rasterio.io import MemoryFile
     from rasterio.windows import Window

@@ -28,8 +28,7 @@ def label_model(site: Site) -> str:
 def label_network(site: Site, model: str = "", shown: str = "") -> str | NetworkManifest:
     """Return the network that labels, or `model`: its name, or its manifest with the site's vocabulary.
 
-    `shown`: a prompt of an operator, which becomes a class of its own. Raises ModelError, ConfigError as `prompted`.
-    """
+    `shown`: a prompt of an operator, which becomes a class of its own. Raises ModelError, ConfigError as `prompted`."""
     name = model or label_model(site)
     if not (site.vocabulary or shown):
         return name
@@ -45,8 +44,7 @@ def site_label_errors(site: Site) -> LabelErrors:
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     """Return the label errors of cameras with their own label head, which differ from those of the network.
 
-    Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
-    """
+    Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken."""
     if site.fuel.label_errors is not None:
         return {}
     heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
@@ -93,8 +91,7 @@ def labels_state(site: Site) -> str:
 def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -> Segmenter:
     """Open the network of a site, or `model`, with the label head that the site file names for a camera.
 
-    Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`.
-    """
+    Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`."""
     network = label_network(site, model or site.model)
     return Segmenter.open(network, threads, head=site.camera(camera).label_head, heads=site.label_heads)
 

@@ -58,8 +58,7 @@ class FuelConfig(StrictModel):
 class MessageLimits(StrictModel):
     """Maximum size of messages; larger ones are dropped and counted as `too_large` before they are processed.
 
-    So that each node stays below a gigabyte at the bound (`test_memory_at_limits.py`).
-    """
+    So that each node stays below a gigabyte at the bound (`test_memory_at_limits.py`)."""
 
     image_bytes: int = Field(32 << 20, ge=1)
     """Maximum size of a compressed image in bytes."""

@@ -168,8 +168,7 @@ class Site(StrictModel):
         """Return the bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser
         rasters too.
 
-        Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
-        """
+        Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it."""
         rasters = [(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]
 
         def read() -> Dem:
@@ -200,8 +199,7 @@ class Site(StrictModel):
         """Return the surface that cameras see, in the map frame: `ground` (of `open_dem`) with the tops of trees and
         buildings if the site has a surface raster.
 
-        Raises RasterError as `Dem.open` does, and for heights that are not those of a surface over this ground.
-        """
+        Raises RasterError as `Dem.open` does, and for heights that are not those of a surface over this ground."""
         given = self.surface
         if given is None:
             return ground

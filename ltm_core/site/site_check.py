@@ -1,8 +1,7 @@
 """Check a site file before a run: terrain, cameras, prior fuel map and networks, each with a remedy.
 
 What the graph's nodes would reject one after the other, again at each start, is found here at once, by the code that
-they read it with.
-"""
+they read it with."""
 
 from __future__ import annotations
 

@@ -14,9 +14,8 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import AlertsConfig, CameraConfig, DemConfig
 from ltm_core.site.site import Site
 from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings, SecretConfig
-from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_yaml
+from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_text, read_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.storage.text_io import read_text
 from ltm_core.uplink.config import broker_beside
 
 

@@ -317,7 +317,7 @@ class OnvifConfig(PtzSettings):
     kind: Literal["onvif"]
     path: Expert[str] = Field("/onvif/device_service", pattern=r"/[!-~]*")
     """Path of the device service."""
-    profile: str | None = None
+    profile: Expert[str | None] = None
     """Token of the media profile; None: the first profile with PTZ."""
     pan_range_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
     """Pan in degrees at the normalised values -1 and 1."""
@@ -333,16 +333,4 @@ class OnvifConfig(PtzSettings):
         return self
 
 
-class ReolinkConfig(PtzSettings):
-    """Reolink cameras with their own counts."""
-
-    kind: Literal["reolink"]
-    channel: int = Field(0, ge=0)
-    """Number of the channel on a device with several."""
-    pan_steps_per_deg: float = Field(10.0, gt=0)
-    """Counts of `Ppos` per degree; see the camera model's manual."""
-    tilt_steps_per_deg: float = Field(10.0, gt=0)
-    """Counts of `Tpos` per degree."""
-
-
-PtzConfig = Annotated[VapixConfig | IsapiConfig | OnvifConfig | ReolinkConfig, Field(discriminator="kind")]
+PtzConfig = Annotated[VapixConfig | IsapiConfig | OnvifConfig, Field(discriminator="kind")]

@@ -61,8 +61,7 @@ class SpaceFloor:
     """Check whether a disk has less free space than `floor` bytes.
 
     Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer must not stop
-    and start with every file that other programs remove.
-    """
+    and start with every file that other programs remove."""
 
     def __init__(self, path: Path, floor: int) -> None:
         self._path, self.floor = path, floor
@@ -85,8 +84,7 @@ class SpaceFloor:
 class DiskReserve:
     """Space on a disk, reserved by a file that is released when the disk is full.
 
-    Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
-    """
+    Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up."""
 
     def __init__(self, path: Path) -> None:
         """Nothing is held yet."""
@@ -144,8 +142,7 @@ class DiskReserve:
 def written_whole(path: Path) -> Iterator[Path]:
     """Give the name of a file beside `path` which replaces it at the end of the block: it appears whole or not at all.
 
-    Raises ConfigError if it cannot be written.
-    """
+    Raises ConfigError if it cannot be written."""
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         yield partial
@@ -165,8 +162,7 @@ def require_folder(folder: Path, what: str = "results") -> None:
 def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
     """Raise ConfigError unless each of `files` can be written; creates missing folders.
 
-    `overwrite`: whether files may be there already. Makes and changes nothing.
-    """
+    `overwrite`: whether files may be there already. Makes and changes nothing."""
     for file in files:
         if is_folder(file):
             raise ConfigError(f"{file}: is a folder; give a file name for {what}")

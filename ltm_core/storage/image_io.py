@@ -1,8 +1,7 @@
 """Decode compressed images. Only this file calls Pillow, libheif and OpenCV for that.
 
 A decoder fills what a truncated image lacks with grey or green and reports nothing, so each image is checked here:
-filled-in pixels are labelled built or water, and would vote.
-"""
+filled-in pixels are labelled built or water, and would vote."""
 
 from __future__ import annotations
 
@@ -158,8 +157,7 @@ def decode_rgb(data: bytes, what: str = "image", reduced: int = 1) -> UInt8Array
 
     `reduced`: 2, 4 or 8 for a JPEG of that fraction of the size, at a fraction of the cost; other formats are sampled.
     An EXIF orientation is left aside: a calibration counts the pixels as they are stored. Raises ImageError for damaged
-    data, and with the missing share if data are missing.
-    """
+    data, and with the missing share if data are missing."""
     match image_format(data):
         case "jpeg":
             return _jpeg_rgb(data, f"{what} ({len(data)} bytes of jpeg)", reduced)
@@ -233,8 +231,7 @@ def _other_rgb(data: bytes, what: str) -> UInt8Array:
 def _missing_bytes(data: bytes) -> float:
     """Return the missing share of the bytes that HEIC, AVIF (ISO 14496-12) or WebP (RIFF) state; 0 for other formats.
 
-    Compressed data have no long run of zeros, so zeros at the end come from an incomplete copy.
-    """
+    Compressed data have no long run of zeros, so zeros at the end come from an incomplete copy."""
     end = 0
     if data[:4] == b"RIFF":
         end = 8 + int.from_bytes(data[4:8], "little")
@@ -254,8 +251,7 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
 
     If the image has one scan, blocks without data are grey. The rare image that has such blocks is decoded again, small
     and with other data where data may be missing: only filled-in blocks change. Images of several scans are always
-    decoded twice.
-    """
+    decoded twice."""
     jpeg = Jpeg.of(data, what)
     if len(jpeg.scans) > _MOST_SCANS:
         raise ImageError(f"{what} has {len(jpeg.scans)} scans, at most {_MOST_SCANS} are decoded; save the image again")

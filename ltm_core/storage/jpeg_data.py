@@ -32,8 +32,7 @@ _MOST_OTHER = 4 << 20
 class Jpeg:
     """Structure of a JPEG. `process`: marker of its frame header. `mcus`: number of coded units. `interval`: coded
     units between restart markers; 0: none. `scans`: (first, last) byte of the data of each. `end`: of the last scan's
-    data. `unfinished`: share of the coefficients that no scan completes.
-    """
+    data. `unfinished`: share of the coefficients that no scan completes."""
 
     width: int
     height: int

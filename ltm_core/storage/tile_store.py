@@ -3,8 +3,7 @@
 The nodes `fuel_map` and `terrain` keep their maps in it. A transaction is in the file whole or not at all, also after a
 power cut: what `commit` has returned from is kept. Frames may be committed before the tiles that hold their effect:
 their payloads wait in the file, as in a redo log, so that a frame costs a small write, and the tiles are written now
-and then.
-"""
+and then."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class TileStore:
     is reserved again if it is left; its second half is for the last transaction alone (`commit`, `last`).
 
     Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
-    it, and the call may be made again), and ConfigError where its content is damaged.
-    """
+    it, and the call may be made again), and ConfigError where its content is damaged."""
 
     def __init__(
         self,
@@ -93,8 +91,7 @@ class TileStore:
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
         a file is not changed. Raises StoreError where another process writes it, the folder cannot be written or the
-        disk is full.
-        """
+        disk is full."""
         path = Path(path)
         if not path.parent.is_dir():
             raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
@@ -123,8 +120,7 @@ class TileStore:
     def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
         """Open a store of that kind read-only, with its own schema, also while another process writes it.
 
-        Raises ConfigError and StoreError as `open` does.
-        """
+        Raises ConfigError and StoreError as `open` does."""
         path = Path(path)
         database, schema = open_store(path, read_only=True)
         if schema.kind != kind:
@@ -263,8 +259,7 @@ class TileStore:
         """Write all of it in one transaction, or nothing. `last`: before the store is closed.
 
         Where tiles are given, they hold the effect of all frames until now, these among them: no payload waits any
-        longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema.
-        """
+        longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema."""
         packed = [(*key, self.schema.pack(key, arrays)) for key, arrays in (tiles or {}).items()]
         try:
             self._write(packed, frames, changes)

@@ -231,8 +231,7 @@ def count_frames(
 ) -> None:
     """Count frames within a transaction on the store `name`. `keep`: with payloads, until their tiles are written.
 
-    Raises ValueError where a frame has been counted already, ConfigError where the store is damaged.
-    """
+    Raises ValueError where a frame has been counted already, ConfigError where the store is damaged."""
     _count(db, frames, keep)
     _touch(db, frames)
     for source in {frame.source for frame in frames}:
@@ -286,8 +285,7 @@ def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) 
     newest, up to `bounds.most`.
 
     A limit by age alone would reject a camera whose clock was once set to another year, or count its frames twice. A
-    limit by number alone would forget late frames of a camera that sends many.
-    """
+    limit by number alone would forget late frames of a camera that sends many."""
     ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
     ((newest,),) = checked_rows(db, name, "SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,), int)
     old = _old_among(db, number, kept - bounds.frames, newest - KEPT_NS, bounds.frames)

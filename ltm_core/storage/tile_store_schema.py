@@ -61,8 +61,7 @@ class _Description(StrictModel):
 @dataclass(frozen=True)
 class StoreSchema:
     """`kind`, `version`: of the content (`fuel`, 1). `geometry`: in the site's CRS. `tile`: cells a side. `terms`: what
-    else the meaning of the numbers depends on, such as constants that went into them.
-    """
+    else the meaning of the numbers depends on, such as constants that went into them."""
 
     kind: str
     version: int
@@ -161,8 +160,7 @@ class FrameRecord:
     """Counted frame: once by `source` (its camera) and `stamp_ns`.
 
     `tiles`, `model`: for the record of who touched which tile with what network. `payload`: what it takes to count the
-    frame again; the store keeps it until tiles that hold the frame's effect are committed.
-    """
+    frame again; the store keeps it until tiles that hold the frame's effect are committed."""
 
     source: str
     stamp_ns: int
@@ -175,8 +173,7 @@ class FrameRecord:
 class CellChanges:
     """Cells of a layer that a frame of `stamp_ns` (or a command of that time) changed, for the journal.
 
-    `rows`, `cols`, `old`, `new`: (N,) integers that fit int32.
-    """
+    `rows`, `cols`, `old`, `new`: (N,) integers that fit int32."""
 
     layer: str
     stamp_ns: int

@@ -1,8 +1,7 @@
 """Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
 Values that are read together lie together, to save cache lines. A *place* numbers a cell as the tiles do: tile x TILE^2
-+ the cell in its tile, both in row-major order.
-"""
++ the cell in its tile, both in row-major order."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ class TileCells(NamedTuple):
     that the first observations found (0 with a surface raster, NaN before). `watched`: the cameras whose labels have
     shown for an hour that something stands. Of the candidate: the same, with c_. Of an accepted change: kind, smoothed
     `shift`, since, by. `high`: 1 if an estimate or a candidate may be high enough above the reference to be looked for
-    in images.
-    """
+    in images."""
 
     estimate: RecordArray
     candidate: RecordArray

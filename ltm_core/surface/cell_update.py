@@ -3,8 +3,7 @@
 Each cell has an *estimate* of its height above the reference, and at most one *candidate*: what contradicts the
 estimate, until it is contradicted itself or independent views confirm it; then it becomes the estimate. A camera's
 weight in a cell grows with time (one look per hour), because its observations shortly after each other repeat its
-errors; the part of the variance that it always repeats falls only with the number of cameras (docs/how/surface.md).
-"""
+errors; the part of the variance that it always repeats falls only with the number of cameras (docs/how/surface.md)."""
 
 from __future__ import annotations
 

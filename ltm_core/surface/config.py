@@ -33,7 +33,7 @@ class TerrainConfig(StrictModel):
     """Cell size in metres; None: that of the DEM."""
     min_range: Expert[float] = Field(20.0, ge=0)
     """Minimum range in metres; anything nearer is ignored as an object close to the lens."""
-    max_range: float = Field(1500.0, gt=0)
+    max_range: Expert[float] = Field(1500.0, gt=0)
     """Maximum range in metres; beyond it, depth is too coarse to update a cell."""
     columns: Expert[int] = Field(960, ge=1)
     """Maximum number of columns of an image that are used, evenly spaced; rows have the same spacing."""

@@ -1,7 +1,6 @@
 """Hold the cells whose height independent views have confirmed, and the list of their versions.
 
-All other cells of a terrain stay as they were given, to the bit.
-"""
+All other cells of a terrain stay as they were given, to the bit."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ class ConfirmedSurface:
     """Changed cells of the grid `geometry`, (N,) each, in row-major order.
 
     `surface`: what cameras see there now, metres. `ground`: bare earth where that has changed, NaN where it is as it
-    was given. Raises RasterError where the cells are none of the grid, out of order or without a height.
-    """
+    was given. Raises RasterError where the cells are none of the grid, out of order or without a height."""
 
     geometry: GridGeometry
     rows: Int32Array

@@ -1,7 +1,6 @@
 """Expected view of the reference surface: range, cell and slope for each pixel, without an image.
 
-None of it depends on the image, so it is kept, and a camera that stands still pays for it once.
-"""
+None of it depends on the image, so it is kept, and a camera that stands still pays for it once."""
 
 from __future__ import annotations
 

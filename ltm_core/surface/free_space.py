@@ -1,7 +1,6 @@
 """Free-space test: a camera that sees through an object in a cell limits the cell's height.
 
-What stands above the reference is few cells: each is projected into the image.
-"""
+What stands above the reference is few cells: each is projected into the image."""
 
 from __future__ import annotations
 
@@ -80,8 +79,7 @@ def see_through(
     a bird; count it against growth that several observations have seen. Return the number of cells.
 
     `places`: (N, 3) slot, tile row and tile column of the tiles in memory. `camera`: of the pixels in use. `reach`:
-    minimum and maximum distance of objects in metres.
-    """
+    minimum and maximum distance of objects in metres."""
     rows, cols = (np.append(np.arange(0, n - 1, 16), n - 1) for n in (camera.height, camera.width))
     rays = camera.rays()[np.ix_(rows, cols)]
     aside, upwards = (_WIDER * float(np.abs(rays[..., i] / rays[..., 2]).max()) for i in (0, 1))

@@ -40,8 +40,7 @@ def add_labels(
 
     `expected_pixels`: the reference's view of these pixels; `cosines`: their depth / slant range. `gone`: (256,) log
     odds by label that what stood is gone. `depth`: the measurement in the same photo, at its own size. Labels at an
-    edge do not count, because they may be of what is beside it.
-    """
+    edge do not count, because they may be of what is beside it."""
     rows, cols = ids.shape
     height, width = depth.depth.shape
     for v in range(rows):
@@ -98,8 +97,7 @@ class DepthFrame:
     `labels`: (H, W) uint8 class ids or None. `covariance`: (6, 6) of the pose over x, y, z (m) and rotations about the
     map's axes (rad); None: not known. `stable`: (H, W) bool, open ground that does not grow, where the frame itself
     tells it, or None. `full_labels`: labels at their own size, of which the map asks what still stands, or None. Raises
-    ImageError where shapes differ, PoseError for a covariance that is none.
-    """
+    ImageError where shapes differ, PoseError for a covariance that is none."""
 
     depth: Float32Array
     sigma: Float32Array

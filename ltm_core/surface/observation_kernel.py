@@ -7,8 +7,7 @@
 
 The incidence factor |n.d| / n_z (n: normal of a block of cells, d: direction of the ray) turns metres along the ray
 into metres of height. The variance takes the slope of the cell itself if that is steeper; the *relative variance*, of
-a change of the whole stand, that of the block (docs/how/surface.md).
-"""
+a change of the whole stand, that of the block (docs/how/surface.md)."""
 
 from __future__ import annotations
 

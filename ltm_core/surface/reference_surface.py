@@ -139,8 +139,7 @@ class Reference:
 
     `bare`: bare earth, (H, W) metres, never changed. `surface`: with canopy and buildings; the same array where no
     surface raster is known (`canopy_known` False): then the first consistent observations of a cell become its
-    canopy, and only what contradicts those, or lies below bare earth, is change.
-    """
+    canopy, and only what contradicts those, or lies below bare earth, is change."""
 
     bare: Float32Array
     surface: Float32Array

@@ -3,8 +3,7 @@
 To first order, turning the camera by the small rotation w about the map's axes moves the height of a point p from the
 camera by w.(p x n) / n_z (n: normal of the surface). The turn is the maximum of the posterior: robust (Cauchy)
 residuals of open ground, and the pose's covariance as the prior. Canopy takes no part, because its growth over a whole
-view would look like a turned camera.
-"""
+view would look like a turned camera."""
 
 from __future__ import annotations
 

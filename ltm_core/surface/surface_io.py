@@ -77,8 +77,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
     where they see none and NaN where they have not looked; *sigma*; *kind*, the ChangeKind of the tag kinds; *since*
     when. Tags: as_of (newest frame, ISO 8601), kinds, cameras, heights. The file appears whole or not at all.
 
-    Raises ConfigError where it cannot be written.
-    """
+    Raises ConfigError where it cannot be written."""
     import rasterio
     from rasterio.windows import Window
 
@@ -128,8 +127,7 @@ def write_surface(
     (s, with a second band: the mask of the cameras that agreed, bit i for the i-th of the tag `cameras`).
 
     `geometry`: of the layers, in a named CRS. Each file appears whole or not at all. Raises ConfigError where the
-    folder is missing or cannot be written.
-    """
+    folder is missing or cannot be written."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError(f"{folder}: the folder does not exist; create it first")

@@ -64,8 +64,7 @@ class SurfaceMap:
     `cameras`: all names, at most 32 (else ConfigError). `store`: of `tile_pool.schema_of` the grid in the site's CRS;
     None: what does not fit the memory for cells is kept compressed. `curvature`, `refraction`: as for the tracer.
     `gone`: (256,) log odds by label id that what stood in a cell is gone; None: labels are not used.
-    `assumed_pose_error`: of frames without a covariance.
-    """
+    `assumed_pose_error`: of frames without a covariance."""
 
     def __init__(
         self,

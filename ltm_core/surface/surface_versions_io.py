@@ -1,8 +1,7 @@
 """Keep versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
 
 A file is written once; the manifest, which names the version in use, is replaced in one step afterwards, so readers
-find the previous version or the new one. Only the node `terrain` writes.
-"""
+find the previous version or the new one. Only the node `terrain` writes."""
 
 from __future__ import annotations
 
@@ -229,8 +228,7 @@ class ConfirmedTerrain:
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
     has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: remark for the user.
-    """
+    version; None: not known. `note`: remark for the user."""
 
     version: SurfaceVersion | None
     ground: Dem

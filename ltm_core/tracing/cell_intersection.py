@@ -1,7 +1,6 @@
 """Intersect a curved ray with the bilinear surface of single DEM cells, one after the other.
 
-Grid units, as everywhere in the kernels (see `pyramid_traversal`).
-"""
+Grid units, as everywhere in the kernels (see `pyramid_traversal`)."""
 
 from __future__ import annotations
 

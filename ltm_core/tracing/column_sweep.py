@@ -4,8 +4,7 @@ Up a column of pixels rays climb, so the entry of the profile that a ray needs i
 below. From the strip that the entry names, a ray goes through single cells; one that needs more than a few, or comes
 to a hole, is handed to the pyramid (`pyramid_traversal.hit_between`). A ray without an entry meets nothing.
 
-A block of neighbouring columns is one flat float64 array, in which each field has `COLUMNS` places.
-"""
+A block of neighbouring columns is one flat float64 array, in which each field has `COLUMNS` places."""
 
 from __future__ import annotations
 
@@ -55,8 +54,7 @@ def sweep_image(
 
     `wedges`: profile of the camera's position for this stage. `rotation`: (3, 3) ray frame -> (east, north, up).
     `rays`: (H, W, 3) unit vectors; NaN gives NaN. `out`: (H, W) float32, slant ranges in metres, or the states of rays
-    that have met nothing, before this stage on entry, after it on return.
-    """
+    that have met nothing, before this stage on entry, after it on return."""
     height, width = rays.shape[:2]
     flat_rays, flat_out = rays.reshape(-1), out.reshape(-1)
 

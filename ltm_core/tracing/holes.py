@@ -8,8 +8,7 @@ within the hole; and besides
 * in an **outer** hole, which reaches the edge of the raster and is outside the DEM as the space beyond it is, no higher
   than `highest`.
 
-Holes are held as runs of NaN nodes along rows with their ceilings; a filled raster would double a DEM's memory.
-"""
+Holes are held as runs of NaN nodes along rows with their ceilings; a filled raster would double a DEM's memory."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ Seen from the camera, a height h at distance d has the *tangent* (h - oz) / d - 
 ray that meets it. Going outwards by *strips* (the cells between two neighbouring node lines across the major axis), a
 wedge lists each strip in which the highest tangent so far is exceeded, with the new highest. The list is monotone, so
 the first entry whose tangent reaches a ray's slope names the strip before which the ray hits nothing; where there is
-none, it hits nothing at all. Tangents are rounded up and bound everything between the edges of the wedge.
-"""
+none, it hits nothing at all. Tangents are rounded up and bound everything between the edges of the wedge."""
 
 from __future__ import annotations
 

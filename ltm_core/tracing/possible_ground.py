@@ -12,8 +12,7 @@ class PossibleGround(StrictModel):
 
     Unknown ground rises from known ground no more steeply than `steepest`, and outside of what known ground surrounds
     no higher than `highest`, or where that is not stated, than `margin` above the highest ground of the DEM. A ray
-    above it all goes on, and is sky once nothing lies ahead; one that comes down to it is unknown.
-    """
+    above it all goes on, and is sky once nothing lies ahead; one that comes down to it is unknown."""
 
     steepest: Expert[float] = Field(1.5, gt=0)
     """Maximum slope of unknown ground in metres per metre."""

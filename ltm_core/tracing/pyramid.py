@@ -6,8 +6,7 @@ is LEAF; from there tracers go straight to single cells (level 0) and read the n
 which adds a twelfth to the memory of the elevations.
 
 A bound is the highest node, or ceiling of a node in a hole (see `holes`). Where the raster has outer holes, it is known
-besides of each block whether its cells belong to them: a camera outside the DEM sees through those.
-"""
+besides of each block whether its cells belong to them: a camera outside the DEM sees through those."""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ Blocks whose bound the ray clears are stepped over; the others are opened, down 
 ray is a quadratic in q and its first root the exact hit. A block is left through an edge with a whole coordinate, and
 the next cell follows from that integer, never from a nudged position, so no cell can be skipped or met twice.
 
-What ends a ray is defined in `tracer`; `baselines.reference` computes the same by brute force.
-"""
+What ends a ray is defined in `tracer`; `baselines.reference` computes the same by brute force."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 A single raster is one stage. In a stack each raster lies within the next coarser one, so a ray's way over raster k is
 one interval, which contains that over raster k - 1: it goes from the raster that the camera stands over inwards to the
-finest, and from there outwards to the coarsest, and in between leaves each one out. All rays take the same order.
-"""
+finest, and from there outwards to the coarsest, and in between leaves each one out. All rays take the same order."""
 
 from __future__ import annotations
 

@@ -19,8 +19,7 @@ hole of unknown ground, which is bounded (`possible_ground`, `holes`).
   that has never been over known ground is judged at the camera.
 
 `trace` uses the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is kept; rays where
-a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give the same answer for every ray.
-"""
+a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give the same answer for every ray."""
 
 from __future__ import annotations
 
@@ -116,8 +115,7 @@ class TerrainTracer:
 
     `dem`: the terrain, in the frame of the poses; adds a twelfth of its memory, once for all its tracers. `curvature`:
     bend rays for the earth's curvature and refraction. `refraction`: coefficient k; 0.13 is the surveyors' daytime
-    mean. `possible`: maximum height of unknown ground. Raises RasterError for a DEM with infinite heights.
-    """
+    mean. `possible`: maximum height of unknown ground. Raises RasterError for a DEM with infinite heights."""
 
     def __init__(
         self,
@@ -146,8 +144,7 @@ class TerrainTracer:
         pose. `way`: "profile" or "pyramid" forces one, if possible, and keeps no frame.
 
         Raises PoseError if the pose is not finite, the camera is not above the ground, or it is in an enclosed hole of
-        the DEM, below the ground around it.
-        """
+        the DEM, below the ground around it."""
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
         frame_hit = ranges is not None

@@ -64,9 +64,6 @@ class ExportConfig(StrictModel):
     """Folder of the exports, relative to region.yaml; created if only its last part is missing."""
     every: float = Field(600.0, ge=1.0)
     """Minimum seconds between two exports."""
-    copy_to: str = Field("", pattern=r"^(s3://[a-z0-9][a-z0-9.-]+(/[A-Za-z0-9._-]+)*)?$")
-    """Second destination such as s3://bucket/folder. Keys and endpoint come from the environment (AWS_ACCESS_KEY_ID,
-    AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)."""
 
 
 class RegionConfig(StrictModel):
@@ -80,8 +77,6 @@ class RegionConfig(StrictModel):
     """Common names of the certificates of the towers whose votes are accepted."""
     folder: Path
     """Folder of the map, relative to region.yaml; created if only its last part is missing."""
-    tiles: float = Field(2.0, gt=0)
-    """Seconds between two checks for changed tiles, which are sent to subscribers of the map."""
     export: ExportConfig | None = None
     max_ahead: float = Field(10.0, gt=0)
     """Maximum seconds by which a tower's clock may be ahead."""

@@ -4,8 +4,7 @@
 
 Integers are big-endian, the header is JSON, the certificate X.509 DER. The lengths are checked against the whole before
 anything is decoded. The signature is over all before it, so that neither a broker nor a file in between can change what
-a tower has said.
-"""
+a tower has said."""
 
 from __future__ import annotations
 
@@ -149,20 +148,6 @@ class AckHeader(StrictModel):
 
 class Outcomes(StrictModel):
     outcomes: list[Outcome] = Field(max_length=MOST_OUTCOMES)
-
-
-class TileHeader(StrictModel):
-    """Header of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
-
-    version: int = VERSION
-    region: str = Field(pattern=NAME)
-    row: int
-    col: int
-    stamp_ns: int
-    grid: VotesGrid
-    """Grid of the whole map."""
-    classes: list[str]
-    """Names of the class indices."""
 
 
 HeaderT = TypeVar("HeaderT", bound=StrictModel)

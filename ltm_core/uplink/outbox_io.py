@@ -1,8 +1,7 @@
 """Store the votes that a tower has not yet delivered in SQLite, and thin the oldest when the store is full.
 
 A frame that `put` has returned from is in the file, also after a power cut, and stays until it is acknowledged, is too
-old, or is thinned: every other frame of each view in the older half goes, so that the first of each view stays.
-"""
+old, or is thinned: every other frame of each view in the older half goes, so that the first of each view stays."""
 
 from __future__ import annotations
 

@@ -26,8 +26,7 @@ class VoteTransfer:
 
     `source`: the tower's fuel grid, `target`: the region's, in their CRSs. `in_map`: the latter in the map frame of the
     region, on which the votes are afterwards. Raises MessageError for another cell size, a grid that is too large, or
-    no transformation; ConfigError for an invalid CRS.
-    """
+    no transformation; ConfigError for an invalid CRS."""
 
     def __init__(self, source: GridGeometry, target: GridGeometry, in_map: GridGeometry) -> None:
         if source.resolution != target.resolution:

@@ -91,8 +91,7 @@ def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> 
     """Return the directions, at the camera `origin` (3,), of the rays that meet the points: (..., 3), metres, map axes.
 
     A ray of slope s has the height z0 + s r + bend r^2 (`geodesy.ray_bend`), so a point seems lower than it is by bend
-    r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant range.
-    """
+    r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant range."""
     vectors = np.array(points, np.float64) - np.asarray(origin, np.float64)
     vectors[..., 2] -= bend * (vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
     return vectors

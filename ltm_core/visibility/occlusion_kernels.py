@@ -4,8 +4,7 @@ Grid units as in `tracing.pyramid_traversal`: x = column, y = row, range q in ce
 z(q) = oz + s q + bend q^2. Ground of height h at range q meets the ray of slope f(q) = (h(q) - oz) / q - bend q. The
 slope that clears all ground before a point is the supremum of f; in one cell h is a quadratic in q, so f has its
 maximum at an end of the crossing or where its derivative vanishes, in closed form. A block of the maximum pyramid is
-stepped over when ground as high as its bound, anywhere in it, would not raise the supremum.
-"""
+stepped over when ground as high as its bound, anywhere in it, would not raise the supremum."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ def raise_slopes(
     """Take the ways to targets (N, 3: column, row of the stage's raster, z) through one stage.
 
     `slopes`: (N,) m/m, the greatest slope f of the ground so far, or the target's own where that is greater; NaN for a
-    target that is not finite. `first`: the camera stands over this stage's raster, so that plumb ways end here.
-    """
+    target that is not finite. `first`: the camera stands over this stage's raster, so that plumb ways end here."""
     for k in range(len(targets)):
         dx, dy, z = targets[k, 0] - stage.ox, targets[k, 1] - stage.oy, targets[k, 2]
         q = math.hypot(dx, dy)

@@ -1,4 +1,4 @@
-"""Project map points into an image and test whether terrain hides them."""
+"""Measure which points cameras see, and the ground that a pixel covers."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ class Visibility:
 
     `pixels`: (N, 2) u, v; NaN behind the camera. `states`: (N,) uint8 `PointState`. `lifts`: (N,) float64 metres by
     which each point must be raised, plumb, for the terrain to show it: 0 where nothing is in the way; the image's
-    edges do not matter for it.
-    """
+    edges do not matter for it."""
 
     pixels: Float64Array
     states: UInt8Array

@@ -39,8 +39,7 @@ class Coverage:
     `count`: int16, cameras that see the cell at the target's height; -1 where the ground is not known. `footprint`:
     float32 metres, the longer side of a pixel's footprint on the cell's ground, of the camera that sees it best; NaN
     where none does, or only over a crest whose slope faces away. `height`: float32 metres above the
-    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it.
-    """
+    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it."""
 
     geometry: GridGeometry
     count: Int16Array
@@ -71,8 +70,7 @@ def viewshed(
     with at most 16 million cells. `target_height`: metres above the ground of the target (smoke, a person). `ground`:
     bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen where their
     tops are. `max_range`: horizontal range of a camera in metres. `all_round`: cameras turn wherever needed. Raises
-    PoseError: no camera, or one under the ground; RasterError for an invalid resolution.
-    """
+    PoseError: no camera, or one under the ground; RasterError for an invalid resolution."""
     if not views:
         raise PoseError("a viewshed needs at least one camera with calibration and pose")
     if not (math.isfinite(target_height) and target_height >= 0):

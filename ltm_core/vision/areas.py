@@ -21,8 +21,7 @@ from pydantic import ConfigDict, Field
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, UInt8Array
-from ltm_core.storage.config_io import checked
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import checked, read_text
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.masks import fill

@@ -21,9 +21,8 @@ from pydantic import Field
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.storage.config_io import load_yaml, parse_yaml, read_yaml
+from ltm_core.storage.config_io import load_yaml, parse_yaml, read_text, read_yaml
 from ltm_core.storage.disk_io import is_file, is_folder
-from ltm_core.storage.text_io import read_text
 from ltm_core.vision.manifest import (
     FUSION_SUFFIX,
     RECORDS,

@@ -14,8 +14,7 @@ from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
-from ltm_core.storage.config_io import load_yaml
-from ltm_core.storage.text_io import load_arrays
+from ltm_core.storage.config_io import load_arrays, load_yaml
 from ltm_core.vision.manifest import NetworkManifest
 
 

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
-from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Plan, look_through
-from ltm_ros.archive.task import TaskReport, work
+from ltm_ros.archive.task import Engine, TaskReport, on_workers, serial, work
 
 _WARM_UP = 2
 """Tasks of each process that are not counted; the first loads kernels and networks."""

@@ -13,10 +13,10 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_lab.bench.archive import quiet
 from ltm_lab.bench.simulated_month import Month, write_month
-from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.sampling import Sample
+from ltm_ros.archive.task import Engine, on_workers, serial
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 

@@ -34,10 +34,9 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_ros.runtime.web_server import WebResponse, WebServer
-from ltm_ros.tower.health_client import RejectedError, TowerPort
+from ltm_ros.tower.health_client import RejectedError, TowerPort, open_health_server
 from ltm_ros.tower.last_pictures import SMALL_QUALITY, CameraPicture
 from ltm_ros.tower.live_stream import KINDS, LiveStream
-from ltm_ros.tower.patient_server import open_health_server
 from ltm_ros.tower.tower_mirror import TowerMirror
 
 TOKEN = "0123456789abcdef-slow-link"  # nosec B105 # of a server that lives for a minute, in its own network

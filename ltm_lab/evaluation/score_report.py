@@ -22,8 +22,8 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
-from ltm_core.scoring.depth import at_pixels_of
 from ltm_core.scoring.fuel import on_grid
+from ltm_core.scoring.labels import at_pixels_of
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
 from ltm_lab.evaluation.run_score import BagScore

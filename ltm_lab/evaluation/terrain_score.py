@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.base.named_columns import take
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import Float32Array, take
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site

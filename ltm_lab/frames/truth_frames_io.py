@@ -18,8 +18,8 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem
+from ltm_core.storage.config_io import load_arrays, read_text
 from ltm_core.storage.image_io import read_rgb
-from ltm_core.storage.text_io import load_arrays, read_text
 
 LARGEST_INDEX = 64 << 20
 """Bytes of `frames.json`: a frame takes one thousand."""

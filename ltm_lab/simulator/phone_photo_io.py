@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import UInt8Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.pose import Pose

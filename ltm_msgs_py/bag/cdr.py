@@ -69,8 +69,7 @@ class RawPicture:
 
 def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
     """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError for
-    another type.
-    """
+    another type."""
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
         raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
@@ -104,8 +103,7 @@ class Transforms:
 
 def transforms_of(raw: bytes) -> list[TransformStamped]:
     """Return the transforms of a serialised TFMessage. Raises RecordingError for invalid bytes, MessageError for an
-    invalid stamp.
-    """
+    invalid stamp."""
     found = []
     try:
         fields = _Fields(raw)
@@ -139,8 +137,7 @@ class CameraFrames:
     """Makes the transforms of a recording from the poses of its cameras (REP-105): `map` to each camera's link at each
     pose, and once, before the first, from the links to the optical frames.
 
-    `cameras`: by the absolute topic of their poses.
-    """
+    `cameras`: by the absolute topic of their poses."""
 
     def __init__(self, cameras: Mapping[str, str]) -> None:
         self._cameras = dict(cameras)

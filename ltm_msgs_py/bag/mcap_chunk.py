@@ -44,8 +44,7 @@ def read_chunk(stream: BinaryIO, offset: int) -> Chunk:
 
 def records_of(chunk: Chunk) -> list[McapRecord]:
     """Return a chunk's records. Raises what `BROKEN` names, before more than `LARGEST_MESSAGE` bytes and one record per
-    compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records.
-    """
+    compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records."""
     whole = _decompressed(chunk)
     most, count, at = len(chunk.data) + _RECORDS_BESIDE, 0, 0
     while at < len(whole):
@@ -60,8 +59,7 @@ def records_of(chunk: Chunk) -> list[McapRecord]:
 
 def _decompressed(chunk: Chunk) -> bytes:
     """Return a chunk's records as bytes. mcap's own function allocates what a zstd frame states, and has no limit for
-    lz4.
-    """
+    lz4."""
     stated = chunk.uncompressed_size
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))

@@ -56,8 +56,7 @@ class McapFile:
     """Messages go into chunks; a chunk is handed to the operating system when it is full, or at `flush`.
 
     `add_topic`, `write`, `flush` and `finish` raise OSError where the disk fails; then `abandon` ends the file after
-    its last whole chunk, and `unsaved` is how many messages were lost.
-    """
+    its last whole chunk, and `unsaved` is how many messages were lost."""
 
     def __init__(self, path: Path, compression: CompressionType, chunk_size: int, library: str) -> None:
         """Create the file. Raises OSError, and leaves no file then."""
@@ -135,8 +134,7 @@ class McapFile:
     def abandon(self) -> FileRecord | None:
         """End the file after its last complete chunk and close it, after an OSError; None if it holds nothing new.
 
-        If even that fails, the file ends at that chunk without an index, and BagReader can read it.
-        """
+        If even that fails, the file ends at that chunk without an index, and BagReader can read it."""
         self._reserve.give_up()
         with suppress(OSError):
             self._stream.close()

@@ -1,8 +1,7 @@
 """Index the messages in one MCAP file, from its summary, or by a scan if it has none.
 
 A killed recorder leaves a file without a summary, truncated inside a record. Everything before that is read; the
-position and the reason are reported.
-"""
+position and the reason are reported."""
 
 from __future__ import annotations
 
@@ -56,8 +55,7 @@ class McapIndex:
 
     `damage`: unreadable parts, with byte offsets, times and topics; empty for a complete file. `lost`: their messages
     by topic; under "", one for each part of unknown content. `unread`: parts that the system failed to read, maybe
-    temporarily. `counts`: messages per channel id.
-    """
+    temporarily. `counts`: messages per channel id."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -258,8 +256,7 @@ class McapIndex:
 
     def _held(self, stream: BinaryIO, offset: int) -> tuple[Counter[str], str]:
         """Return the messages by topic that a damaged record held, and its topics and times in words: by the message
-        indexes after a chunk, else the times in its first bytes.
-        """
+        indexes after a chunk, else the times in its first bytes."""
         indexed: list[tuple[int, int]] = []
         times: tuple[int, ...] = ()
         try:

@@ -61,8 +61,7 @@ def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
 def is_latched(offered_qos_profiles: str) -> bool:
     """Return whether a channel's `offered_qos_profiles` (YAML) has a transient local publisher.
 
-    Versions below 9 write RMW's number for it (1), later ones its name. Other text: False.
-    """
+    Versions below 9 write RMW's number for it (1), later ones its name. Other text: False."""
     try:
         profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else []
     except ConfigError:
@@ -120,8 +119,7 @@ def bag_information(
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     """Write metadata.yaml into a bag's folder atomically, even with a power cut, because a bag that has one counts as
-    finished. Raises OSError.
-    """
+    finished. Raises OSError."""
     unfinished = folder / f"{FILE_NAME}.tmp"
     with unfinished.open("w", encoding="utf-8") as file:
         file.write(to_yaml({INFORMATION: dict(information)}))
@@ -143,8 +141,7 @@ def to_yaml(data: Any) -> str:
 def bag_files(folder: Path) -> list[Path] | None:
     """Return the files that a bag folder's metadata.yaml lists, in their order; None if it has no metadata.yaml.
 
-    Raises RecordingError for metadata that is not rosbag2's, or files that are missing or outside the folder.
-    """
+    Raises RecordingError for metadata that is not rosbag2's, or files that are missing or outside the folder."""
     path = folder / FILE_NAME
     if not path.exists():
         return None

@@ -28,8 +28,7 @@ _log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class TopicInfo:
     """One topic of a bag; `type_name`: the first one if its messages have several. `latched`: its publisher was
-    transient local.
-    """
+    transient local."""
 
     type_name: str
     message_count: int
@@ -39,8 +38,7 @@ class TopicInfo:
 @dataclass(frozen=True)
 class BagMessage:
     """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`. `encoding`: `cdr`
-    in every ROS 2 bag.
-    """
+    in every ROS 2 bag."""
 
     topic: str
     log_time_ns: int
@@ -145,14 +143,12 @@ class BagReader:
     """The topics and messages of a bag.
 
     A truncated or corrupt bag is read as far as possible; `damage` then says what is missing, and it is logged as a
-    warning. Chunks are only checked when their messages are read, so check `damage` and `lost` again afterwards.
-    """
+    warning. Chunks are only checked when their messages are read, so check `damage` and `lost` again afterwards."""
 
     def __init__(self, path: Path | str, allow_damaged: bool = True, names: Mapping[str, str] | None = None) -> None:
         """Open a bag folder or one of its files. `names`: other names of its topics.
 
-        Raises RecordingError when there is none, it is another format, or, without `allow_damaged`, it is damaged.
-        """
+        Raises RecordingError when there is none, it is another format, or, without `allow_damaged`, it is damaged."""
         self.path = Path(path)
         self._names = dict(names or {})
         self._notes: list[str] = []
@@ -203,8 +199,7 @@ class BagReader:
     ) -> Iterator[BagMessage]:
         """Yield messages with start_ns <= log time < end_ns by log time; equal times in file order.
 
-        `topics`: only these (None: all); a topic that is not in the bag gives no messages.
-        """
+        `topics`: only these (None: all); a topic that is not in the bag gives no messages."""
         begins = [file.start_ns for file in self._files]
         for _, message in by_log_time(begins, lambda n: self._messages_of(self._files[n], topics, start_ns, end_ns)):
             yield message
@@ -230,8 +225,7 @@ class BagReader:
     def decode(self, message: BagMessage) -> Any:
         """Return the message object of the standard Python interface.
 
-        Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes.
-        """
+        Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes."""
         try:
             return decoded(message.raw, message.type_name, message.encoding)
         except RecordingError as error:
@@ -285,8 +279,7 @@ def by_log_time(
     """Merge streams by log time, equal times in their order; yield each message after the number of its stream.
 
     `begins`: of each stream, None: empty. Files of a long recording follow each other: only those that overlap in time
-    are open together.
-    """
+    are open together."""
     waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
     heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
 
@@ -312,8 +305,7 @@ def _type_of(file: Storage, channel: Channel) -> str:
 def decoded(raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
     """Return the message object of serialised bytes.
 
-    Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes.
-    """
+    Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes."""
     if encoding != "cdr":
         raise RecordingError(f"{type_name or 'a message'} is encoded as {encoding!r}; only cdr (ROS 2) is read")
     if type_name == TF_TYPE:

@@ -2,8 +2,7 @@
 
 Everything after the last complete chunk of a file is removed, and the index is written again, without corrupt chunks.
 
-Source: MCAP specification, https://mcap.dev/spec.
-"""
+Source: MCAP specification, https://mcap.dev/spec."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ class _Content:
 def finish_cut_file(path: Path) -> None:
     """Complete a file that BagWriter could not finish, so that every MCAP reader accepts it.
 
-    Raises RecordingError if it is not an MCAP file, OSError if the disk fails; the complete chunks always stay.
-    """
+    Raises RecordingError if it is not an MCAP file, OSError if the disk fails; the complete chunks always stay."""
     with path.open("r+b") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
@@ -193,8 +191,7 @@ def _built(records: Iterable[McapRecord]) -> bytes:
 def repair_bag(folder: Path, files: Sequence[Path]) -> None:
     """Repair the truncated files of a bag, among `files`, and write its metadata.yaml.
 
-    Raises RecordingError if a file is not an MCAP file or the disk fails.
-    """
+    Raises RecordingError if a file is not an MCAP file or the disk fails."""
     try:
         for file in files:
             if damage := McapIndex.open(file).damage:

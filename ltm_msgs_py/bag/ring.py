@@ -1,6 +1,5 @@
 """Keep the recordings of one recorder as a ring of files: limited in bytes, the oldest complete files are deleted
-first.
-"""
+first."""
 
 from __future__ import annotations
 
@@ -41,13 +40,11 @@ class RecordingRing:
 
     It changes only MCAP files in such folders with the recorder's file names, whose header names this recorder
     (`library`), that are no links, that no process is writing, and that are not marked: by a file `<file>.keep` beside
-    the file, or `.keep` in its folder.
-    """
+    the file, or `.keep` in its folder."""
 
     def __init__(self, path: Path, recorder: str, most_bytes: int | None) -> None:
         """Open the ring. `path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept;
-        None: unlimited.
-        """
+        None: unlimited."""
         self._path = path.resolve()
         self.library = f"ltm recorder {recorder} {self._path.name}"
         self.most_bytes = most_bytes

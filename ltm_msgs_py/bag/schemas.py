@@ -49,8 +49,7 @@ def message_class(type_name: str) -> Any:
     """Return the Python class of a message type.
 
     A bag is untrusted, and imports run code: so only packages that install a definition of this very message are
-    imported. Raises RecordingError if the name is malformed or its package is not installed.
-    """
+    imported. Raises RecordingError if the name is malformed or its package is not installed."""
     package, message = split_type_name(type_name)
     if _installed_file(package, f"{message}.msg") is None:
         raise RecordingError(
@@ -69,8 +68,7 @@ def schema_text(type_name: str) -> str:
     pkg/Name`.
 
     Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError if
-    neither has the type.
-    """
+    neither has the type."""
     parts = [_definition(type_name)]
     todo, done = _dependencies(type_name, parts[0]), {type_name}
     while todo:
@@ -135,8 +133,7 @@ def _dependencies(type_name: str, text: str) -> list[str]:
 
 def _installed_file(package: str, name: str) -> Path | None:
     """Return `share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip
-    wheels).
-    """
+    wheels)."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     spec = importlib.util.find_spec(package)
     if spec is not None and spec.origin is not None:

@@ -1,8 +1,7 @@
 """Compute digests of everything that a result depends on: files by content, configuration by value, the program by its
 code.
 
-Runs with equal results have equal digests; any change of a result changes its digest.
-"""
+Runs with equal results have equal digests; any change of a result changes its digest."""
 
 from __future__ import annotations
 
@@ -22,7 +21,6 @@ from pydantic import BaseModel
 import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
-import ltm_ros.fuel_map
 import ltm_ros.recordings.importing
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import load_fusion_config
@@ -49,9 +47,7 @@ _NOT_VOTES = {
 }
 _NOT_VOTES |= {"watchdog", "health", "region", "model", "label_heads", "labels", "name"}
 """Site keys without effect on the votes of a frame with known image, pose and calibration, or whose content is given
-beside them.
-"""
-_NOT_MAP = _NOT_VOTES - {"terrain", "name"}
+beside them."""
 _SEEN = {"mask", "view_masks", "judge_pictures"}
 """Camera keys that decide which of its images show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
@@ -72,8 +68,7 @@ def burns_digest(burns: Sequence[Burn]) -> str:
 
 def picture_digest(picture: CompressedPicture | RawPicture) -> str:
     """Return the digest of an image's content and encoding, not of its time: a fixed camera may send the same image
-    again.
-    """
+    again."""
     about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
     found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
     found.update(picture.data)
@@ -83,8 +78,7 @@ def picture_digest(picture: CompressedPicture | RawPicture) -> str:
 @cache
 def code_digest() -> str:
     """Return the digest of the program: the sources of core and messages, those of this package, and their
-    dependencies.
-    """
+    dependencies."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive)
 
 
@@ -92,12 +86,6 @@ def code_digest() -> str:
 def importer_digest() -> str:
     """Return the digest of the program that places photos."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.recordings.importing)
-
-
-@cache
-def map_code_digest() -> str:
-    """Return the digest of the program that makes a map and its layers from the tasks' results."""
-    return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive, ltm_ros.fuel_map)
 
 
 def _sources(*packages: ModuleType) -> str:
@@ -114,8 +102,7 @@ def _sources(*packages: ModuleType) -> str:
 
 def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
     """Return the digest of everything that makes votes of a camera's frames, except the frames. Raises LtmError for
-    missing files.
-    """
+    missing files."""
     settings = site.model_dump(exclude=_NOT_VOTES)
     settings["fuel"] = site.fuel.model_dump(exclude=_NOT_VOTES_OF_FUEL)
     config = site.camera(camera)
@@ -129,8 +116,7 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
 
 def measured_digest(site: Site, camera: str, votes: str, fusing: FusingConfig) -> str:
     """Return the digest of everything that measures a camera's frames, except the frames. `votes`: `votes_digest` of
-    the camera, which includes terrain and labels. Raises LtmError for missing files.
-    """
+    the camera, which includes terrain and labels. Raises LtmError for missing files."""
     network = depth_manifest(site, camera, fusing)
     constants = load_fusion_config(network).model_dump(mode="json")
     labels = label_columns(site, camera, fusing)
@@ -154,11 +140,6 @@ def evidence_digest(site: Site) -> str:
     settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
     frame = [site.crs, list(site.origin)]
     return digest(_by_content(settings), frame, _by_content(errors))
-
-
-def map_settings(site: Site) -> Any:
-    """Return the site settings, by content, for its map and layers, except evidence. Raises LtmError."""
-    return _by_content(site.model_dump(exclude=_NOT_MAP))
 
 
 def file_digest(path: Path) -> str:

@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.named_columns import Columns
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import Columns, Float32Array
 from ltm_core.fuel.vote_columns import columns_to_votes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -25,7 +24,6 @@ from ltm_core.pipeline.fusing_step import FrameSteps, FrameVotes, FusingConfig, 
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import measured_digest, votes_digest
-from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader
 from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings, other_files
@@ -60,30 +58,29 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
 
     Votes have one row per cell that a frame sees, with `frame` as its number in the file's metadata; measured data has
     one row per frame. Raises ArchiveError if an image cannot be read any more, because that must not count as a lost
-    frame.
-    """
+    frame."""
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
     votes, measured = _VotesFile(), MeasuredFile()
-    with ArchiveImageReader(ArchiveFiles(settings.cache)) as reader:
-        for frame in task.frames:
-            picture = reader.read(frame)
+    reader = ArchiveImageReader()
+    for frame in task.frames:
+        picture = reader.read(frame)
+        try:
+            at_work = steps.of(PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera))
+        except LtmError as error:
+            votes.lose(frame, error)
+            measured.lose(frame, error)
+            continue
+        if VOTES in wanted:
             try:
-                at_work = steps.of(PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera))
+                votes.take(frame, at_work.votes(frame.pose_covariance))
             except LtmError as error:
                 votes.lose(frame, error)
+        if MEASURED in wanted:
+            try:
+                measured.take(frame, at_work.measured(frame.known_covariance))
+            except LtmError as error:
                 measured.lose(frame, error)
-                continue
-            if VOTES in wanted:
-                try:
-                    votes.take(frame, at_work.votes(frame.pose_covariance))
-                except LtmError as error:
-                    votes.lose(frame, error)
-            if MEASURED in wanted:
-                try:
-                    measured.take(frame, at_work.measured(frame.known_covariance))
-                except LtmError as error:
-                    measured.lose(frame, error)
     about = {"camera": camera, "model": steps.described}
     made = {VOTES: votes.content, MEASURED: measured.content}
     return {name: made[name](about) for name in wanted}
@@ -124,8 +121,7 @@ class _VotesFile(_Lost):
 
 class MeasuredFile(_Lost):
     """One row group per frame, so that frames can be read one at a time; kept compressed. A frame without a network
-    result counts as lost, although the terrain takes it, as live.
-    """
+    result counts as lost, although the terrain takes it, as live."""
 
     def __init__(self) -> None:
         super().__init__()

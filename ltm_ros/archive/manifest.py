@@ -1,8 +1,7 @@
 """List the frames of an archive: location, content, pose and calibration.
 
 Poses and calibrations are joined here, across files, by the same rules as live (`FrameJoin`), so that frames can be
-processed separately and in any order.
-"""
+processed separately and in any order."""
 
 from __future__ import annotations
 
@@ -17,8 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.base.types import Float64Array
-from ltm_core.base.utc_time import DAY_NS
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
@@ -39,8 +38,7 @@ class ArchiveFrame:
     """A usable frame: file, topic and log time of its image; `content`: the image's digest.
 
     `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
-    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False if it is the site's default.
-    """
+    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False if it is the site's default."""
 
     camera: str
     stamp_ns: int
@@ -99,8 +97,7 @@ class Failure:
 class ArchiveManifest:
     """`frames` by camera and stamp. `unread`: recordings that could not be read. `failures`: frames lost so far.
     `repeated`: number of duplicate frames. `unchanged`: images that repeat a camera's previous one, which are no frames
-    if the site has `drop_repeated`. `damage`: of files, in words. `recorded`: types of all topics of the archive.
-    """
+    if the site has `drop_repeated`. `damage`: of files, in words. `recorded`: types of all topics of the archive."""
 
     frames: list[ArchiveFrame] = field(default_factory=list)
     unread: list[Failure] = field(default_factory=list)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from typing import Self
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from ltm_core.vision.usable import WORKING_WIDTH
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.archive.content_digest import picture_digest
-from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.photo_folder import PHOTOS, photo_picture
 
@@ -28,26 +26,14 @@ _HELD = 4
 
 
 class ArchiveImageReader:
-    """Reads pictures by file, topic and log time: of a recording of many cameras, only the chunks that hold them.
+    """Reads pictures by file, topic and log time: of a recording of many cameras, only the chunks that hold them."""
 
-    A context: files of a store are held while it lasts, as many as are read by turns.
-    """
-
-    def __init__(self, files: ArchiveFiles) -> None:
-        self._files = files
-        self._open: dict[str, tuple[ExitStack, BagReader]] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        while self._open:
-            self._close(next(iter(self._open)))
+    def __init__(self) -> None:
+        self._open: dict[str, BagReader] = {}
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
         """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now,
-        OSError if the local disk fails.
-        """
+        OSError if the local disk fails."""
         found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
         if found is None:
             raise ArchiveError(
@@ -57,10 +43,10 @@ class ArchiveImageReader:
         return found
 
     def _photo(self, frame: ArchiveFrame) -> CompressedPicture | None:
-        with self._files.at_hand(frame.file) as path:
-            if path.stat().st_size != frame.size_bytes:  # before it is read: what is there now may be of any size
-                return None
-            picture = photo_picture(path.read_bytes(), frame.stamp_ns)
+        path = Path(frame.file)
+        if path.stat().st_size != frame.size_bytes:  # before it is read: what is there now may be of any size
+            return None
+        picture = photo_picture(path.read_bytes(), frame.stamp_ns)
         return picture if picture_digest(picture) == frame.content else None
 
     def _recorded(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture | None:
@@ -80,19 +66,12 @@ class ArchiveImageReader:
     def _reader(self, name: str) -> BagReader:
         if name not in self._open:
             if len(self._open) == _HELD:
-                self._close(next(iter(self._open)))
-            with ExitStack() as held:
-                path = held.enter_context(self._files.at_hand(name))
-                try:
-                    reader = BagReader(path)
-                except RecordingError as error:
-                    raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
-                self._open[name] = held.pop_all(), reader
-        return self._open[name][1]
-
-    def _close(self, name: str) -> None:
-        held, _ = self._open.pop(name)
-        held.close()
+                del self._open[next(iter(self._open))]
+            try:
+                self._open[name] = BagReader(Path(name))
+            except RecordingError as error:
+                raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
+        return self._open[name]
 
 
 class SmallLook:

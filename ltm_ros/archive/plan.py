@@ -1,25 +1,23 @@
 """Plan an archive's tasks, a camera's day each: the node parameters from the site file, and the names of results, which
-are digests of all that goes into them.
-"""
+are digests of all that goes into them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.pipeline.fusing_step import FusingConfig
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_ros.archive.content_digest import burns_digest, digest, evidence_digest, measured_digest, votes_digest
-from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame, ManifestRules
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
@@ -30,15 +28,14 @@ VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL; `cache`:
-    where a worker puts files of archives on stores; `fusing`: how frames are measured, None where they are not."""
+    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: a folder;
+    `fusing`: how frames are measured, None where they are not."""
 
     site: str
     results: str
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
-    cache: CacheConfig = field(default_factory=CacheConfig)
     fusing: FusingConfig | None = None
 
 

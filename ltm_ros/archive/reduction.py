@@ -4,8 +4,7 @@ The terrain map depends on the order of frames, so it is computed in one place, 
 order of their stamps, as in a replay. At the end of each day its changes go to the fuel map.
 
 A node can open the store and continue from it: its tiles with their sources, the counted frames, and a journal with the
-map at the end of each day.
-"""
+map at the end of each day."""
 
 from __future__ import annotations
 
@@ -21,8 +20,8 @@ from typing import BinaryIO
 import numpy as np
 
 from ltm_core.base.errors import LtmError, StoreError
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.base.resources import config_path
-from ltm_core.base.utc_time import DAY_NS
 from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.evidence_merge import merged_parts
 from ltm_core.fuel.overlays_io import Burn
@@ -49,8 +48,7 @@ OpenMeasured = Callable[[Task], AbstractContextManager[BinaryIO]]
 class TerrainFold:
     """Writes the terrain's store into `path`, which must not exist.
 
-    Raises ConfigError for a site without a terrain, StoreError if the store cannot be written.
-    """
+    Raises ConfigError for a site without a terrain, StoreError if the store cannot be written."""
 
     def __init__(self, site: Site, path: Path, open_measured: OpenMeasured) -> None:
         self._terrain = SiteTerrain(site, lambda schema: TileStore.open(path, schema))
@@ -115,8 +113,7 @@ def measured_frames(
     tasks: Sequence[Task], open_measured: OpenMeasured, lost: list[LostFrame]
 ) -> Iterator[tuple[ArchiveFrame, MeasuredFrame]]:
     """Yield measured frames in the order of stamps, and of log times for equal stamps, as in a replay. `lost` gets the
-    frames without data. One file per camera is open at a time, and one frame is held.
-    """
+    frames without data. One file per camera is open at a time, and one frame is held."""
     of_cameras: dict[str, list[Task]] = {}
     for task in tasks:
         of_cameras.setdefault(task.frames[0].camera, []).append(task)
@@ -157,8 +154,7 @@ def reduce_to_store(
     is applied on its day, so that the journal before it is unaffected. `terrain`: its changes are applied at the end of
     each day, and void earlier evidence of the changed cells.
 
-    Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written.
-    """
+    Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written."""
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
     shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
@@ -198,8 +194,7 @@ def store_digest(store: TileStore) -> str:
     """Return the digest of a map's content: the state of all tiles, their sources, and the number of counted frames per
     source.
 
-    The journal is excluded: a live node writes it frame by frame, an archive day by day.
-    """
+    The journal is excluded: a live node writes it frame by frame, an archive day by day."""
     found = hashlib.sha256(store.schema.described().encode())
     for key, tile in store.tiles():
         found.update(repr((key, store.touches(key))).encode())

@@ -1,7 +1,6 @@
 """Reprocess an archive: scan, plan, run the tasks, and merge them into the site's store, layers and a record.
 
-All intermediate files are named by their content, so a stopped run is resumed by running it again.
-"""
+All intermediate files are named by their content, so a stopped run is resumed by running it again."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
 from ltm_ros.archive.content_digest import code_digest
-from ltm_ros.archive.engine import Engine
-from ltm_ros.archive.files import ArchiveFiles, CacheConfig
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest, packed
 from ltm_ros.archive.plan import (
@@ -40,11 +38,11 @@ from ltm_ros.archive.plan import (
     plan,
     refuse_terrain,
 )
-from ltm_ros.archive.publish import RUN, map_digest, publish, standing_record
+from ltm_ros.archive.publish import RUN, publish
 from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
-from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import first_message, recordings, scan
+from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
 MANIFEST = "manifest.parquet"
@@ -54,11 +52,9 @@ _NAMED = 1000
 
 @dataclass(frozen=True)
 class ArchiveOptions:
-    """Options of a run. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the
-    tasks, from 1 on: only these are processed, and no map is made. `max_failed`: share of all frames that may be lost
-    before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times (`burns_io`). `terrain`: also
-    compute the terrain, and apply its changes to the fuel map.
-    """
+    """Options of a run. `since_ns`, `until_ns`: stamps, both inclusive. `max_failed`: share of all frames that may be
+    lost before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times. `terrain`: also
+    compute the terrain, and apply its changes to the fuel map."""
 
     archives: tuple[str | Path, ...]
     site: Path
@@ -68,9 +64,7 @@ class ArchiveOptions:
     until_ns: int | None = None
     sample: Sample = field(default_factory=Sample)
     frames_per_task: int = 1500
-    shard: tuple[int, int] = (1, 1)
     max_failed: float = 0.001
-    cache: CacheConfig = field(default_factory=CacheConfig)
     burns: Path | None = None
     terrain: bool = False
 
@@ -95,8 +89,7 @@ class Plan:
 @dataclass(frozen=True)
 class Summary:
     """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
-    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames.
-    """
+    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames."""
 
     tasks: int
     worked: int
@@ -114,8 +107,7 @@ class Summary:
 
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
     """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
-    be processed.
-    """
+    be processed."""
     site = load_site(options.site)
     if options.terrain:
         refuse_terrain(site)
@@ -124,11 +116,11 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
     results = ResultFolder(options.out)
-    files, found = ArchiveFiles(options.cache), recordings([str(archive) for archive in options.archives])
+    found = recordings([str(archive) for archive in options.archives])
     scans, unread = [], []
     for number, recording in enumerate(found, start=1):
         try:
-            scans.append(scan(recording, site, results, files))
+            scans.append(scan(recording, site, results))
         except (LtmError, OSError) as error:
             unread.append(Failure(recording.name, "unread", str(error)))
         progress(number, len(found))
@@ -140,14 +132,13 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
     passed = Counter[str]()
     if options.sample.count:
-        frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results, files)
+        frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results)
     settings = TaskSettings(
         str(options.site.resolve()),
-        results.url,
+        str(results.folder),
         code_digest(),
         rules.tracing,
         rules.labelling,
-        options.cache,
         rules.fusing if options.terrain else None,
     )
     results.write(MANIFEST, packed(frames))
@@ -159,14 +150,12 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
     Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
-    written.
-    """
-    options, results = planned.options, planned.results
+    written."""
+    results = planned.results
     if not planned.frames and not planned.manifest.unread:
         results.write(RUN, _record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {})))
         raise ArchiveError(_no_frames(planned))
-    part, parts = options.shard
-    tasks = planned.tasks[part - 1 :: parts]
+    tasks = planned.tasks
     done = {f"{folder}/{name}" for folder in (EVIDENCE, MEASURED) for name in results.names(folder)}
     waiting = [task for task in tasks if not done.issuperset(task.files)]
     worked, broken = 0, dict[str, Failure]()
@@ -178,34 +167,11 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
         else:
             worked += ended.report.worked
     failures = (*planned.manifest.unread, *planned.manifest.failures, *broken.values())
-    if parts > 1:
-        summary = Summary(len(tasks), worked, 0, failures, {})
-        results.write(f"run_{part}_of_{parts}.json", _record(planned, summary))
-        return summary
     mapped = Summary(len(tasks), worked, 0, failures, {})
-    files = [name for task in tasks if task.evidence_key not in broken for name in task.files]
-    allowed = [options.max_failed, *(asdict(failure) for failure in failures)]
-    made_of = map_digest(planned.site, files, planned.burns, options.terrain, allowed)
-    standing = None if broken else standing_record(results, made_of)
-    return _reduced(planned, mapped, set(broken), made_of) if standing is None else _as_it_stands(mapped, standing)
+    return _reduced(planned, mapped, set(broken))
 
 
-def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
-    """Return the summary of a run without changes: its map is that of an earlier run, whose record stays."""
-    frames, terrain = record["frames"], record["terrain"]
-    worked: dict[str, Any] = terrain if isinstance(terrain, dict) else {"digest": "", "frames": 0}
-    return replace(
-        mapped,
-        merged=frames["merged"],
-        unused=frames["unused"],
-        failures=tuple(Failure(**failure) for failure in record["failures"]),
-        digest=record["digest"],
-        terrain_digest=worked["digest"],
-        terrain_frames=worked["frames"],
-    )
-
-
-def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> Summary:
+def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
     results = planned.results
     whole = [task for task in planned.tasks if task.evidence_key not in broken]
     dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image
@@ -235,7 +201,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> 
             with TileStore.open_read_only(path.with_name(TERRAIN_FILE), TERRAIN_KIND) as store:
                 summary = replace(summary, terrain_digest=store_digest(store), terrain_frames=terrain.frames)
         told = publish(results, planned.site, path, None if terrain is None else path.with_name(TERRAIN_FILE))
-        results.write(RUN, _record(planned, summary, {"made_of": made_of, **told}))  # last
+        results.write(RUN, _record(planned, summary, told))  # last
     return summary
 
 
@@ -246,7 +212,7 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
         first = manifest.unread[0]
         return (
             f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
-            f"written; {planned.results.url}/{RUN} lists them, the first is {first.place} ({first.why}); run "
+            f"written; {planned.results.folder}/{RUN} lists them, the first is {first.place} ({first.why}); run "
             "again, or remove invalid files from ARCHIVES"
         )
     joining, working = manifest.failures, failures[len(manifest.failures) :]
@@ -259,7 +225,7 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
             return (
                 f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.results.url}/{RUN} lists them; to accept more, raise --max-failed"
+                f"{planned.results.folder}/{RUN} lists them; to accept more, raise --max-failed"
             )
     return ""
 

@@ -6,8 +6,7 @@ The mean of the sample must be that of all frames. A view changes with light and
 the time around it, and frames are taken at even steps along the time covered by clear images, in daylight only on days
 that have any; foggy hours are not represented. The start of the first step alternates from span to span, so that
 several days cover all hours. An image that the camera sent before, on the same day or the last one, does not count.
-Nothing else outside its span affects a choice.
-"""
+Nothing else outside its span affects a choice."""
 
 from __future__ import annotations
 
@@ -20,21 +19,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltm_core.base.errors import ArchiveError
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.base.types import Int64Array
-from ltm_core.base.utc_time import DAY_NS
 from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.site.site import Site
 from ltm_ros.archive.content_digest import code_digest, digest, look_digest
-from ltm_ros.archive.files import ArchiveFiles
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
-from ltm_ros.archive.results import ResultFolder
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _DAYLIGHT = 0.0
 """Sun height in radians from which an image can be clear. Dim images under a low sun are rejected by their content; a
-sample without the usable ones would differ from live operation.
-"""
+sample without the usable ones would differ from live operation."""
 _ASKED = 4
 """Maximum number of images that are checked per sampled frame."""
 _PHASES = 16
@@ -85,8 +82,7 @@ def solar_day(stamp_ns: int, longitude: float) -> int:
 
 def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> list[list[ArchiveFrame]]:
     """Group frames by camera and span; frames come by camera and stamp. `longitude`: radians east, so that days begin
-    at the site's solar midnight.
-    """
+    at the site's solar midnight."""
     found: dict[tuple[str, int], list[ArchiveFrame]] = {}
     for frame in frames:
         found.setdefault((frame.camera, span_number(frame.stamp_ns, sample, longitude)), []).append(frame)
@@ -102,8 +98,7 @@ def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str,
     """Return camera and stamp of frames whose image the camera sent before: on the same solar day, or on its last day
     with frames. So an image frozen for weeks counts once, wherever the archive is split.
 
-    Frames come by camera and stamp, complete.
-    """
+    Frames come by camera and stamp, complete."""
     found = set[tuple[str, int]]()
     before, today, of = set[str](), set[str](), ("", 0)
     for frame in frames:
@@ -118,8 +113,7 @@ def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str,
 
 def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: int, lit_ns: int) -> Sampled:
     """Choose frames of one span, in daylight if there is any. `turn`: the number of the span; `lit_ns`: its daylight.
-    At least one is chosen if any checked image is clear.
-    """
+    At least one is chosen if any checked image is clear."""
     asked = _evenly(frames, _ASKED * sample.count)
     if not asked:
         return Sampled((), Counter())
@@ -157,8 +151,7 @@ def _evenly(frames: Sequence[ArchiveFrame], most: int) -> Sequence[ArchiveFrame]
 
 def _times(stamps: Int64Array, most: int) -> Int64Array:
     """Return the time (N,) in ns that each of rising stamps represents: half the distance to both neighbours,
-    symmetrical at the ends; at most `most`, which also holds for a single one.
-    """
+    symmetrical at the ends; at most `most`, which also holds for a single one."""
     if len(stamps) == 1:
         return np.array([most], np.int64)
     ways = np.diff(stamps)
@@ -169,8 +162,7 @@ def _times(stamps: Int64Array, most: int) -> Int64Array:
 
 def _reversed(number: int) -> int:
     """Return its bits in reverse order, below `_PHASES`: consecutive numbers become evenly spread (van der Corput's
-    sequence).
-    """
+    sequence)."""
     found = 0
     for _ in range(_PHASES.bit_length() - 1):
         found, number = 2 * found + number % 2, number // 2
@@ -215,33 +207,31 @@ def chosen(
     sample: Sample,
     site: Site,
     results: ResultFolder,
-    files: ArchiveFiles,
 ) -> tuple[list[ArchiveFrame], Counter[str]]:
     """Choose the sample from all `frames` of an archive, by camera and stamp, with stamps `within`, both inclusive;
-    also return the number of unclear images, by reason. Raises ArchiveError, OSError if an image cannot be read now.
-    """
+    also return the number of unclear images, by reason. Raises ArchiveError, OSError if an image cannot be read now."""
     longitude, _ = place_of(site)
     still = repeated(frames, longitude)
     taken, passed = list[ArchiveFrame](), Counter[str]()
     asked = [frame for frame in frames if within[0] <= frame.stamp_ns <= within[1]]
-    with ArchiveImageReader(files) as reader:
-        looks = {camera: SmallLook(site, camera, reader) for camera in {frame.camera for frame in asked}}
-        for span in spans(in_daylight(asked, site), sample, longitude):
-            new = [frame for frame in span if (frame.camera, frame.stamp_ns) not in still]
-            if repeats := len(span) - len(new):
-                passed[REPEATED] += repeats
-            camera = span[0].camera
-            turn = span_number(span[0].stamp_ns, sample, longitude)
-            lit = daylight_ns(turn, sample, site)
-            when = [sample.described, turn, lit]
-            of = [code_digest(), look_digest(site, camera), *when, [frame.identity() for frame in new]]
-            name = f"{LOOKS}/{digest(*of)}.json"
-            if not results.has(name):
-                found = sampled(new, sample, looks[camera], turn, lit)
-                kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
-                results.write(name, json.dumps(kept).encode())
-            known = json.loads(results.read(name))
-            stamps = set(known["stamps"])
-            taken += [frame for frame in new if frame.stamp_ns in stamps]
-            passed.update(known["passed_over"])
+    reader = ArchiveImageReader()
+    looks = {camera: SmallLook(site, camera, reader) for camera in {frame.camera for frame in asked}}
+    for span in spans(in_daylight(asked, site), sample, longitude):
+        new = [frame for frame in span if (frame.camera, frame.stamp_ns) not in still]
+        if repeats := len(span) - len(new):
+            passed[REPEATED] += repeats
+        camera = span[0].camera
+        turn = span_number(span[0].stamp_ns, sample, longitude)
+        lit = daylight_ns(turn, sample, site)
+        when = [sample.described, turn, lit]
+        of = [code_digest(), look_digest(site, camera), *when, [frame.identity() for frame in new]]
+        name = f"{LOOKS}/{digest(*of)}.json"
+        if not results.has(name):
+            found = sampled(new, sample, looks[camera], turn, lit)
+            kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
+            results.write(name, json.dumps(kept).encode())
+        known = json.loads(results.read(name))
+        stamps = set(known["stamps"])
+        taken += [frame for frame in new if frame.stamp_ns in stamps]
+        passed.update(known["passed_over"])
     return taken, passed

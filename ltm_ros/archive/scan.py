@@ -1,8 +1,7 @@
 """Scan a recording once: locations and digests of its images, and all messages that are joined to them.
 
 A scan depends only on the file and the topic names, so it is stored with the results and used again while the file is
-unchanged.
-"""
+unchanged."""
 
 from __future__ import annotations
 
@@ -13,6 +12,7 @@ import posixpath
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import attrgetter, itemgetter
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -23,10 +23,9 @@ from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
 from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
-from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
+from ltm_ros.archive.files import ResultFolder, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
-from ltm_ros.archive.results import ResultFolder
-from ltm_ros.recordings.importing.pose_file import POSES
+from ltm_ros.recordings.importing.photo import POSES
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
@@ -42,8 +41,7 @@ class ScannedMessage:
     """A message of a recording, in the order of log times.
 
     For an image, `content` is its digest, `stamp_ns` and size are its own, and `raw` is empty; `trouble` says why it is
-    invalid; `file`: its own file, if any. For others, `raw` is the message.
-    """
+    invalid; `file`: its own file, if any. For others, `raw` is the message."""
 
     topic: str
     type_name: str
@@ -84,8 +82,7 @@ class Recording:
 class Scan:
     """Result of scanning the recording `name`, read on request. `begins`: log time of the first message of each topic.
     `damage`: unreadable parts, in words; `lost`: their messages as in `BagReader.lost`. `recorded`: types of the file's
-    topics.
-    """
+    topics."""
 
     name: str
     begins: Mapping[str, int]
@@ -106,11 +103,10 @@ class Scan:
 
 
 def recordings(archives: Sequence[str]) -> list[Recording]:
-    """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth and on stores;
-    each once, by name.
+    """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth; each once, by
+    name.
 
-    Raises ArchiveError for a place without any, or that cannot be read now.
-    """
+    Raises ArchiveError for a place without any, OSError if it cannot be read now."""
     found: dict[str, Recording] = {}
     for archive in archives:
         below = files_below(archive)
@@ -130,22 +126,21 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     return list(found.values())
 
 
-def scan(recording: Recording, site: Site, results: ResultFolder, files: ArchiveFiles) -> Scan:
+def scan(recording: Recording, site: Site, results: ResultFolder) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
     Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
-    nothing is stored.
-    """
+    nothing is stored."""
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
     placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
     name = f"{SCANS}/{digest(_VERSION, state, _topics_of(site), placed)}.parquet"
     if not results.has(name):
         if is_pose_list(recording.name):
-            photos = photo_messages(recording.files[0], recording.files[1:], site, files)
+            photos = photo_messages(recording.files[0], recording.files[1:], site)
             placed_messages = sorted(map(_of_photo, photos), key=attrgetter("log_time_ns"))
             results.write(name, _packed(placed_messages))
         else:
-            results.write(name, _scanned_bag(recording.name, site, files))
+            results.write(name, _scanned_bag(recording.name, site))
     about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
     damage, kept = tuple(about["damage"]), lambda: results.read(name)
     return Scan(recording.name, about["begins"], damage, about["lost"], about["recorded"], kept)
@@ -164,17 +159,15 @@ def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:
     return None if message is None else decoded_input(topic, message.raw, message.type_name)
 
 
-def _scanned_bag(name: str, site: Site, files: ArchiveFiles) -> bytes:
-    with files.at_hand(name) as path:
-        reader = BagReader(path)
-        inputs = InputReader(reader, site)
-        topics = inputs.topics
-        messages = [_scanned(message, topics[message.topic]) for message in inputs.messages(topics)]
-        if reader.unread:
-            raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
-        lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}
-        damage = [note.replace(str(path), name) for note in reader.damage]
-        return _packed(messages, damage, lost, reader.topics())
+def _scanned_bag(name: str, site: Site) -> bytes:
+    reader = BagReader(Path(name))
+    inputs = InputReader(reader, site)
+    topics = inputs.topics
+    messages = [_scanned(message, topics[message.topic]) for message in inputs.messages(topics)]
+    if reader.unread:
+        raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
+    lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}
+    return _packed(messages, reader.damage, lost, reader.topics())
 
 
 def _scanned(message: BagMessage, topic: Topic) -> ScannedMessage:

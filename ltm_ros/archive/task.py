@@ -1,14 +1,16 @@
-"""Run one task of an archive: a camera's day, from frames to votes to evidence, without middleware or other tasks.
+"""Run tasks of an archive, here or on processes: a camera's day each, from frames to votes to evidence.
 
 Each step writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it; its step is not
-repeated.
-"""
+repeated."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Sequence
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltm_core.base.errors import ArchiveError
+from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.evidence_merge import PartialEvidence
@@ -29,6 +31,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, evidence_digest
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_packed, read_votes
 from ltm_ros.archive.plan import (
     MEASURED,
@@ -41,7 +44,7 @@ from ltm_ros.archive.plan import (
     other_files,
     votes_name,
 )
-from ltm_ros.archive.results import ResultFolder
+from ltm_ros.runtime.ros_environment import available_cores
 
 _TILES = pa.schema(
     [("row", pa.int32()), ("col", pa.int32()), ("content", pa.binary()), ("stamps", pa.list_(pa.int64()))]
@@ -58,8 +61,7 @@ class TaskReport:
 @dataclass(frozen=True, eq=False)
 class TaskEvidence:
     """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of frames with
-    unusable images.
-    """
+    unusable images."""
 
     partial: PartialEvidence
     touched: dict[Key, list[int]]
@@ -70,8 +72,7 @@ class TaskEvidence:
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
     """Run the missing steps. Raises ArchiveError if this worker's program or files differ from those of the run,
-    OSError if results cannot be read or written now.
-    """
+    OSError if results cannot be read or written now."""
     if (own := code_digest()) != settings.code:
         raise ArchiveError(
             f"this worker's program has the digest {own}, the run's is {settings.code}: install the same version "
@@ -140,8 +141,7 @@ def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> byte
 
 def read_evidence(content: bytes, site: Site, geometry: GridGeometry) -> TaskEvidence:
     """Read the evidence file of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is
-    corrupt.
-    """
+    corrupt."""
     table, schema = read_packed(content), fuel_schema(site, geometry)
     about = json.loads(table.schema.metadata[ABOUT.encode()])
     tiles, touched = {}, {}
@@ -152,3 +152,86 @@ def read_evidence(content: bytes, site: Site, geometry: GridGeometry) -> TaskEvi
     known = {about["camera"]: np.array(stamps, np.int64)} if stamps else {}
     lost = tuple(LostFrame(**one) for one in about["lost"])
     return TaskEvidence(PartialEvidence(known, tiles), touched, about["model"], lost, about["unused"])
+
+
+_DEATHS = 3
+"""Number of workers, beyond the first, that may die during a task before it is given up."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished task; `error`: why it gave no result."""
+
+    task: Task
+    report: TaskReport | None
+    error: str = ""
+
+
+Job = Callable[[Task, TaskSettings], TaskReport]
+Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
+
+
+def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+    """Run one task after the other in this process."""
+    for task in tasks:
+        try:
+            yield Done(task, work(task, settings))
+        except (LtmError, OSError) as error:
+            yield Done(task, None, str(error))
+
+
+def on_workers(count: int, job: Job | None = None) -> Engine:
+    """Return an engine with the given number of processes on this machine, which end with it. `job`: replaces the work
+    of each task."""
+
+    def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+        workers = [_worker(count) for _ in range(min(count, len(tasks)))]
+        ahead, deaths = iter(tasks), dict[int, int]()
+        at_work: dict[Future[TaskReport], tuple[int, Task]] = {}
+
+        def start(number: int, task: Task | None) -> None:
+            if task is not None:
+                at_work[workers[number].submit(job or work, task, settings)] = number, task
+
+        try:
+            for number in range(len(workers)):
+                start(number, next(ahead, None))
+            while at_work:
+                for future in wait(at_work, return_when=FIRST_COMPLETED).done:
+                    number, task = at_work.pop(future)
+                    error = future.exception()
+                    if isinstance(error, BrokenProcessPool):  # each worker has one task, so that it is this one's
+                        workers[number].shutdown()
+                        workers[number] = _worker(count)
+                        deaths[number] = deaths.get(number, 0) + 1
+                        if deaths[number] <= _DEATHS:
+                            start(number, task)
+                            continue
+                        why = "several workers died of it: out of memory, or an image that crashes the process"
+                        yield Done(task, None, why)
+                    elif error is None:
+                        yield Done(task, future.result())
+                    elif isinstance(error, LtmError | OSError):
+                        yield Done(task, None, str(error))
+                    else:
+                        raise error  # an internal error
+                    deaths[number] = 0
+                    start(number, next(ahead, None))
+        finally:
+            for worker in workers:
+                worker.shutdown(cancel_futures=True)
+
+    return run
+
+
+def _worker(count: int) -> ProcessPoolExecutor:
+    """Return an executor of one process, which is limited to its share of the cores."""
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, context, initializer=keep_to_cores, initargs=(count,))
+
+
+def keep_to_cores(workers: int) -> None:
+    """Limit a worker of this machine to its own cores, so that kernels do not wait for another worker's."""
+    from ltm_core.base.kernels import limit_kernel_threads
+
+    limit_kernel_threads(max(1, available_cores() // workers))

@@ -21,8 +21,8 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.geopackage_io import read_points
+from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.storage.disk_io import make_folder
-from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 from ltm_core.vision.areas import replace_file
 
 Certainty = Literal["sure", "likely", "unsure", "cannot_be_seen"]

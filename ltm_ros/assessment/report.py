@@ -11,9 +11,9 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray, Float64Array, RgbImage
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import fit, to_jpeg, to_png

@@ -1,6 +1,5 @@
 """Read one camera: request images, check them, compute when and in which direction they were taken, and keep the
-camera's state. Uses no ROS; tests replace the clock.
-"""
+camera's state. Uses no ROS; tests replace the clock."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ SETTLE_S = 1.0
 """Pause in seconds after an image taken while the PTZ head moved, so that it can stop."""
 SET_BACK_NS = 10**10
 """Nanoseconds by which a stamp can precede the last one only if the clock was set; frames so far ahead are rejected
-anyway.
-"""
+anyway."""
 
 
 def camera_backoff(jitter: random.Random | None = None) -> Backoff:
@@ -59,8 +57,7 @@ class Frame:
     """A usable image. Either `jpeg` or `rgb` is given.
 
     `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: unknown, or not
-    required.
-    """
+    required."""
 
     stamp_ns: int
     uncertainty: float
@@ -79,8 +76,7 @@ class Frame:
 @dataclass(frozen=True)
 class CameraDirection:
     """Source of a camera's pose: fixed, or from readings of its PTZ head and the mount; neither: published by another
-    node.
-    """
+    node."""
 
     pose: Pose | None = None
     covariance: Float64Array | None = None
@@ -97,8 +93,7 @@ class CameraSource:
     """Call `step` repeatedly, from one thread.
 
     Args: calibration: images must match it. open_reader: connects to the camera; raises SourceError. deliver: takes
-    each frame. health: counts dropped images by cause, and holds the camera's state.
-    """
+    each frame. health: counts dropped images by cause, and holds the camera's state."""
 
     def __init__(
         self,

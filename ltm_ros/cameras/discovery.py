@@ -1,8 +1,7 @@
 """Discover cameras on one network by WS-Discovery (ONVIF). Source: OASIS WS-Discovery 1.0 (draft of April 2005), ONVIF
 Core Specification 7.
 
-Only the network of the given interface is queried, once. Answers are limited in number, size and time.
-"""
+Only the network of the given interface is queried, once. Answers are limited in number, size and time."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ from urllib.parse import unquote
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import plain
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cameras.ptz.connection import found, parsed_xml, split_address
+from ltm_ros.cameras.ptz.head import found, parsed_xml, split_address
 
 GROUP, PORT = "239.255.255.250", 3702
 MOST_ANSWERS = 256
@@ -37,8 +36,7 @@ def discover(
     interface: str, seconds: float = 4.0, group: str = GROUP, port: int = PORT
 ) -> tuple[list[Discovered], int]:
     """Return the cameras that answer within `seconds` on the network of `interface`, an IPv4 address of this computer,
-    and the number of invalid answers. Raises ConfigError if the address is not this computer's.
-    """
+    and the number of invalid answers. Raises ConfigError if the address is not this computer's."""
     try:
         ours = ipaddress.IPv4Address(interface)
     except ValueError:

@@ -81,8 +81,7 @@ def direction_of_ptz(
     site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None
 ) -> CameraDirection:
     """Return the pose source of a PTZ camera, without connecting. Without `ptz`, directions come with the images.
-    Raises as `MountConfig.model`.
-    """
+    Raises as `MountConfig.model`."""
     model = mount.model(site.open_dem(), site.frame)
     lens = None if mount.lens is None else mount.lens.lens()
     if ptz is None:
@@ -145,8 +144,7 @@ END_S = 2.0
 
 class SourceThread:
     """Runs `source.step` until `stop`; a bug in it is counted (`crash`) and reported, and the step is tried again
-    later.
-    """
+    later."""
 
     def __init__(self, name: str, source: CameraSource, health: Health, activity: Activity) -> None:
         self._name, self._source, self._health, self._activity = name, source, health, activity

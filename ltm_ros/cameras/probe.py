@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -27,8 +26,7 @@ from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import host_of, with_configured_host
-from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
+from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, host_of, with_configured_host
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
@@ -45,14 +43,11 @@ SNAPSHOT_PATHS = (
     "/snapshot.jpg",
 )
 """Common snapshot paths: Axis, Hikvision, Dahua, and others."""
-REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
-"""Only for Reolink cameras, because the URL contains the password."""
 PTZ_KINDS: tuple[dict[str, Any], ...] = (
     {"kind": "vapix"},
     {"kind": "isapi", "units": "degrees"},
     {"kind": "isapi", "units": "tenths"},
     {"kind": "onvif"},
-    {"kind": "reolink"},
 )
 
 
@@ -67,8 +62,7 @@ class PtzFound:
 @dataclass
 class Found:
     """Result of a probe. `source`: the camera's section of a site file, without user and password; `tried`: requests
-    and answers, in words.
-    """
+    and answers, in words."""
 
     source: dict[str, Any] | None = None
     size: tuple[int, int] | None = None
@@ -96,30 +90,25 @@ def probe(
 ) -> Found:
     """Request an image at `url` or at common paths, and look for a PTZ head.
 
-    Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures.
-    """
+    Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures."""
     found = Found()
     login = {"user": user, "password": password, "timeout": timeout}
     if url.startswith(("rtsp://", "rtsps://")):
         say("the stream")
         _try(found, url, lambda: _video(found, url, login))
         base = f"http://{host_of(url)}"
-        reolink = _is_reolink(base, timeout, ca, check_name)
     else:
         parts = urlsplit(url)
         base = f"{parts.scheme}://{parts.netloc}"
-        reolink = _is_reolink(base, timeout, ca, check_name)
         tls = login | {"ca": ca, "check_name": check_name}
         paths = [url] if parts.path not in ("", "/") else [base + path for path in SNAPSHOT_PATHS]
-        if parts.path in ("", "/") and user is not None and reolink:
-            paths = [base + REOLINK_SNAPSHOT]
         for place in paths:
             if found.source is None:
                 say(f"an image at {urlsplit(place).path}")
                 _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
     web = {"url": base, **login, "ca": ca, "check_name": check_name}
     for given in PTZ_KINDS:
-        if found.ptz is None and (given["kind"] == "reolink") <= reolink:
+        if found.ptz is None:
             say(f"a PTZ head by {given['kind']}")
             _try(found, f"PTZ head by {' '.join(given.values())}", lambda given=given: _try_ptz(found, given, web))  # type: ignore[misc]
     for stated in found.stated:
@@ -137,26 +126,11 @@ def _stated(found: Found, base: str, stated: str, web: dict[str, Any]) -> str:
 
 def _address_at(base: str, stated: str) -> str:
     """Return an address that the camera at `base` reports. Raises SourceError if it is invalid, or would put a password
-    into the site file.
-    """
+    into the site file."""
     try:
         return url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
         raise SourceError(f"invalid address reported by the camera: {error}") from None
-
-
-def _is_reolink(base: str, timeout: float, ca: Path | None, check_name: bool) -> bool:
-    """Return whether a camera answers as a Reolink camera; the request has no user or password."""
-    client = HttpClient(HttpSettings(url=base, timeout=timeout, ca=ca, check_name=check_name), most_bytes=MOST_WORDS)
-    try:
-        kind = {"content-type": "application/json"}
-        body = client.send("POST", f"{base}/cgi-bin/api.cgi?cmd=GetDevInfo", kind, b'[{"cmd":"GetDevInfo"}]').body
-        said = json.loads(body)
-        return isinstance(said, list) and bool(said) and isinstance(said[0], dict) and "cmd" in said[0]
-    except (SourceError, ValueError, RecursionError):
-        return False
-    finally:
-        client.close()
 
 
 def _try(found: Found, what: str, ask: Callable[[], str]) -> None:

@@ -121,50 +121,6 @@ def discover(
 
 
 @cameras.command()
-def watch(
-    site: Annotated[Path, typer.Argument(help="Site file of the running graph.")],
-    once: Annotated[
-        bool, typer.Option("--once", help="Print the table once every camera has reported, then exit.")
-    ] = False,
-    seconds: Annotated[float, typer.Option(min=0.1, help="With --once: maximum time to wait in seconds.")] = 15.0,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
-) -> None:
-    """Watch the cameras live: state and since when, age of the newest frame, clock. Ctrl-C ends it."""
-    from rich.console import Console
-    from rich.live import Live
-
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.cli.cameras_watch import CameraWatch, state_table
-    from ltm_ros.runtime.ros_environment import apply_to_process
-
-    config = load_site(site)
-    asked = [name for name, camera in config.cameras.items() if camera.source is not None]
-    if not asked:
-        raise ConfigError(f"{site}: no camera has a section `source`; there is nothing to watch")
-    apply_to_process(domain)
-    watched = CameraWatch(config.name, asked)
-    try:
-        if once:
-            watched.listen(seconds, until_all=True)
-            Console().print(state_table(watched.states()))
-            if watched.silent():
-                raise ConfigError(
-                    f"received no report from {', '.join(watched.silent())} in {seconds:g} s: check that `ltm run "
-                    f"{site}` is running in this ROS domain"
-                )
-            return
-        with Live(state_table(watched.states()), console=Console(), refresh_per_second=2) as live:
-            while True:
-                watched.listen(0.5)
-                live.update(state_table(watched.states()))
-    except KeyboardInterrupt:
-        pass
-    finally:
-        watched.close()
-
-
-@cameras.command()
 def snapshot(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
@@ -182,7 +138,7 @@ def snapshot(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_ros.cli.cameras_watch import take_snapshot
+    from ltm_ros.cli.cameras_snapshot import take_snapshot
 
     console = Console()
     with console.status(f"requesting an image from {camera}"):

@@ -1,4 +1,4 @@
-"""`ltm export`: write a fuel map for fire models and GIS, and the updated terrain as GeoTIFF."""
+"""`ltm export` and `ltm fire`: write fuel maps and terrain for other programs, and simulate a fire."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
     from ltm_core.geometry.grid import GridGeometry
@@ -27,10 +27,7 @@ class Format(StrEnum):
     png = "png"
     change = "change"
     surface = "surface"
-    coverage = "coverage"
     kmz = "kmz"
-    ply = "ply"
-    las = "las"
 
 
 class Codes(StrEnum):
@@ -41,8 +38,8 @@ class Codes(StrEnum):
 
 
 _TIFF = (Format.classes, Format.landscape)
-_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,), ".ply": (Format.ply,)}
-_BY_SUFFIX |= {".las": (Format.las,), ".png": (Format.png, Format.change, Format.coverage)}
+_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,)}
+_BY_SUFFIX |= {".png": (Format.png, Format.change)}
 """Formats of a suffix; the first one is written if none is requested."""
 _OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
 _FOLDERS = (Format.elmfire, Format.layers)
@@ -67,10 +64,9 @@ def export(
         typer.Option(
             "--format",
             help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
-            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. 3D points: ply, las. "
-            "Images: png (classes and confidence), change (before and after), coverage (cameras that see "
-            "each cell), kmz (for globe programs). Terrain as GeoTIFF: change (shift, sigma, kind, since), "
-            "surface (height, sigma).",
+            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. Images: png (classes, "
+            "confidence, cameras), change (before and after), kmz (for globe programs). Terrain as GeoTIFF: change "
+            "(shift, sigma, kind, since), surface (height, sigma).",
         ),
     ] = Format.auto,
     system: Annotated[
@@ -210,3 +206,66 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
     write_fuel_map(out, classes, geometry, palette, tags)
     write_palette_style(out, list(zip(range(len(palette.names)), palette.names, palette.colors, strict=True)))
     return geometry
+
+
+def fire(
+    landscape: Annotated[
+        Path,
+        typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands)."),
+    ],
+    ignition: Annotated[str, typer.Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
+    wind: Annotated[str, typer.Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
+    moisture: Annotated[
+        str | None,
+        typer.Option(
+            help="Fuel moisture: Scott and Burgan scenario (D2L2), or five values in %: dead 1 h, 10 h, 100 h, "
+            "live herbaceous, live woody (6,7,8,60,90)."
+        ),
+    ] = None,
+    hours: Annotated[float, typer.Option(help="Duration of the fire in hours.")] = 6.0,
+    site: Annotated[Path | None, typer.Option("--site", help="Site file of a store.")] = None,
+    before: Annotated[
+        Path | None, typer.Option("--before", help="For a landscape file: the earlier landscape.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
+    ] = None,
+    ignition_crs: Annotated[
+        str | None, typer.Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path(
+        "out/fire"
+    ),
+    overwrite: Overwrite = False,
+) -> None:
+    """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
+    from rich.console import Console
+
+    from ltm_core.base.number_text import difference, number
+    from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
+    from ltm_core.fire.pyretechnics import interpreter
+    from ltm_core.storage.disk_io import require_files
+    from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results
+
+    console = Console()
+    blowing, wet = Wind.parse(wind), Moisture.parse(moisture)
+    require_files([out / name for name in FILES], overwrite)
+    interpreter()
+    pair = open_pair(landscape, site, before, since)
+    row, col = ignition_cell(ignition, ignition_crs, pair.after)
+    ignition_cell(ignition, ignition_crs, pair.before)
+    scenario = FireScenario(row, col, blowing, wet, hours)
+    with console.status("") as status:
+        result = run_fires(pair, scenario, status.update)
+    write_results(out, pair, scenario, result)
+    rows = []
+    for area in result.effect.areas():
+        change = difference(area.before, area.after)
+        rows.append((f"{area.hours:g}", number(area.before), number(area.after), change))
+    title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
+    columns = (">hours", ">before", ">after", ">difference")
+    print_table(console, title, columns, rows)
+    for sentence in [*sentences(pair, result), NO_FORECAST]:
+        console.print(sentence, highlight=False)
+    slowest = f"{max(result.seconds):.1f} s for the slowest of {len(result.seconds)} fires"
+    console.print(f"wrote {out / FILES[0]}; {slowest}", highlight=False)

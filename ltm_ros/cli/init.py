@@ -59,7 +59,7 @@ def init(
     from rich.markup import escape
 
     from ltm_core.base.errors import ConfigError
-    from ltm_ros.cli.check import report
+    from ltm_ros.cli.run import report
     from ltm_ros.site_setup.site_plan import Wish, carry_out, plan_site
     from ltm_ros.site_setup.sources import load_sources
 

@@ -44,9 +44,6 @@ def locate(
         str | None, typer.Option(help="Reverse query: x,y in the site's CRS, or x,y,height above ground.")
     ] = None,
     lonlat: Annotated[str | None, typer.Option(help="Like --place, in degrees: lon,lat.")] = None,
-    points: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="CSV of control points to draw over --photo: id, x, y, z, u, v.")
-    ] = None,
     photo: Annotated[
         str | None,
         typer.Option(metavar="[CAMERA=]FILE", help="Image of the camera to draw places over; needs --out."),
@@ -63,9 +60,9 @@ def locate(
     from ltm_core.storage.disk_io import require_files
     from ltm_ros.cli.locate_cameras import hidden_by, marked, named, of_poses, of_site
 
-    reverse = place is not None or lonlat is not None or points is not None
+    reverse = place is not None or lonlat is not None
     if reverse == bool(mark):
-        raise ConfigError("give --mark, or for the reverse query --place, --lonlat or --points")
+        raise ConfigError("give --mark, or for the reverse query --place or --lonlat")
     if photo is not None and out is None:
         raise ConfigError("--photo is drawn over and written to --out: give that folder")
     if out is not None:
@@ -80,7 +77,7 @@ def locate(
     if reverse:
         from ltm_ros.cli.locate_places import show_places
 
-        show_places(scene, place, lonlat, points, photo, as_json, out, console)
+        show_places(scene, place, lonlat, photo, as_json, out, console)
         return
     marks = [named(text, "--mark", scene) for text in mark or []]
     masks = hidden_by(scene, mask or [])
@@ -116,7 +113,7 @@ def _write(out: Path, said: LocateResult, scene: LocatingScene, marked: list[str
     import json
 
     from ltm_core.locating.answer import SHARES, as_data, as_geojson
-    from ltm_core.locating.posterior import write_posterior
+    from ltm_core.locating.locator import write_posterior
     from ltm_core.pictures import MapCamera, to_png
     from ltm_core.pictures.locating import location_picture
 

@@ -15,7 +15,7 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.posterior import read_mask
+from ltm_core.locating.locator import read_mask
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting

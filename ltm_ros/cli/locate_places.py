@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,20 +49,12 @@ def show_answer(said: LocateResult, frame: SiteFrame, console: Console) -> None:
         rows.append(("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})"))
     print_table(console, "base of the smoke" if said.smoke else "on the ground", ("", ""), rows)
     agreement = said.location.agreement
-    if agreement is not None and agreement.wrong is not None:
-        verdict = agreement.verdict
-        turn, sigma = math.degrees(verdict.turn), math.degrees(verdict.sigma)
-        left_out = agreement.suspicion[agreement.wrong]
+    if agreement is not None and not agreement.agree:
+        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
         console.print(
-            f"[yellow]The cameras disagree. {agreement.wrong} is probably misaligned "
-            f"({verdict.suspicion[agreement.wrong]:.0%}): its stated azimuth is {abs(turn):.1f} degrees (sigma "
-            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. The place ignores it with a weight of "
-            f"{left_out:.0%}; check its pose.",
+            f"[yellow]The cameras disagree. Probability of each to be the wrong one: {shares}. Check their poses.",
             highlight=False,
         )
-    elif agreement is not None and not agreement.agree:
-        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
-        console.print(f"[yellow]The cameras disagree, and it is unknown which one is wrong: {shares}.", highlight=False)
     print_views(console, said.views)
 
 
@@ -85,7 +76,6 @@ def show_places(
     scene: LocatingScene,
     place: str | None,
     lonlat: str | None,
-    points: Path | None,
     photo: str | None,
     as_json: bool,
     out: Path | None,
@@ -94,29 +84,27 @@ def show_places(
     """Print where cameras see places; draw them over a camera's photo. Raises ConfigError, RegionError, PoseError."""
     if not scene.cameras:
         raise ConfigError(f"no camera has calibration and pose ({', '.join(scene.skipped)}: from topics); give --pose")
-    names, places, marked = _places(scene, place, lonlat, points)
+    target = _place(scene, place, lonlat)
     drawn = None if photo is None else named(photo, "--photo", scene)
     posed = [camera.posed for camera in scene.cameras.values()]
-    data = []
-    for name, target in zip(names, places, strict=True):
-        views = place_views(scene.sight, posed, target)
-        fuel = fuel_at(scene.prior, float(target[0]), float(target[1]))
-        known = place_name(scene.frame, *(float(v) for v in target))
-        data.append(
-            {
-                "name": name,
-                "place": vars(known),
-                "fuel": None if fuel is None else vars(fuel),
-                "cameras": [view_data(view, scene.frame) for view in views],
-            }
+    views = place_views(scene.sight, posed, target)
+    fuel = fuel_at(scene.prior, float(target[0]), float(target[1]))
+    known = place_name(scene.frame, *(float(v) for v in target))
+    data = [
+        {
+            "name": "place",
+            "place": vars(known),
+            "fuel": None if fuel is None else vars(fuel),
+            "cameras": [view_data(view, scene.frame) for view in views],
+        }
+    ]
+    if not as_json:
+        console.print(
+            f"{known.x:.1f}, {known.y:.1f}, {target[2]:.1f} m; {known.lon:.6f}, {known.lat:.6f}; "
+            f"{known.mgrs or ''}" + ("" if fuel is None else f"; fuel {fuel.name}"),
+            highlight=False,
         )
-        if not as_json:
-            console.print(
-                f"{name}: {known.x:.1f}, {known.y:.1f}, {target[2]:.1f} m; {known.lon:.6f}, {known.lat:.6f}; "
-                f"{known.mgrs or ''}" + ("" if fuel is None else f"; fuel {fuel.name}"),
-                highlight=False,
-            )
-            print_views(console, views)
+        print_views(console, views)
     if as_json:
         print(json.dumps(data, indent=2))
     if out is None:
@@ -126,47 +114,28 @@ def show_places(
     written = [out / "places.json"]
     if drawn is not None:
         written.append(out / "places.png")
-        _draw(scene, drawn[0], names, places, marked, Path(drawn[1]), written[-1])
+        _draw(scene, drawn[0], target, Path(drawn[1]), written[-1])
     if not as_json:
         for path in written:
             console.print(f"  {path}", highlight=False)
 
 
-def _draw(
-    scene: LocatingScene,
-    name: str,
-    names: list[str],
-    places: Float64Array,
-    marked: Float64Array | None,
-    photo: Path,
-    path: Path,
-) -> None:
+def _draw(scene: LocatingScene, name: str, place: Float64Array, photo: Path, path: Path) -> None:
     from ltm_core.pictures import to_png
     from ltm_core.pictures.locating import places_picture
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.visibility.point_visibility import PointState
 
     camera = scene.camera(name)
-    seen = scene.sight.visible(camera.camera, camera.pose, places)
-    drawn = [
-        (text, (float(pixel[0]), float(pixel[1])), PointState(int(state)))
-        for text, pixel, state in zip(names, seen.pixels, seen.states, strict=True)
-        if state != PointState.OUTSIDE
-    ]
-    kept = None if marked is None else marked[seen.states != PointState.OUTSIDE]
-    path.write_bytes(to_png(places_picture(read_photo(photo, camera.camera), drawn, kept)))
+    seen = scene.sight.visible(camera.camera, camera.pose, place[None])
+    state, (u, v) = PointState(int(seen.states[0])), (float(value) for value in seen.pixels[0])
+    drawn = [] if state is PointState.OUTSIDE else [("place", (u, v), state)]
+    path.write_bytes(to_png(places_picture(read_photo(photo, camera.camera), drawn)))
 
 
-def _places(
-    scene: LocatingScene, place: str | None, lonlat: str | None, points: Path | None
-) -> tuple[list[str], Float64Array, Float64Array | None]:
-    """Return names, places (N, 3) in the map frame, and marked pixels (N, 2) of control points."""
+def _place(scene: LocatingScene, place: str | None, lonlat: str | None) -> Float64Array:
+    """Return the place (3,) in the map frame."""
     frame = scene.frame
-    if points is not None:
-        from ltm_core.pose_estimation.points.resection_io import read_control_points
-
-        read = read_control_points(points, frame)
-        return list(read.names), np.array(read.places), np.array(read.pixels)
     if place is not None:
         values = numbers(place, "--place", (2, 3))
         x, y = values[0] - frame.x_origin, values[1] - frame.y_origin
@@ -181,4 +150,4 @@ def _places(
             f"{covered.described()}"
         )
     above = values[2] if len(values) == 3 else 0.0
-    return ["place"], np.array([[x, y, ground + above]]), None
+    return np.array([x, y, ground + above])

@@ -14,11 +14,8 @@ from typer.core import TyperGroup
 from ltm_core.base.errors import LtmError
 from ltm_ros.cli.assess import assess
 from ltm_ros.cli.cameras import cameras
-from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
-from ltm_ros.cli.export import export
-from ltm_ros.cli.fire import fire
-from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.export import export, fire
 from ltm_ros.cli.init import init
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import label, mask
@@ -27,9 +24,9 @@ from ltm_ros.cli.pose_import import import_poses
 from ltm_ros.cli.pose_mount import mount
 from ltm_ros.cli.pose_photo import photo
 from ltm_ros.cli.pose_points import points
-from ltm_ros.cli.record import record, replay
+from ltm_ros.cli.record import import_, record, replay
 from ltm_ros.cli.reprocess import reprocess
-from ltm_ros.cli.run import certs, region, run
+from ltm_ros.cli.run import certs, check, region, run
 from ltm_ros.cli.tower import doctor, rollback, status, upgrade
 from ltm_ros.cli.trace import trace, viewshed
 from ltm_ros.cli.train import train
@@ -72,14 +69,13 @@ EXAMPLES = {
     ),
     "check": ("ltm check site.yaml", "ltm check site.yaml --out check.png"),
     "run": ("ltm run site.yaml --state map", "ltm run site.yaml --state map --view --record today"),
-    "view": ("ltm view --site site.yaml", "ltm view --rrd out/demo/demo.rrd --screenshot depth.png --tab Depth"),
+    "view": ("ltm view --site site.yaml", "ltm view --rrd out/demo/demo.rrd"),
     "cameras discover": ("ltm cameras discover --interface 192.168.1.3",),
     "cameras probe": (
         "ltm cameras probe http://192.168.1.20 --user viewer",
         "ltm cameras probe http://192.168.1.20 --site site.yaml --camera north --lonlat -118.06,34.22 --height 20 "
         "--azimuth 214 --hfov 54",
     ),
-    "cameras watch": ("ltm cameras watch site.yaml", "ltm cameras watch site.yaml --once"),
     "cameras snapshot": ("ltm cameras snapshot site.yaml north --out presets",),
     "pose points": ("ltm pose points points.csv --guess guess.yaml --dem dem.tif --out pose.yaml",),
     "pose photo": ("ltm pose photo photo.jpg --guess guess.yaml --dem dem.tif --out pose.yaml --picture found.png",),
@@ -138,7 +134,6 @@ METAVARS = {
     "DATE": "as_of since until",
     "EPSG:CODE": "crs ignition_crs",
     "FOLDER": "also bag write_photos",
-    "I/N": "shard",
     "KEY=VALUE": "stated",
     "LON,LAT": "lonlat",
     "MODEL": "model named like",
@@ -284,13 +279,8 @@ EXTRAS = {
     "rerun": "ltm[view]",
     "matplotlib": "ltm[report]",
     "jinja2": "ltm[report]",
-    "laspy": "ltm[export]",
     "tokenizers": "ltm[text]",
     "pyarrow": "ltm[archive]",
-    "fsspec": "ltm[archive]",
-    "dask": "ltm[archive]",
-    "distributed": "ltm[archive]",
-    "s3fs": "ltm[archive]",
     "prometheus_client": "ltm[tower]",
     "paho": "ltm[region]",
     "cryptography": "ltm[region]",

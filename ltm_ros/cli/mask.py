@@ -25,8 +25,7 @@ def label(
 ) -> None:
     """Label areas in photos with polygons and a brush, on a web page that only this machine can open.
 
-    A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program.
-    """
+    A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program."""
     from functools import partial
 
     from ltm_core.base.errors import ConfigError
@@ -72,8 +71,7 @@ def mask(
 
     Without --keep, the PNG and the polygons hold every proposal. With --keep, they hold only the chosen ones, and the
     line for the site file is printed. The proposals depend only on the images, so their numbers stay the same. Draw
-    masts, roofs and other objects on the labelling page (`ltm label`), and pass them with --drawn.
-    """
+    masts, roofs and other objects on the labelling page (`ltm label`), and pass them with --drawn."""
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError

@@ -207,8 +207,7 @@ def _check(
 ) -> None:
     """Print the model's input, output and running time; write images.
 
-    With `classes`, comma-separated prompts replace the model's classes. Without `images`, a drawn scene is used.
-    """
+    With `classes`, comma-separated prompts replace the model's classes. Without `images`, a drawn scene is used."""
     from ltm_core.storage.image_io import photos_in, read_rgb
     from ltm_core.vision.overlays import scene_of
 

@@ -30,8 +30,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | Non
         title: above the table; "" for none.
         columns: their names; a name that begins with ">" makes its column right-aligned and never wrapped. If all names
             are empty, the table has no header.
-        rows: the cells of each row; None draws a line between two rows.
-    """
+        rows: the cells of each row; None draws a line between two rows."""
     from rich.table import Table
 
     made = Table(title=title or None, title_justify="left", show_header=any(columns))
@@ -170,8 +169,7 @@ def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
 
 def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
     """Print the results of a replay: states of depth fusion, cells seen and changed, events. `print_nodes` prints what
-    was dropped.
-    """
+    was dropped."""
     from rich.markup import escape
 
     said = outcome(summaries)

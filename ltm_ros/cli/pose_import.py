@@ -47,8 +47,7 @@ def import_poses(
 ) -> None:
     """Convert poses of Metashape, COLMAP, OpenSfM, alproj, ImGRAFT, PRACTISE, Pic2Map, or omega, phi, kappa.
 
-    With --dem and --photos, other axes, angle units and image sides are tested, and used if they fit clearly better.
-    """
+    With --dem and --photos, other axes, angle units and image sides are tested, and used if they fit clearly better."""
     from rich.console import Console
     from rich.markup import escape
 

@@ -55,8 +55,7 @@ def mount(
 ) -> None:
     """Calibrate the mount of a PTZ head from landmarks or photos of several presets.
 
-    A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it.
-    """
+    A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files
 
@@ -139,22 +138,21 @@ def calibrate_from_points(
 
 def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, ZoomLens]:
     """Fit the mount to skylines of several presets, with the site's labels and mask. Raises PoseError if they do not
-    determine it.
-    """
+    determine it."""
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError, ImageError, PoseError
     from ltm_core.pipeline.site_surface import site_terrain
     from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount.mount_io import read_readings
+    from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
-    from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
     from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
     from ltm_core.site.networks import site_scene_filter, site_segmenter
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
-    from ltm_ros.cli.cameras_watch import READINGS
+    from ltm_ros.cli.cameras_snapshot import READINGS
 
     terrain, config = site_terrain(ptz.site)
     segmenter = site_segmenter(ptz.site, ptz.camera)

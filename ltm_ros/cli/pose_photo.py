@@ -15,8 +15,8 @@ from ltm_ros.cli.pose_points import lens_kind, parameter_names
 if TYPE_CHECKING:
     from ltm_core.base.types import UInt8Array
     from ltm_core.geometry.camera import Camera
+    from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence
     from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-    from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import PoseResult, SearchSetup
     from ltm_core.raster.dem import Dem
     from ltm_core.tracing.trace_io import GuessConfig
@@ -106,8 +106,7 @@ def photo(
 ) -> None:
     """Find a camera's pose from the skyline and ridges in its photo.
 
-    Exit code 3: a pose was not accepted. An ambiguous one, or one without a stated azimuth, is not written.
-    """
+    Exit code 3: a pose was not accepted. An ambiguous one, or one without a stated azimuth, is not written."""
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
@@ -157,7 +156,7 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
     from ltm_core.storage.config_io import checked
     from ltm_core.storage.image_io import read_rgb
     from ltm_core.tracing.trace_io import GuessConfig
-    from ltm_ros.recordings.importing.pose_file import read_pose_file
+    from ltm_ros.recordings.importing.photo import read_pose_file
 
     found = {}
     for name, row in read_pose_file(poses).items():
@@ -198,9 +197,9 @@ def _find(
 ) -> FoundPhoto:
     from ltm_core.base.errors import ImageError
     from ltm_core.pose_estimation.lens import LensPrior
+    from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
     from ltm_core.pose_estimation.skyline.lens_search import find_pose_and_lens
-    from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.tracing.trace_io import read_photo
 

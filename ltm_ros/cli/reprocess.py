@@ -18,7 +18,6 @@ from ltm_ros.cli.output import print_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_ros.archive.engine import Engine
     from ltm_ros.archive.manifest import ArchiveFrame
     from ltm_ros.archive.run import Plan, Summary
 
@@ -26,49 +25,36 @@ if TYPE_CHECKING:
 def reprocess(
     archives: Annotated[
         list[str],
-        typer.Argument(help="Bags, .mcap files, folders with bags or photos and poses.csv, or s3://bucket/folder."),
+        typer.Argument(help="Bags, .mcap files, folders with bags or photos and poses.csv."),
     ],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
-    out: Annotated[str, typer.Option("--out", "-o", help="Folder for results, or s3://bucket/folder.")],
-    workers: Annotated[
-        str,
-        typer.Option(metavar="N|ADDRESS", help="Worker processes (0: this one), or a Dask scheduler, tls://host:8786."),
-    ] = "2",
-    tls: Annotated[
-        tuple[Path, Path, Path] | None,
-        typer.Option(metavar="CA CERT KEY", help="PEM files for a Dask scheduler: CA, own certificate and key."),
-    ] = None,
+    out: Annotated[str, typer.Option("--out", "-o", help="Folder for results.")],
+    workers: Annotated[int, typer.Option(min=0, help="Number of worker processes; 0: this one.")] = 2,
     cameras: Annotated[str, typer.Option(help="Only these cameras, separated by commas.")] = "",
     since: Annotated[str, typer.Option(help="First date or time, such as 2026-05-31, UTC.")] = "",
     until: Annotated[str, typer.Option(help="Last date (inclusive) or time, UTC.")] = "",
     sample: Annotated[str, typer.Option(help="Frames of each camera: all, or 4/day, 1/hour.")] = "all",
-    shard: Annotated[str, typer.Option(help="i/n: process only the i-th of n parts, without a map.")] = "1/1",
     max_failed: Annotated[str, typer.Option(help="Accepted share of lost frames.")] = "0.1%",
     burns: Annotated[Path | None, typer.Option(help="GeoJSON of burned areas, with `burned_at`.")] = None,
     terrain: Annotated[
         bool, typer.Option("--terrain", help="Also compute the site's terrain and use its changes.")
     ] = False,
-    cache_gb: Annotated[
-        float, typer.Option(min=0.001, help="Maximum size of the files of stores in the user's cache folder, in GB.")
-    ] = 20.0,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only count frames, find gaps and estimate the cost.")
     ] = False,
 ) -> None:
     """Reprocess all frames of ARCHIVES with SITE; write fuel map, layers and a record of the run to OUT.
 
-    Run it again to resume. After a change, only affected results are recomputed.
-    """
+    Run it again to resume. After a change, only affected results are recomputed."""
     from rich.console import Console
 
-    from ltm_ros.archive.files import CacheConfig
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
+    from ltm_ros.archive.task import on_workers, serial
     from ltm_ros.cli.output import counting_bar
     from ltm_ros.fuel_map.layers import when
 
     console = Console()
-    engine = _engine(workers, tls)
     options = ArchiveOptions(
         archives=tuple(archives),
         site=site,
@@ -77,11 +63,9 @@ def reprocess(
         since_ns=when(since if "T" in since else f"{since}T00:00:00") if since else None,
         until_ns=when(until) if until else None,
         sample=Sample.parsed(sample),
-        shard=_shard(shard),
         max_failed=_share(max_failed),
         burns=burns,
         terrain=terrain,
-        cache=CacheConfig(most_bytes=round(cache_gb * 1e9)),
     )
     with counting_bar(console, "scanning") as progress:
         planned = look_through(options, progress)
@@ -89,7 +73,7 @@ def reprocess(
         _print_dry_run(console, planned)
         return
     with counting_bar(console, "working") as progress:
-        summary = run(planned, engine, progress)
+        summary = run(planned, on_workers(workers) if workers else serial, progress)
     _print(console, summary, out)
 
 
@@ -141,8 +125,7 @@ def _cost_rows(planned: Plan) -> list[tuple[str, ...]]:
 
 def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, float, float]:
     """Return the CPU seconds of a camera's frame from image to results, the standard error of their mean, and the bytes
-    of the results, estimated from a few frames, spread over all; nothing is kept.
-    """
+    of the results, estimated from a few frames, spread over all; nothing is kept."""
     from ltm_ros.archive.frame_files import frame_files
     from ltm_ros.archive.plan import MEASURED, VOTES
 
@@ -156,17 +139,6 @@ def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, floa
         seconds.append(time.process_time() - begin)
         sizes.append(sum(map(len, made.values())))
     return mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:])
-
-
-def _engine(workers: str, tls: tuple[Path, Path, Path] | None) -> Engine:
-    from ltm_core.base.errors import ArchiveError
-    from ltm_ros.archive.engine import Cluster, on_cluster, on_workers, serial
-
-    if "://" in workers:
-        return on_cluster(Cluster(workers, *(tls or ())))
-    if not workers.isdecimal():
-        raise ArchiveError(f"--workers {workers}: give a number of processes, or the address of a Dask scheduler")
-    return on_workers(int(workers)) if int(workers) else serial
 
 
 def _print(console: Console, summary: Summary, out: str) -> None:
@@ -184,16 +156,6 @@ def _print(console: Console, summary: Summary, out: str) -> None:
         console.print(
             f"terrain: {out}/terrain.sqlite, {summary.terrain_frames} frames, digest {summary.terrain_digest}"
         )
-
-
-def _shard(text: str) -> tuple[int, int]:
-    from ltm_core.base.errors import ArchiveError
-
-    found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
-    part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not 1 <= part <= parts:
-        raise ArchiveError(f"shard {text!r}: give i/n with i from 1 to n, such as 3/8")
-    return part, parts
 
 
 def _share(text: str) -> float:

@@ -150,8 +150,7 @@ def doctor(
 
 READY_MINUTES = 2.0
 """Time in minutes in which a release must be ready. Kernels are compiled before, so a good release starts in seconds;
-the tower should be down for three minutes at most, and going back to the previous release takes part of them.
-"""
+the tower should be down for three minutes at most, and going back to the previous release takes part of them."""
 
 
 def upgrade(
@@ -164,8 +163,7 @@ def upgrade(
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
 
     The new release is checked first (`ltm doctor`, `ltm check`, its kernels) while the current one runs. The stores are
-    copied before it is started.
-    """
+    copied before it is started."""
     import os
     import subprocess  # nosec B404 # argument lists, no shell
 

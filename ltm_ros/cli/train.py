@@ -109,8 +109,7 @@ def head(
     """Train a label head on PHOTOS, evaluate it on held-out sites, and install it if it is better.
 
     The calibration and the confusion of its labels are measured on the held-out photos and written with it. Unless
-    --out is a path, the head goes to the user's models, and `label_head: NAME` of a camera selects it.
-    """
+    --out is a path, the head goes to the user's models, and `label_head: NAME` of a camera selects it."""
     import platform
     import time
     from functools import partial

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-
 if TYPE_CHECKING:
     from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import RerunProcess
@@ -30,53 +28,33 @@ def view(
         typer.Option("--web/--native", help="Browser or window. Default: window, if there is a screen."),
     ] = None,
     save: Annotated[Path | None, typer.Option("--save", help="Also write the view to this .rrd file.")] = None,
-    screenshot: Annotated[
-        Path | None, typer.Option("--screenshot", help="With --rrd: write a PNG of the view, open nothing.")
-    ] = None,
-    tab: Annotated[
-        str | None, typer.Option("--tab", help="With --screenshot: name of the tab to draw. Default: the first.")
-    ] = None,
-    overwrite: Overwrite = False,
     open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 
-    Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s.
-    """
+    Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s."""
     from ltm_core.base.errors import ConfigError, RecordingError
-    from ltm_core.storage.disk_io import require_files, require_folder
+    from ltm_core.storage.disk_io import require_folder
 
     if [site, rrd, connect].count(None) != 2:
         raise ConfigError("give one of --site (a running graph), --rrd (a recording) and --connect (a tower)")
     if connect is not None:
-        if screenshot is not None or save is not None or web is False:
-            raise ConfigError("--connect shows a page: remove --screenshot, --save and --native")
+        if save is not None or web is False:
+            raise ConfigError("--connect shows a page: remove --save and --native")
         _show_tower(connect, token, certificate, open_browser, web_port)
         return
     if token is not None or certificate is not None:
         raise ConfigError("--token and --certificate identify a tower: give --connect, too")
-    if tab is not None and screenshot is None:
-        raise ConfigError("--tab selects what --screenshot draws: give --screenshot, too")
-    if screenshot is not None:
-        require_files([screenshot], overwrite)
     if save is not None:
         require_folder(save.parent, "a Rerun recording")  # the viewer finds a free name
     in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():
             raise RecordingError(f"{rrd}: no such recording; write one with `ltm run --view` or `ltm view --save`")
-        if screenshot is not None:
-            from ltm_ros.viewer.server import screenshot as draw
-
-            draw(rrd, screenshot, tab=tab)
-            typer.echo(f"wrote {screenshot}")
-            return
         _show_file(rrd, in_browser, open_browser, web_port, grpc_port)
         return
-    if screenshot is not None:
-        raise ConfigError("--screenshot needs a recording: give --rrd, not --site")
     assert site is not None  # nosec B101 # tells the type checker what holds
     _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
 

@@ -34,7 +34,7 @@ from ltm_core.pictures import (
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.pictures.legend import UNLABELLED, Palette
 from ltm_core.pictures.maps import finished, furnished, interesting_bounds, relief, view_of
-from ltm_core.pictures.sheets import with_axes
+from ltm_core.pictures.photo_overlays import with_axes
 from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import score_fuel

@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.base.number_text import counted, percent
+from ltm_core.base.number_text import counted, moment_of_stamp, percent
 from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
 from ltm_core.pictures.legend import ClassPalette
-from ltm_core.scoring.depth import DepthScore
 from ltm_core.scoring.fuel import FuelScore
-from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.scoring.labels import DepthScore, SegmentationScore
 from ltm_core.site.site import Site
 from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
 from ltm_ros.pages import inlined, render_page, shown
@@ -81,8 +79,7 @@ class ReportData:
 
     `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as
     `DepthTally.scores` returns it. `label_set`, `scale`: for the legends of the images. `recording`: the .rrd file's
-    name. `files`: (name, description).
-    """
+    name. `files`: (name, description)."""
 
     title: str
     summary: str

@@ -16,9 +16,8 @@ from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap, read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pipeline.site_fuel import site_evidence_map
-from ltm_core.scoring.depth import DepthScore, DepthTally, at_pixels_of
 from ltm_core.scoring.fuel import FuelScore, MapScore, on_grid, score_fuel, score_map
-from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.scoring.labels import DepthScore, DepthTally, SegmentationScore, at_pixels_of
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes

@@ -66,8 +66,7 @@ def run_demo(
     """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
     Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
-    Raises LtmError.
-    """
+    Raises LtmError."""
     demo = bags / "demo"
     site_path = demo / "site.yaml"
     site = load_site(site_path)

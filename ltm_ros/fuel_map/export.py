@@ -11,18 +11,18 @@ from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
-from ltm_core.fuel.export.viewer_files_io import fuel_points, write_kmz, write_las, write_ply
+from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png
-from ltm_core.pictures.fuel_maps import change_sheet, coverage_sheet, fuel_sheet, overlay_picture, seen_sheet
+from ltm_core.pictures.fuel_maps import change_sheet, fuel_sheet, overlay_picture
 from ltm_core.pictures.legend import label_legend
 from ltm_core.pipeline.site_fuel import spare_heights
 from ltm_ros.fuel_map.layers import canvas_of, places_of, seen_window
 from ltm_ros.fuel_map.source import FuelSource
 
 LANDSCAPES = ("lcp", "landscape", "elmfire")
-PICTURES = ("png", "change", "coverage")
+PICTURES = ("png", "change")
 
 
 def sidecars(out: Path, kind: str) -> list[Path]:
@@ -51,14 +51,11 @@ def export_site(
     if kind == "layers":
         write_layers(out, moved, target, made.tags(), palette)
         write_item(out, sorted(out.glob("*.tif")), target, made)
-    elif kind == "kmz":
+    else:
         shown = label_legend(520, palette, set(moved.life_form.ravel().tolist()) - {255})
         picture = overlay_picture(moved, heights, target.resolution, palette)
         write_kmz(out, picture, target, f"fuel map of {map_.site.name}", shown, made)
         write_item(out, [out], target, made)
-    else:
-        points = fuel_points(moved, heights, target, map_.labels)
-        (write_ply if kind == "ply" else write_las)(out, points, made)
     return target, [terrain.note] if terrain.note else []
 
 
@@ -112,11 +109,7 @@ def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str 
     heading = map_.provenance(layers, None, as_of).heading(map_.site.crs)
     if kind == "png":
         sheet = fuel_sheet(canvas, layers, palette, heading)
-    elif kind == "change":
+    else:
         names = (since or "prior map", as_of or "now")
         sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names, heading)
-    elif (coverage := map_.coverage()) is None:
-        sheet = seen_sheet(canvas, map_.seen_by(), heading)
-    else:
-        sheet = coverage_sheet(canvas, coverage, heading)
     out.write_bytes(to_png(sheet))

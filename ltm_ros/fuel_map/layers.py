@@ -51,12 +51,6 @@ class ShownLayers:
         """Return (H, W) which cells have evidence and agree with the prior map."""
         return self._seen & ~self._changed
 
-    def tells(self, window: Window) -> bool:
-        """Return whether a part of the map has evidence, or had some at the last refresh."""
-        row, col, height, width = window
-        part = slice(row, row + height), slice(col, col + width)
-        return bool(self._seen[part].any() or self._changed[part].any())
-
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
         """Recompute these parts of the map; return what has changed."""
         return [change for window in _merged(windows) for change in self._refresh(window)]

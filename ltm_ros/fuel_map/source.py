@@ -12,8 +12,7 @@ import numpy as np
 
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.resources import config_path
-from ltm_core.base.types import BoolArray
-from ltm_core.fuel.class_map import UNSEEN, CoverageMap, read_fuel_map
+from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.export.landscape import Landscape
@@ -28,7 +27,7 @@ from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.networks import with_live_record
 from ltm_core.site.site import Site
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
@@ -42,7 +41,7 @@ _LARGEST_ACCURACY: Final = 4096
 @dataclass(frozen=True, eq=False)
 class FuelSource:
     """A context manager. `geometry`: in the site's CRS. `empty`: the layers without evidence. `evidence`, `store`,
-    `folder`: only for a store; `folder` contains it. `bag`: only for a bag."""
+    `folder`: only for a store; `folder` contains it."""
 
     site: Site
     labels: LabelSet
@@ -52,7 +51,6 @@ class FuelSource:
     empty: FuelLayers
     evidence: LivingFuelMap | None = None
     store: TileStore | None = None
-    bag: Path | None = None
     folder: Path | None = None
 
     @classmethod
@@ -66,22 +64,21 @@ class FuelSource:
             prior, empty = evidence.prior, evidence.layers()
             store = open_stored_map(path, site, evidence)
             return cls(
-                site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store, None, path.parent
+                site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store, path.parent
             )
         if path.suffix.lower() in (".tif", ".tiff"):
             classes, grid = read_fuel_map(path)
             if not same_crs(grid.crs, site.crs):
                 raise RasterError(f"{path} is in {grid.crs}, the site in {site.crs}: export the site's own map")
-            bag = None
         else:
             from ltm_ros.recordings.recorded_run import last_fuel_map
 
-            (classes, grid, _), bag = last_fuel_map(path, site), path
+            classes, grid, _ = last_fuel_map(path, site)
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
         climate = FuelClimate.named(site.fuel.climate)
         nothing = np.full(classes.shape, UNSEEN, np.uint8)
         shown, empty = (layers_of_classes(one, prior, climate) for one in (classes, nothing))
-        return cls(site, labels, grid, prior, shown, empty, bag=bag)
+        return cls(site, labels, grid, prior, shown, empty)
 
     @property
     def climate(self) -> FuelClimate:
@@ -144,24 +141,6 @@ class FuelSource:
             return str(json.loads(read_text(path, _LARGEST_ACCURACY, ConfigError))["accuracy"])
         except (ValueError, KeyError, TypeError) as error:
             raise ConfigError(f"{path}: is invalid ({error}); write it again with `ltm assess report`") from error
-
-    def seen_by(self) -> dict[str, BoolArray]:
-        """Return the cells that each camera has seen, as far as the store's cells record it."""
-        if self.evidence is None or self.store is None:
-            raise ConfigError("coverage needs a store (.ltm), or a bag with votes")
-        seen = {name: self.evidence.seen_by(name) for name in self.store.sources()}
-        return {name: cells for name, cells in seen.items() if cells.any()}
-
-    def coverage(self) -> CoverageMap | None:
-        """Return how often and how finely the cameras of a bag have seen each cell; None for other sources."""
-        if self.bag is None:
-            return None
-        from ltm_ros.fuel_map.layers import coverage_of
-        from ltm_ros.recordings.recorded_run import Recorded, recorded_votes
-
-        grid = self.site.in_map(self.geometry)
-        recorded = Recorded(self.bag, self.bag, self.site, self.bag.parent)
-        return coverage_of(recorded_votes(recorded, grid, self.labels), grid)
 
     def __enter__(self) -> Self:
         return self

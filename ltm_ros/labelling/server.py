@@ -66,8 +66,7 @@ class LabelSession:
     """The labels of one folder. Photos are identified only by number, so that no name from a page becomes a path.
 
     Thread-safe. Raises RecordingError if there are no photos, ConfigError for photos whose label images would have the
-    same name, and for an invalid polygons.json.
-    """
+    same name, and for an invalid polygons.json."""
 
     def __init__(self, folder: Path, segmenter: Segmenter | None = None) -> None:
         self.folder = folder
@@ -124,8 +123,7 @@ class LabelSession:
     def save(self, number: int, content: object) -> list[dict[str, Any]]:
         """Write polygons.json and NAME_labels.png; return the stored areas, strokes as outlines.
 
-        Raises ConfigError for another format, and for unknown classes.
-        """
+        Raises ConfigError for another format, and for unknown classes."""
         path = self._path(number)
         shapes = checked(_Shapes, content, "areas").shapes
         known = {*self.labels.names, MASKED, ERASED}

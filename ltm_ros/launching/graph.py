@@ -170,8 +170,7 @@ def describe(
     node, with these parameters. `parameters`: by node type, override those of the site file. `sources`: whether images
     are requested from cameras; None: unless `sim_time`. With `sim_time` no frames are shed unless a parameter enables
     it. Raises ConfigError for an unknown camera or node type, a parameter that the graph sets itself, and a value
-    without a ROS type.
-    """
+    without a ROS type."""
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
     for extra, values in (("viewer", view), ("recorder", record), ("health", health)):

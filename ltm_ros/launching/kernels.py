@@ -1,7 +1,6 @@
 """Compile the kernels of a graph's nodes on all cores before it starts: `python -m ltm_ros.launching.kernels SITE`.
 
-An upgrade does this while the previous release still runs, so that the tower stops for seconds instead of minutes.
-"""
+An upgrade does this while the previous release still runs, so that the tower stops for seconds instead of minutes."""
 
 from __future__ import annotations
 

@@ -61,8 +61,7 @@ class Runner:
     """Starts, watches and stops the processes of `graph`; as a context manager it stops them at the end. Thread-safe.
 
     `domain_id`: ROS domain (None: from the environment). `console` gets every line of output, prefixed with the
-    process's label. `stop_s`: time from SIGTERM to SIGKILL. `environment`: additional variables.
-    """
+    process's label. `stop_s`: time from SIGTERM to SIGKILL. `environment`: additional variables."""
 
     def __init__(
         self,

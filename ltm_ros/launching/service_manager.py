@@ -82,8 +82,7 @@ class ServiceManager:
         """Report one line of status if it has changed, and the state of the run; call it about once a second.
 
         Until it is `ready`, which is sent once, the start timeout is extended; then watchdog messages are sent at the
-        manager's rate, while it is `alive`.
-        """
+        manager's rate, while it is `alive`."""
         lines = [f"STATUS={status}"] if status != self._status else []
         if ready and not self._ready:
             lines.insert(0, "READY=1")

@@ -1,19 +1,22 @@
-"""Find and remove the shared memory that Fast DDS leaves in /dev/shm when a process is killed.
+"""Find and remove the shared memory that Fast DDS leaves in /dev/shm; as a program, print that of a ROS process.
 
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared), on which its owner
 holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only
-objects without a living owner are removed, so other graphs on the machine are safe.
-"""
+objects without a living owner are removed, so other graphs on the machine are safe."""
 
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import re
 import shutil
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 SHM_FOLDER = Path("/dev/shm")  # nosec B108 # not ours: the system's shared memory
 
@@ -197,3 +200,33 @@ def _unlink(path: Path) -> None:
         path.unlink()
     except OSError:
         return
+
+
+def own_segment_bytes() -> list[int]:
+    """Return the sizes of the shared-memory segments that this process created, largest first."""
+    sizes = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            lock = link.readlink()
+        except OSError:
+            continue
+        segment = lock.with_name(lock.name.removesuffix("_el"))
+        if lock.parent == SHM_FOLDER and lock.name.endswith("_el") and "_port" not in lock.name:
+            sizes.add((segment.name, segment.stat().st_size))
+    return sorted((size for _, size in sizes), reverse=True)
+
+
+def main() -> None:
+    import rclpy
+
+    rclpy.init()
+    node = rclpy.create_node("ltm_transport_probe", enable_rosout=False)
+    print(json.dumps({"rmw": rclpy.get_rmw_implementation_identifier(), "segment_bytes": own_segment_bytes()}))
+    sys.stdout.flush()
+    limit_shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -18,13 +18,13 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import NodeSpec
 from ltm_ros.runtime.camera_pipeline import CameraPipeline, FrameScheduler
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.heartbeat import HEARTBEAT
-from ltm_ros.runtime.late_start import LateStart, cannot_start
 from ltm_ros.runtime.node_process import EX_IOERR
 from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
 from ltm_ros.runtime.pipeline import Job, absolute
+from ltm_ros.runtime.retry import LateStart, cannot_start
 from ltm_ros.runtime.ros_environment import available_cores
 
 CLOSE_S = 5.0

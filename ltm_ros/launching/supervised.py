@@ -1,8 +1,7 @@
 """Run a module as a process that its runner watches and that does not outlive the runner.
 
 `start_supervised` runs `python -m ltm_ros.launching.supervised MODULE ARGUMENTS`; the module runs as under `python -m
-MODULE ARGUMENTS`. Uses only the standard library, so that supervision begins before the module's own imports.
-"""
+MODULE ARGUMENTS`. Uses only the standard library, so that supervision begins before the module's own imports."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
     """Start a process with both outputs in one pipe; return it with its heartbeat descriptor, which the caller closes.
 
     The calling thread must live as long as the process, because Linux regards it as the parent. The process has its own
-    session, so that Ctrl-C reaches only the runner. Raises OSError.
-    """
+    session, so that Ctrl-C reaches only the runner. Raises OSError."""
     heard, told = os.pipe()
     try:
         process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire

@@ -1,8 +1,7 @@
 """Decide from heartbeats and traffic counts whether the processes of a graph work.
 
 A process that receives nothing over DDS still runs, reports and waits, so only a comparison of sent and received counts
-shows it. Only the runner has both, and not over DDS.
-"""
+shows it. Only the runner has both, and not over DDS."""
 
 from __future__ import annotations
 

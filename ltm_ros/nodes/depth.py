@@ -15,6 +15,7 @@ from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.fuel_map.surface_confirmation import SurfaceFollower
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -31,7 +32,6 @@ from ltm_ros.runtime.topics import (
     TERRAIN_SURFACE,
     site_topic,
 )
-from ltm_ros.surface.confirmation import SurfaceFollower
 
 
 class DepthConfig(JoinConfig, TracingConfig):

@@ -20,7 +20,7 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.clocks import kernel_clock
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
@@ -29,11 +29,11 @@ from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower import machine
 from ltm_ros.tower.alerts import AlertSender
+from ltm_ros.tower.health_client import PatientServer
 from ltm_ros.tower.last_pictures import LastPictures
 from ltm_ros.tower.live_stream import KINDS, LiveStream
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
-from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import CameraStatus, TowerStatus, TowerWatch, camera_of
 
 

@@ -15,13 +15,12 @@ from ltm_core.base.types import Float64Array
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
-from ltm_core.locating.answer import LocateResult, answer, as_geojson, turned_data
+from ltm_core.geometry.pose import Pose
+from ltm_core.locating.answer import LocateResult, answer, as_geojson
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import KnownPoses, SeenAt, Track, Tracks
-from ltm_core.locating.turn_evidence import STEP
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
@@ -30,7 +29,6 @@ from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
 from ltm_msgs_py.json_topics import LocateTracks
 from ltm_msgs_py.pose import (
-    msg_to_correction,
     msg_to_covariance,
     msg_to_outline,
     msg_to_pose,
@@ -51,7 +49,6 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
-    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -67,8 +64,6 @@ class LocateConfig(NodeConfig):
     """Seconds without a new sighting after which a track ends."""
     max_tracks: int = Field(16, ge=1, le=100)
     """Maximum number of tracks; the one seen longest ago is dropped first."""
-    turn_memory: float = Field(86_400.0, gt=0)
-    """Seconds after which evidence about a misaligned camera is dropped, because mounts get repaired."""
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
     """Maximum seconds by which a region's stamp may be ahead."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
@@ -95,14 +90,9 @@ class LocateHandler(Handler[LocateConfig]):
         self._assumed = site.assumed_pose_error.covariance()
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         lifetime = round(config.track_lifetime * 1e9)
-        memory = round(config.turn_memory * 1e9)
-        self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks, memory_ns=memory)
+        self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks)
         self._scenes = {name: site_scene_filter(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
-        self._rotations: dict[str, Float64Array] = {name: np.zeros(3) for name in site.cameras}
-        """Corrections of stated poses."""
-        self._told: tuple[str | None, tuple[str, ...]] = (None, ())
-        """The camera that was reported last, with the evidence."""
         self._poses = {name: KnownPoses() for name in site.cameras}
         per_camera = (LOCATE_ESTIMATE, LOCATE_FIX, LOCATE_AREA)
         self.publications = (
@@ -117,8 +107,6 @@ class LocateHandler(Handler[LocateConfig]):
         for name in self._site.cameras:
             found[self._of(name, POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
             found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
-            if self._site.refine_poses is not None:
-                found[self._of(name, POSE_CORRECTION)] = partial(self.on_correction, name)
             found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
             found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
         return found
@@ -143,23 +131,6 @@ class LocateHandler(Handler[LocateConfig]):
         assert covariance is not None  # nosec B101 # tells the type checker what holds
         self._poses[name].add(stamp_of(message), msg_to_pose(message, "map"), covariance)
 
-    def on_correction(self, name: str, message: Any) -> None:
-        """Record whether a camera's pose is known. Evidence from before a new correction is dropped."""
-        correction, lost = msg_to_correction(message), self._tracks.fires.lost
-        before = self._rotations[name]
-        if correction.known:
-            lost.discard(name)
-        else:
-            lost.add(name)
-        self._rotations[name] = correction.rotation
-        refitted = _apart(correction.rotation, before) > STEP and self._tracks.forget(name)
-        if refitted:
-            self.health.note(f"refitted.{name}")
-        named = self._named()
-        if refitted or named != self._told:
-            self._told = named
-            self._publish_tracks(stamp_of(message))
-
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
         stated = stamp_of(message)
@@ -178,19 +149,13 @@ class LocateHandler(Handler[LocateConfig]):
         else:
             mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke, hidden)
         seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
-        track, alone, wrong = self._tracks.add(seen)
+        track, alone = self._tracks.add(seen)
         self._publish_estimate(name, alone, stamp)
-        if wrong is not None:
-            self.health.note(f"disagrees.{wrong}")
+        if track.disputed:
+            self.health.note("cameras_disagree")
         self.health.gauge("tracks", len(self._tracks.tracks))
-        self._told = self._named()
         self._publish_fused(track, stamp)
         self._publish_tracks(stamp)
-
-    def _named(self) -> tuple[str | None, tuple[str, ...]]:
-        """Return the camera that is reported as misaligned, with the evidence."""
-        verdict = self._tracks.rename()
-        return verdict.wrong, verdict.by
 
     def _of(self, name: str, topic: Topic) -> Topic:
         return replace(topic, name=camera_topic(self._site.name, name, topic))
@@ -239,18 +204,12 @@ class LocateHandler(Handler[LocateConfig]):
                 "sources": track.sources,
                 "first_ns": track.first_ns,
                 "last_ns": track.last_ns,
-                "disagrees": track.wrong,
+                "disagrees": ", ".join(sorted(track.disputed)) or None,
                 "marks": [_mark_data(seen.sighting) for seen in track.sightings],
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
-        turned = turned_data(self._tracks.fires.verdict)
-        collection = {"stamp_ns": stamp, "turned": turned, "features": features}
+        collection = {"stamp_ns": stamp, "features": features}
         self.outlet.publish(LOCATE_TRACKS, LocateTracks.model_validate(collection).to_msg())
-
-
-def _apart(one: Float64Array, other: Float64Array) -> float:
-    """Return the angle between two rotation vectors in radians."""
-    return float(np.linalg.norm(vector_of_matrix(matrix_of_vector(one) @ matrix_of_vector(other).T)))
 
 
 def _mark_data(sighting: Sighting) -> dict[str, Any]:

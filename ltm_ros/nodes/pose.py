@@ -14,7 +14,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.pipeline.site_surface import mount_terms, site_terrain
 from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking

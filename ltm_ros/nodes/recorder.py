@@ -19,8 +19,7 @@ from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
-from ltm_ros.runtime.delivery_checks import LossCounter, loss_report, with_info, writers_of
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, loss_report, with_info, writers_of
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC

@@ -23,6 +23,7 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.fuel_map.surface_confirmation import Confirmation, TerrainPublisher
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
@@ -41,7 +42,6 @@ from ltm_ros.runtime.topics import (
     TERRAIN_UPDATE,
     camera_topic,
 )
-from ltm_ros.surface.confirmation import Confirmation, TerrainPublisher
 
 GRID_CELLS_PER_S = 1_000_000
 """Cells per second of the latched grid of changes: a large grid is published less often."""

@@ -49,8 +49,7 @@ def render_page(
 ) -> str:
     """Return the HTML of `templates/<template>` of a package, with `filters` and those of numbers added to Jinja's own.
 
-    The templates of this package can be included. A value that is missing is an error.
-    """
+    The templates of this package can be included. A value that is missing is an error."""
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(name) for name in dict.fromkeys((package, "ltm_ros.pages"))]),
         autoescape=True,

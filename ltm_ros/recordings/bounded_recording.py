@@ -34,8 +34,7 @@ RETRY_S, LONGEST_RETRY_S = 1.0, 15.0
 @dataclass(frozen=True)
 class RecordingLimits:
     """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free. `split`: when
-    the next file begins.
-    """
+    the next file begins."""
 
     most_bytes: int | None
     floor: int
@@ -46,8 +45,7 @@ class RecordingLimits:
         cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float
     ) -> RecordingLimits:
         """Return the limits of a configuration on the disk of `path`. Raises RecordingError if the disk cannot be
-        queried.
-        """
+        queried."""
         try:
             disk = disk_bytes(path)
         except OSError as error:
@@ -62,16 +60,14 @@ class BoundedRecording:
     """Writes messages into bags; for one thread. Disk errors are reported to `health`, not raised.
 
     Messages count as published when the operating system has them. Others are dropped as `disk` (disk error) or
-    `disk_low` (free space below the floor).
-    """
+    `disk_low` (free space below the floor)."""
 
     def __init__(
         self, path: Path, recorder: str, limits: RecordingLimits, health: Health, tell: Callable[[str], None]
     ) -> None:
         """Open the recording. `tell`: gets one line each time that recording stops or continues.
 
-        Raises RecordingError if no bag can be made for another reason than a full disk.
-        """
+        Raises RecordingError if no bag can be made for another reason than a full disk."""
         self._limits, self._health, self._tell = limits, health, tell
         self._ring = RecordingRing(path, recorder, limits.most_bytes)
         self._floor = SpaceFloor(path, limits.floor)
@@ -166,8 +162,7 @@ class BoundedRecording:
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
         """Drop a message; the last message of a latched topic waits until recording continues, because it is not
-        repeated.
-        """
+        repeated."""
         latched = topic in self._topics and self._topics[topic][1]
         if not latched or topic in self._held:
             self._health.drop(cause, why)
@@ -234,8 +229,7 @@ class BoundedRecording:
 
 QUEUE_BYTES = 256 << 20
 """Maximum bytes of queued messages, before more are dropped and counted. DDS may hold as much of large messages, and
-the total must stay below 1 GB.
-"""
+the total must stay below 1 GB."""
 QUEUE_MESSAGES = 100_000
 """Maximum number of queued messages: each takes some 450 bytes besides its own."""
 CLOSE_S = 5.0

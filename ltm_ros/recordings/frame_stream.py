@@ -1,8 +1,7 @@
 """Stream the frames of a bag, joined by camera and stamp, in bounded memory.
 
 A first pass over the bag reads only stamps and counts the messages of each frame; the second returns a frame as soon as
-its last message has come. So memory holds only frames that overlap in time, whatever the length of the bag.
-"""
+its last message has come. So memory holds only frames that overlap in time, whatever the length of the bag."""
 
 from __future__ import annotations
 
@@ -100,8 +99,7 @@ class FrameStream:
     """The frames of a site's cameras.
 
     `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), time from the stamp to the log time
-    of each message.
-    """
+    of each message."""
 
     def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)

@@ -48,8 +48,7 @@ def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr
     """Return a recorded message as the topic's own type.
 
     Raises MessageError for another type, RecordingError for bytes that do not decode, PoseError for odometry of another
-    frame than a camera's.
-    """
+    frame than a camera's."""
     accepted = accepted_types(topic)
     if type_name not in accepted:
         raise MessageError(f"the type is {type_name or 'unknown'}; supported: {', '.join(accepted)}")
@@ -59,8 +58,7 @@ def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr
 
 def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, Topic]:
     """Return the input topics of a site's cameras in a recording, by absolute name. Of a camera's two kinds of images,
-    only the preferred one is taken.
-    """
+    only the preferred one is taken."""
     found: dict[str, Topic] = {}
     for camera, config in site.cameras.items():
         images = {camera_topic(site.name, camera, topic): topic for topic in image_topics(config)}
@@ -80,8 +78,7 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
 class InputReader:
     """The input messages of a site's cameras in a bag, as their nodes subscribe to them (`topics`, by absolute name).
 
-    A pose in transforms, or of another frame that transforms lead on from, becomes the camera's own pose.
-    """
+    A pose in transforms, or of another frame that transforms lead on from, becomes the camera's own pose."""
 
     def __init__(self, reader: BagReader, site: Site) -> None:
         recorded = reader.topic_infos()
@@ -238,8 +235,7 @@ def _proposed(site: Site, camera: str, topics: Sequence[Topic], recorded: Mappin
 
 def warn_of_ignored(site: Site, first: Callable[[str, Topic], Any]) -> None:
     """Log which recorded poses and calibrations the site file overrides, and by how much they differ. `first`: returns
-    the first message of a recorded topic, None without any; may raise LtmError.
-    """
+    the first message of a recorded topic, None without any; may raise LtmError."""
     for camera, config in site.cameras.items():
         for key, topic in (("pose", POSE), ("calibration", CAMERA_INFO)):
             if getattr(config, key) is None:

@@ -60,8 +60,7 @@ def measure_network(
     """Measure the labels of a network with a label head, write their record and return it.
 
     Raises ConfigError without anything to measure on or without a prior map, RecordingError for recordings without
-    posed images, ImageError for too few cells, and as the steps of a frame do.
-    """
+    posed images, ImageError for too few cells, and as the steps of a frame do."""
     heads = None if site is None else site.label_heads
     manifest = NetworkManifest.find(model if site is None else label_network(site, model)).serving(head)
     file = find_label_head(head, manifest, heads)

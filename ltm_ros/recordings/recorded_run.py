@@ -37,8 +37,7 @@ FUEL_TRUTH = "fuel_truth.tif"
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
     """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth if the
-    site has a depth network.
-    """
+    site has a depth network."""
 
     camera_name: str
     stamp_ns: int
@@ -66,8 +65,7 @@ class Recorded:
         """Find the site: as given, beside or in the bag, or the shipped one with the cameras of the topics; and truth:
         the site's folder.
 
-        Raises RecordingError without a site or date, ConfigError for an invalid site.
-        """
+        Raises RecordingError without a site or date, ConfigError for an invalid site."""
         path = site or site_of(bag)
         folder = truth or path.resolve().parent
         dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
@@ -101,8 +99,7 @@ class Recorded:
 def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
     """Yield the frames of a recorded run with depth and labels, camera by camera, in time order.
 
-    A frame is returned as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
-    """
+    A frame is returned as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames."""
     stream = FrameStream.open(bag, site)
     for camera in site.cameras:
         for frame in stream.frames(("depth_camera", "pose", "photo", "traced", "labels"), [camera]):
@@ -112,8 +109,7 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
 
 def site_of(bag: Path) -> Path:
     """Return the site file in or beside a bag, or the shipped one with the cameras of its topics. Raises
-    RecordingError.
-    """
+    RecordingError."""
     folder = bag.resolve()
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
@@ -149,8 +145,7 @@ def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet)
 
 def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
     """Return class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError if there is
-    no map.
-    """
+    no map."""
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)
     last = None
@@ -189,8 +184,7 @@ def recorded_pictures(
 ) -> tuple[list[str], list[UInt8Array]]:
     """Return names by stamps, and images of a camera in a recording, `most` of them at most.
 
-    `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError.
-    """
+    `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError."""
     site.camera(camera)
     stream = FrameStream(bag, site, [camera], {part: PARTS[part] for part in ("photo", "pose")})
     if not stream.has("photo"):
@@ -220,8 +214,7 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     """Return the different views of each camera of the site, in order of time, at most _MOST per camera; none of a
     camera that is not in the recording.
 
-    Raises RecordingError if there are none at all.
-    """
+    Raises RecordingError if there are none at all."""
     reader = BagReader(bag)
     inputs = InputReader(reader, site)
     owners = {

@@ -1,7 +1,6 @@
-"""Make a small certificate authority for trials: certificates of a region's broker, map, towers and followers.
+"""Make a small certificate authority for trials: certificates of a region's broker, map and towers.
 
-It also writes the broker's configuration with the access rights.
-"""
+It also writes the broker's configuration with the access rights."""
 
 from __future__ import annotations
 
@@ -41,8 +40,8 @@ class TrialAuthority:
     days: int
 
     def make(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
-        """Write missing files and keep existing ones; return the new files. `clients`: towers, and followers of the
-        map. `hosts`: names of the broker for clients. `address`, `port`: where it listens. Raises ConfigError."""
+        """Write missing files and keep existing ones; return the new files. `clients`: towers.
+        `hosts`: names of the broker for clients. `address`, `port`: where it listens. Raises ConfigError."""
         for name in (region, *clients):
             if not re.fullmatch(NAME, name) or name in _RESERVED:
                 raise ConfigError(
@@ -187,19 +186,16 @@ max_keepalive 600
 
 
 def acl(region: str) -> str:
-    """What a certificate's name may do: a tower writes its own votes alone and reads what it is answered; all read the
-    map."""
+    """What a certificate's name may do: a tower writes its own votes alone and reads what it is answered."""
     return f"""# Written by `ltm certs`. %u is the common name of the client's certificate.
 user {AGGREGATOR}
 topic read {ROOT}/{region}/votes/+
 topic write {ROOT}/{region}/ack/+
 topic write {ROOT}/{region}/aggregator
-topic write {ROOT}/{region}/tile/#
 
 pattern write {ROOT}/{region}/votes/%u
 pattern read {ROOT}/{region}/ack/%u
 pattern read {ROOT}/{region}/aggregator
-pattern read {ROOT}/{region}/tile/#
 """
 
 

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
@@ -18,22 +17,20 @@ from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.launching.runner import print_line
-from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.inbox import Inbox
-from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
-from ltm_ros.region.tiles import RegionExports, TilePublisher
+from ltm_ros.region.aggregator import Aggregator, RegionExports
+from ltm_ros.region.mqtt_link import Inbox, MqttLink, ack_topic, presence_topic, votes_topic
 from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower import machine
+from ltm_ros.tower.health_client import PatientServer
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
-from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
 SETTLE_S: Final = 0.25
 """Seconds for which frames are counted before they are stored together and acknowledged."""
 SHOWN_SHARE: Final = 0.1
-"""Share of the time for recomputing the map for its followers; with many frames it is done in batches;"""
+"""Share of the time for recomputing the map; with many frames it is done in batches;"""
 SHOWN_SHARE_LATE: Final = 0.02
 """the same if more frames come than can be counted, as after an outage,"""
 LATE_S: Final = 2.0
@@ -66,16 +63,15 @@ class RegionService:
             health,
             will=(self._presence, b""),
         )
-        self._tiles = TilePublisher(config.name, self.aggregator, self._link)
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
-        self._last = self._tiles_at = 0.0
+        self._last = 0.0
         self._shown_at, self._showing_s, self._late_at = 0.0, 0.0, -LATE_S
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, acknowledge and send until stopped; then store the rest."""
         self._link.start()
-        self._last = self._tiles_at = time.monotonic()
+        self._last = time.monotonic()
         try:
             while not stopping.is_set():
                 self.step(SETTLE_S)
@@ -98,9 +94,6 @@ class RegionService:
         answers = self.aggregator.settle()
         self._greet()
         self._answer(answers)
-        if now - self._tiles_at >= self._config.tiles:
-            self._tiles_at = now
-            self._tiles.send()
         if self._exports is not None:
             self._exports.look(now, changed)
 
@@ -109,11 +102,10 @@ class RegionService:
         share = SHOWN_SHARE_LATE if now_s - self._late_at < LATE_S else SHOWN_SHARE
         if now_s < self._shown_at + self._showing_s * (1 / share - 1):
             return False
-        windows = self.aggregator.show()
+        changed = bool(self.aggregator.show())
         self._shown_at = time.monotonic()
         self._showing_s = self._shown_at - now_s
-        self._tiles.note(windows)
-        return bool(windows)
+        return changed
 
     def _count_for(self, patience_s: float) -> None:
         until = time.monotonic() + SETTLE_S
@@ -131,7 +123,6 @@ class RegionService:
             connections = self._link.connections
             if self._link.send(self._presence, self._life, retain=True):
                 self._connections = connections
-                self._tiles.note_all()
 
     def _answer(self, answers: dict[str, list[bytes]]) -> None:
         for tower, sealed in answers.items():
@@ -145,10 +136,9 @@ class RegionService:
 
 
 def _prepare(aggregator: Aggregator) -> None:
-    """Load what the first frame and tile need, so that towers do not wait for it after an outage."""
+    """Load what the first frame needs, so that towers do not wait for it after an outage."""
     compile_kernels("fuel_map", aggregator.site)
-    for message in (PointCloud2(), OccupancyGrid()):
-        serialize_message(message)
+    serialize_message(PointCloud2())
 
 
 SAID_EVERY_S: Final = 60.0

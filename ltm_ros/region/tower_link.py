@@ -1,7 +1,6 @@
 """Run a tower's side of the link: votes of its cameras go into the outbox, and from there to the region's map.
 
-A frame leaves the outbox only after the aggregator's signed acknowledgement, and is sent again after any failure.
-"""
+A frame leaves the outbox only after the aggregator's signed acknowledgement, and is sent again after any failure."""
 
 from __future__ import annotations
 
@@ -22,8 +21,15 @@ from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import Outcome, VotesGrid
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
 from ltm_ros.region.identity import Identity
-from ltm_ros.region.inbox import outcomes_heard, sealed_votes, tell_what_waits
-from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
+from ltm_ros.region.mqtt_link import (
+    MqttLink,
+    ack_topic,
+    outcomes_heard,
+    presence_topic,
+    sealed_votes,
+    tell_what_waits,
+    votes_topic,
+)
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S, Backoff

@@ -14,8 +14,7 @@ FrameT = TypeVar("FrameT")
 
 HEARS_WITHIN = 0.4
 """Share of `finish_within` that a frame waits for a worker without any finished frame: DDS names it before it receives
-everything, and its first frame may take longer.
-"""
+everything, and its first frame may take longer."""
 
 VIEWS = 1000
 """Number of remembered views per camera."""
@@ -49,8 +48,7 @@ class Admission(Generic[FrameT]):
     seconds. shed: False: all frames wait in order, up to `waiting_bytes` (for recordings). size_of: bytes of a waiting
     frame. waiting_bytes: maximum of all waiting frames; a single frame is always accepted. more_waits: whether further
     frames follow at once; meanwhile none is admitted, because a newer one may follow, and `idle` is called then.
-    view_of: returns equal values for frames of the same view.
-    """
+    view_of: returns equal values for frames of the same view."""
 
     def __init__(
         self,
@@ -118,8 +116,7 @@ class Admission(Generic[FrameT]):
 
     def idle(self, prompt: Set[str]) -> None:
         """Admit one frame, now that none follows at once. `prompt`: workers that are done with all frames in flight;
-        frames that they have not finished have failed there. Raises as `offer`.
-        """
+        frames that they have not finished have failed there. Raises as `offer`."""
         for frame in self._in_flight.values():
             frame.give_up(prompt)
         self._release()
@@ -222,7 +219,6 @@ class RepeatCheck:
 
     def repeats(self, content: str) -> bool:
         """Return whether an image equals the previous one; `content`: its digest. Sensor noise makes working cameras'
-        images differ.
-        """
+        images differ."""
         same, self._last = content == self._last, content
         return same

@@ -26,8 +26,7 @@ class _Timex(ctypes.Structure):
 class KernelClock:
     synchronised: bool | None
     """Whether a time service synchronises the clock (chrony, ntpd or systemd-timesyncd report it to the kernel); None:
-    unknown.
-    """
+    unknown."""
     estimated_error_s: float | None
 
 
@@ -61,8 +60,7 @@ class ClockWatch:
 
     def step_s(self) -> float:
         """Return the seconds by which the clock was set since the last call, negative if set back; 0.0
-        without a step.
-        """
+        without a step."""
         before = self._elapsed_ns()
         wall = self._wall_ns()
         if self._elapsed_ns() - before > _INTERRUPTED_NS:

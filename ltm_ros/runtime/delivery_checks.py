@@ -1,9 +1,8 @@
-"""Count messages sent, received and lost, and check that publishers and subscribers are matched.
+"""Publish diagnostics, count messages sent, received and lost, and check that all publishers are matched.
 
 Lost messages are counted from gaps in the middleware's sequence numbers. A reader keeps only the newest messages of a
 topic: what a slow process does not take in time is replaced without notice. The same holds for messages that did not
-fit into shared memory, and for invalid bytes.
-"""
+fit into shared memory, and for invalid bytes."""
 
 from __future__ import annotations
 
@@ -11,15 +10,21 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+
+from ltm_msgs_py.status import status_message
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.heartbeat import HEARTBEAT, TRAFFIC
+from ltm_ros.runtime.process_memory import memory_in_use
 
 
 def with_info(take: Callable[[Any, Any], None]) -> Callable[..., None]:
     """Return `take` in the form that `create_subscription` needs.
 
     rclpy decides by a callback's signature whether it passes the message info, as second argument; its EventsExecutor
-    (7.1) passes one tuple of both.
-    """
+    (7.1) passes one tuple of both."""
 
     def callback(*given: Any) -> None:
         message, info = given if len(given) == 2 else given[0]
@@ -39,8 +44,7 @@ Writers = Callable[[], frozenset[bytes]]
 
 class LossCounter:
     """Counts lost messages of one topic, only while there is a single publisher, because each numbers its
-    own messages.
-    """
+    own messages."""
 
     def __init__(self, writers: Writers) -> None:
         self._writers = writers
@@ -82,8 +86,7 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
 
     DDS discovers each pair of processes separately: `node` cannot see whether two others are matched. So this uses
     their own reports, `summaries`: the latest diagnostics of every node, by full name. Other subscribers, such as `ros2
-    topic echo`, are ignored.
-    """
+    topic echo`, are ignored."""
     found = []
     for name, summary in summaries.items():
         namespace = name.rpartition("/")[0]
@@ -106,8 +109,7 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
 def unheard(node: Node) -> dict[str, str]:
     """Return the problem and remedy of each subscription with more publishers than matches.
 
-    This is normal for a moment after a node starts or ends.
-    """
+    This is normal for a moment after a node starts or ends."""
     found = {}
     for subscription in node.subscriptions:
         topic = subscription.topic_name
@@ -118,3 +120,42 @@ def unheard(node: Node) -> dict[str, str]:
                 "(reliable, and transient local for latched topics), or restart it"
             )
     return found
+
+
+class DiagnosticsPublisher:
+    """Publishes on a steady clock, because diagnostics must continue when a replay's ROS time stops.
+
+    `healths`: by full name, of the nodes that `node` reports for, in one message; the first includes the process's
+    memory (`heap_bytes`, `python_blocks`). `others`: returns further statuses."""
+
+    def __init__(
+        self,
+        node: Node,
+        healths: Mapping[str, Health],
+        hardware_id: str = "",
+        others: Callable[[], list[DiagnosticStatus]] = list,
+    ) -> None:
+        self._node, self._healths, self._hardware_id, self._others = node, healths, hardware_id, others
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._said = TRAFFIC.speaker("/diagnostics")
+        node.create_timer(1.0, self.publish, clock=self.steady_clock())
+
+    @staticmethod
+    def steady_clock() -> Clock:
+        return Clock(clock_type=ClockType.STEADY_TIME)
+
+    def publish(self) -> None:
+        first, in_use = next(iter(self._healths.values())), memory_in_use()
+        first.gauge("python_blocks", in_use.python_blocks)
+        if in_use.heap_bytes is not None:
+            first.gauge("heap_bytes", in_use.heap_bytes)
+        array = DiagnosticArray(status=[self._status(name, health) for name, health in self._healths.items()])
+        array.status.extend(self._others())
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+        self._said.messages += 1
+        HEARTBEAT.ready(self._healths)
+
+    def _status(self, name: str, health: Health) -> DiagnosticStatus:
+        level = DiagnosticStatus.WARN if health.troubled else DiagnosticStatus.OK
+        return status_message(name, level, health.message, health.summary(), self._hardware_id)

@@ -1,7 +1,6 @@
 """Join a camera's images with their calibrations and poses; used live and for archives.
 
-The node `capture` joins live messages, the archive joins recorded ones: the same frame has the same pose.
-"""
+The node `capture` joins live messages, the archive joins recorded ones: the same frame has the same pose."""
 
 from __future__ import annotations
 
@@ -36,16 +35,14 @@ _FASTER = ", or with two stamps around it, at most 0.25 s apart; else set nodes.
 class FrameJoinConfig(DescribedModel):
     pose_tolerance: float = Field(0.0, ge=0)
     """Maximum difference in seconds between a pose's stamp and its image's. 0: a pose of equal stamp, or two around it,
-    at most 0.25 s apart, to interpolate between.
-    """
+    at most 0.25 s apart, to interpolate between."""
     max_wait: float = Field(3.0, gt=0)
     """Seconds for which an image waits for its pose and calibration."""
     max_waiting: int = Field(20, ge=1)
     """Maximum number of images that wait for their pose and calibration; the oldest is dropped first."""
     drop_repeated: bool = False
     """Whether to drop an image with the bytes of the camera's previous one: a frozen image would count as new evidence
-    for as long. Nodes `source` send none; set it for other drivers, and their recordings.
-    """
+    for as long. Nodes `source` send none; set it for other drivers, and their recordings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +62,7 @@ class FrameJoin:
     twenty small blocks among those of images, freed a thousand frames later, which fragments the heap.
 
     Args: complete: takes each joined frame. health: counts duplicates, invalid covariances, and frames without a part
-    (`no_pose`, `no_calibration`). stamp_and_size: of an image, nanoseconds and (width, height).
-    """
+    (`no_pose`, `no_calibration`). stamp_and_size: of an image, nanoseconds and (width, height)."""
 
     def __init__(
         self,
@@ -251,8 +247,7 @@ class CameraPoses:
     """Follows chains of transforms from `map` to a camera's frame, and returns poses of that frame.
 
     Transforms of a chain may have different rates: there is a pose at each stamp of any of them, and the others are
-    interpolated to it (`MAX_GAP_NS`). `frame`: the camera's frame, that of its images.
-    """
+    interpolated to it (`MAX_GAP_NS`). `frame`: the camera's frame, that of its images."""
 
     def __init__(self, frame: str = "") -> None:
         self.frame = frame
@@ -268,8 +263,7 @@ class CameraPoses:
 
     def of_pose(self, msg: Any) -> Iterator[PoseWithCovarianceStamped]:
         """Take a message of `POSE_TYPES`; yield it as the camera's pose in `map`, by transforms if it is that of
-        another frame, or in another. Raises PoseError for another frame's without transforms.
-        """
+        another frame, or in another. Raises PoseError for another frame's without transforms."""
         parent, child = msg.header.frame_id, getattr(msg, "child_frame_id", "") or self.frame
         if parent != "map" or not (child == self.frame or child.endswith("optical")):
             stated = as_stamped_pose(msg, any_frame=True)

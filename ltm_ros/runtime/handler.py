@@ -1,8 +1,7 @@
 """Define the base class of nodes without transport: subscriptions, publications, services and their callbacks.
 
 The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same messages,
-so that a recording gives the tower's results.
-"""
+so that a recording gives the tower's results."""
 
 from __future__ import annotations
 
@@ -18,8 +17,7 @@ from ltm_ros.runtime.health import Health
 class Topic:
     """`name`: relative to the node's namespace, or absolute. `latched`: late subscribers get the last message. `depth`:
     messages kept for a slow subscriber. `counted`: whether messages count as frames received, under `usual_name` if
-    the site file gives the topic another one. `any_pose`: messages of the other types of poses are accepted, too.
-    """
+    the site file gives the topic another one. `any_pose`: messages of the other types of poses are accepted, too."""
 
     name: str
     type: type
@@ -50,8 +48,7 @@ class Outlet(Protocol):
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         """Publish the result of `make` for a frame of this stamp if the topic has subscribers; otherwise
-        only count it.
-        """
+        only count it."""
         ...
 
     def wanted(self, topic: Topic) -> bool:
@@ -72,8 +69,7 @@ class Outlet(Protocol):
 
     def workers(self, topic: Topic) -> Set[str]:
         """Return the full names of the nodes that acknowledge frames on a topic, as known now; none if frames are fed
-        one by one.
-        """
+        one by one."""
         ...
 
     def prompt_workers(self, topic: Topic) -> Set[str]:
@@ -88,8 +84,7 @@ class Handler(Generic[ConfigT]):
     """Base of the handlers: subclasses fill `subscriptions`, `publications` and, if needed, `services`.
 
     All callbacks run on one thread, in order of arrival. A callback may raise LtmError: the message is dropped and
-    counted by cause, and the node continues.
-    """
+    counted by cause, and the node continues."""
 
     publications: Sequence[Topic] = ()
     acknowledgements: Sequence[Topic] = ()
@@ -109,8 +104,7 @@ class Handler(Generic[ConfigT]):
     def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
         """Return topics to subscribe to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
 
-        `*` matches one part of the name; the callback gets the whole name.
-        """
+        `*` matches one part of the name; the callback gets the whole name."""
         return {}
 
     @property
@@ -129,8 +123,7 @@ class Handler(Generic[ConfigT]):
 
     def tick(self, waited: float) -> None:
         """Advance time; called every half second with the seconds since the last call, by a clock that also runs in a
-        paused replay.
-        """
+        paused replay."""
 
     def end_of_day(self) -> None:
         """Publish periodic results at a change of the UTC day in an offline replay, which has no clock."""

@@ -55,8 +55,7 @@ class Health:
         """Count a published result of a frame with this stamp; 0 or None: a time is not known.
 
         The latency counts frames that were captured after the first result, because earlier ones wait for networks and
-        code that are used for the first time.
-        """
+        code that are used for the first time."""
         with self._lock:
             self._published[topic] += 1
             self._published_at.append(time.monotonic())
@@ -238,8 +237,7 @@ class StateRecord:
     """The current state, from what each request showed. A single failure does not change it: a state ends when it has
     not been seen for `hold_s` seconds. Rejected passwords count at once, and so does the first good image afterwards.
 
-    Args: now, hold_s: seconds of the caller's clock.
-    """
+    Args: now, hold_s: seconds of the caller's clock."""
 
     def __init__(self, now: float, hold_s: float) -> None:
         self.state = self.latest = CameraState.CONNECTING

@@ -3,8 +3,7 @@ sent and received over DDS.
 
 A separate thread writes a line of JSON into a pipe, so it needs no DDS and works while a node loads and compiles. The
 thread itself shows that the process is scheduled and the interpreter's lock is free; the activities show that work
-progresses; the counts show that messages arrive. Uses only the standard library.
-"""
+progresses; the counts show that messages arrive. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ class Traffic:
 
     def speaker(self, topic: str) -> TopicCount:
         """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
-        message, too.
-        """
+        message, too."""
         return self._add(self._said, topic)
 
     def listener(self, topic: str) -> TopicCount:
@@ -135,8 +133,7 @@ class Heartbeat:
 
     def look(self, elapsed_s: float) -> Beat:
         """Return the activities, `elapsed_s` after the last call; a turn's age counts from the first call
-        that saw it.
-        """
+        that saw it."""
         beat: Beat = []
         for activity in list(self._activities):
             turn, what = activity.turns, activity.what

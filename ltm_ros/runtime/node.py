@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from ltm_core.base.errors import LtmError
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
@@ -28,8 +28,7 @@ from ltm_ros.runtime.stamp_join import data_bytes
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
 """Maximum number of queued messages before the newest is dropped and counted; the larger of both limits applies,
-because a frame has a message on each topic.
-"""
+because a frame has a message on each topic."""
 QUEUE_BYTES = 512 << 20
 """Maximum bytes of queued image data, so that the viewer of twenty towers cannot fill the memory."""
 DISCOVERED = 10_000
@@ -200,6 +199,5 @@ class HandlerNode(OutletNode):
 def run_node(node_type: NodeType[ConfigT]) -> None:
     """Run a node until SIGINT or SIGTERM, then process the queue and send a last report.
 
-    Exits with EX_CONFIG if the configuration is invalid, so that the graph does not restart it endlessly.
-    """
+    Exits with EX_CONFIG if the configuration is invalid, so that the graph does not restart it endlessly."""
     run_until_stopped(node_type.name, lambda: HandlerNode(node_type))

@@ -63,8 +63,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
 
     This is the last action of a process: after it returns, only moments are left to exit (`limit_shutdown`). Exits with
     EX_CONFIG if the configuration is invalid (LtmError), so that the graph does not restart it endlessly, and with the
-    result of `close` if that is not 0.
-    """
+    result of `close` if that is not 0."""
     sys.unraisablehook = _unless_stopped_early
     steady_allocation()  # if not set before: under `ros2 launch`
     stopping = threading.Event()

@@ -14,8 +14,7 @@ from ltm_ros.runtime.health import Health
 class Job:
     """One handler of a pipeline. `make` creates it, and recreates it after a bug.
 
-    `name`: the node's full name; `namespace`: absolute.
-    """
+    `name`: the node's full name; `namespace`: absolute."""
 
     def __init__(self, name: str, namespace: str, health: Health, make: Callable[[], Handler[Any]]) -> None:
         self.name, self.namespace, self.health = name, namespace, health

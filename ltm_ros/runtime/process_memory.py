@@ -31,8 +31,7 @@ def steady_allocation() -> None:
     per core, and messages that one thread allocates and another frees fragment all of them. NumPy requests huge pages
     (2 MB) for arrays of 4 MB, which the kernel also applies to their remains; they saved no processor time (`ltm-lab
     bench graph`). Settings by the user (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`) and other C
-    libraries are left unchanged.
-    """
+    libraries are left unchanged."""
     libc = _libc()
     chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
     if not chosen and (mallopt := getattr(libc, "mallopt", None)) is not None:
@@ -48,8 +47,7 @@ def map_large_blocks() -> None:
     glibc raises the threshold to the largest block ever freed, up to 32 MB. Messages then go to the heap, which grows
     to the largest backlog, and small blocks that stay keep its pages. Mapping costs a page fault per 4 kB: too much for
     processes that create arrays for each frame. Settings by the user (`MALLOC_MMAP_THRESHOLD_`, `GLIBC_TUNABLES`) and
-    other C libraries are left unchanged.
-    """
+    other C libraries are left unchanged."""
     tuned = "malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
     mallopt = getattr(_libc(), "mallopt", None)
     if mallopt is not None and not tuned and not os.environ.get("MALLOC_MMAP_THRESHOLD_"):
@@ -60,8 +58,7 @@ def settle() -> None:
     """Return memory left over from the start; call it when a process has created everything permanent.
 
     Imports and compiled kernels leave reference cycles. Python searches old objects only after a quarter as many new
-    ones, which takes a node hours. The remaining objects are permanent, so later searches skip them and are short.
-    """
+    ones, which takes a node hours. The remaining objects are permanent, so later searches skip them and are short."""
     gc.collect()
     gc.freeze()
     gc.collect()  # so that the quarter counts from here
@@ -70,8 +67,7 @@ def settle() -> None:
 
 def trim() -> None:
     """Return free pages inside the heaps; glibc itself only does so at their ends. Takes milliseconds, and pages that
-    are needed again cost as much: not for each frame.
-    """
+    are needed again cost as much: not for each frame."""
     if (malloc_trim := getattr(_libc(), "malloc_trim", None)) is not None:
         malloc_trim(ctypes.c_size_t(0))
 
@@ -81,8 +77,7 @@ class MemoryInUse(NamedTuple):
 
     heap_bytes: int | None
     """Bytes of the C library's allocator, including mapped blocks; None if it does not report them (glibc
-    before 2.33).
-    """
+    before 2.33)."""
     python_blocks: int
     """Blocks of Python's allocator for objects of up to 512 bytes."""
 
@@ -101,8 +96,7 @@ def memory_in_use() -> MemoryInUse:
 @cache
 def _libc() -> ctypes.CDLL:
     """Open the C library once: each `CDLL` creates a class of twenty blocks in a cycle, collected only
-    minutes later.
-    """
+    minutes later."""
     return ctypes.CDLL(None)
 
 
@@ -117,16 +111,14 @@ class _MallInfo(ctypes.Structure):
 
 def tidy() -> None:
     """Collect cycles among all objects since the start, release Python's free lists, and `trim`. Python itself searches
-    old objects only after hours.
-    """
+    old objects only after hours."""
     gc.collect()
     trim()
 
 
 class Trimming:
     """Calls `trim` every `TRIM_EVERY_S`, before small permanent blocks fill the gaps of large ones, and `tidy` instead
-    every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests.
-    """
+    every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests."""
 
     def __init__(self, now_s: float, trim: Callable[[], None] = trim, tidy: Callable[[], None] = tidy) -> None:
         self._trimmed = self._tidied = now_s

@@ -3,8 +3,7 @@
 The end of a Fast DDS participant waits for a running discovery callback. In the ROS wheels (2.14.5, built with GCC's
 libstdc++ 9 or older) that wait spins while holding the lock that the callback needs: for ever, and it also holds
 Python's interpreter lock, so that no Python signal handler runs (Fast-DDS, issue 6513). Callbacks run when other
-participants start or end, so it happens when a graph stops.
-"""
+participants start or end, so it happens when a graph stops."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ def ros_environment(
     """Return a copy of `base` (default: this process's environment) completed for a ROS process.
 
     `busy` limits the thread pools of numerical libraries (`thread_limits`), so that nodes do not compete for cores.
-    Only `domain_id` replaces an existing value. Raises ConfigError for a domain out of range.
-    """
+    Only `domain_id` replaces an existing value. Raises ConfigError for a domain out of range."""
     environment = dict(os.environ if base is None else base)
     if domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(checked_domain(domain_id))
@@ -93,8 +91,7 @@ def _make_importable(environment: dict[str, str]) -> None:
 
 def _renew_bootstrap(environment: dict[str, str]) -> None:
     """Repeat the ROS wheels' set-up of LD_LIBRARY_PATH: their marker is wrong in an environment inherited from another
-    venv.
-    """
+    venv."""
     if _BOOTSTRAP_GUARD not in environment:
         return
     library_paths = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
@@ -133,8 +130,7 @@ def limit_shutdown(cpu_s: float = SHUTDOWN_CPU_S) -> None:
     """End this process by SIGPROF if it uses `cpu_s` more of processor time.
 
     For the last step of a process that has finished its work and sent everything. Processor time is used, because a
-    stuck participant spins, while a healthy one on a busy machine waits.
-    """
+    stuck participant spins, while a healthy one on a busy machine waits."""
     # The signal's default action needs no interpreter lock, which a stuck participant would hold.
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
@@ -143,8 +139,7 @@ def limit_shutdown(cpu_s: float = SHUTDOWN_CPU_S) -> None:
 def wait_for_quiet(node: Node, patience_s: float = PATIENCE_S) -> bool:
     """Wait until endpoints have not changed for a moment, so that no discovery callback runs.
 
-    For a process that continues after its participant. Returns False if they still changed after `patience_s`.
-    """
+    For a process that continues after its participant. Returns False if they still changed after `patience_s`."""
     deadline = time.monotonic() + patience_s
     last, since = _endpoints(node), time.monotonic()
     while (now := time.monotonic()) < deadline:

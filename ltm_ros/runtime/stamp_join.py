@@ -37,8 +37,7 @@ class StampCheck:
 
     Args: now_ns: the graph's time; 0 before it begins, when no stamp is ahead or behind. health: counts rejected
     messages as `future`, `past` or `unset_clock`, and notes `stamp_jump`. max_ahead: seconds by which a source's clock
-    may be ahead. max_behind: seconds by which a message may be late.
-    """
+    may be ahead. max_behind: seconds by which a message may be late."""
 
     def __init__(
         self,
@@ -110,8 +109,7 @@ class JoinConfig(NodeConfig):
 
     max_wait: float = Field(60.0, gt=0)
     """Seconds for which a frame waits for its parts: longer than the slowest node is late on a busy machine, or
-    restarts.
-    """
+    restarts."""
 
 
 MAX_GAP_NS = 250_000_000
@@ -133,8 +131,7 @@ class Part:
     `tolerance_ns`: of `Match.NEAREST`. `between`: interpolates two messages around a frame, at most `MAX_GAP_NS` apart,
     at a share of the way. `wait_s`: seconds for which a frame that has all else waits for this part before
     it continues without; None: the part is required. `remembered`: messages kept of a part that begins no frames.
-    `topic`: of its messages, for subscriptions and reports.
-    """
+    `topic`: of its messages, for subscriptions and reports."""
 
     name: str
     match: Match = Match.EXACT
@@ -185,8 +182,7 @@ class StampJoin:
     Args: parts: the parts of a frame; a name, also with its topic, is a required part of equal stamp. complete: takes
     `**{name: message}`; None for a missing optional part. May raise LtmError. health: counts duplicates, and incomplete
     frames as `unjoined`. give_up: called instead of `health` for an incomplete frame: its stamp, its missing parts, and
-    why it no longer waits. camera: camera of the frames, if the node has several.
-    """
+    why it no longer waits. camera: camera of the frames, if the node has several."""
 
     def __init__(
         self,

@@ -146,8 +146,7 @@ def camera_topic(site: str, camera: str, topic: Topic) -> str:
 
 def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
     """Return a topic under the name that the site file gives it, if any. Named poses may have any rate and type;
-    transforms become poses on the usual topic.
-    """
+    transforms become poses on the usual topic."""
     name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
     if not name:
         return topic
@@ -167,8 +166,7 @@ def transform_topics(camera: CameraConfig) -> tuple[str, str]:
 
 def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:
     """Return the image topics of a camera; `auto` takes both kinds, the preferred one first, unless the name of the
-    topic or the camera's source decides.
-    """
+    topic or the camera's source decides."""
     kind, name = camera.image, camera.topics.image
     if kind == "auto" and name is not None:
         kind = "compressed" if name.endswith("/compressed") else "raw"

@@ -94,8 +94,7 @@ class WebServer:
         request_s: time limit of a request, seconds.
 
     Raises:
-        OSError: the address cannot be bound.
-    """
+        OSError: the address cannot be bound."""
 
     def __init__(
         self,

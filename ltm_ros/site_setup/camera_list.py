@@ -16,10 +16,9 @@ from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg
 from ltm_core.site.sections import CameraConfig
-from ltm_core.storage.config_io import checked
+from ltm_core.storage.config_io import checked, read_text
 from ltm_core.storage.disk_io import is_folder
 from ltm_core.storage.image_io import read_rgb
-from ltm_core.storage.text_io import read_text
 from ltm_ros.site_setup.vertical import Datum, correction, named_datum
 
 _LARGEST_LIST = 32 << 20

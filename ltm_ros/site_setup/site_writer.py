@@ -9,8 +9,7 @@ from typing import Any
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.geodesy import read_crs
 from ltm_core.site.site_io import edited, replace_site
-from ltm_core.storage.config_io import LARGEST_FILE, parse_yaml
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import LARGEST_FILE, parse_yaml, read_text
 from ltm_ros.site_setup.layers import Layer
 from ltm_ros.site_setup.vertical import Datum
 

@@ -1,7 +1,6 @@
 """Send a JSON message to a webhook and an MQTT broker for each change of state of a tower.
 
-Each receiver has its own queue and thread, so that neither can delay the other, or the node.
-"""
+Each receiver has its own queue and thread, so that neither can delay the other, or the node."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ TIMEOUT_S: Final = 10.0
 class ChangeWatch:
     """Turns conditions into messages: one for each state that differs from the last one sent, and has lasted
     `HOLD_S`. States without a problem are assumed at the start, which has a message of its own. `start_s`: time for
-    the start, in seconds.
-    """
+    the start, in seconds."""
 
     def __init__(self, site: str, start_s: float) -> None:
         self._site, self._start_s = site, start_s
@@ -181,8 +179,7 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
     """Publish a message, and wait for the broker's acknowledgement. Raises MessageError, or UnauthorisedError if the
     password cannot be read.
 
-    It connects for each message: they are rare, and an open connection would have to be watched.
-    """
+    It connects for each message: they are rare, and an open connection would have to be watched."""
     import paho.mqtt.client as mqtt
     from paho.mqtt.enums import CallbackAPIVersion
 

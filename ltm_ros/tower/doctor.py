@@ -42,8 +42,7 @@ INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 def examine(site: Path | None = None) -> list[DoctorFinding]:
     """Run all checks, in the order in which a user would fix them. `site`: the tower's file. Default: the installed
-    one, if any.
-    """
+    one, if any."""
     return [
         *check_python(),
         *check_packages(),
@@ -168,7 +167,7 @@ def check_transport() -> Iterator[DoctorFinding]:
 def _participant(environment: Mapping[str, str]) -> DoctorFinding:
     """Start a real participant and query it."""
     area, name, wanted = "transport", "participant", environment["RMW_IMPLEMENTATION"]
-    command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
+    command = [sys.executable, "-m", "ltm_ros.launching.shared_memory"]
     try:
         ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
             command, env=dict(environment), capture_output=True, text=True, timeout=60

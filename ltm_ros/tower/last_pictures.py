@@ -1,8 +1,7 @@
 """Keep the last complete frame of each camera and the map as small images, while the status page is open.
 
 A subscription to images makes the nodes send them, which costs processor time for each frame. So the node subscribes to
-a camera's images only until one frame is complete, at the start and for `WATCHED_S` after each request.
-"""
+a camera's images only until one frame is complete, at the start and for `WATCHED_S` after each request."""
 
 from __future__ import annotations
 
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ltm_core.base.errors import LtmError
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry

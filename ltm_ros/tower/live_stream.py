@@ -7,8 +7,7 @@ A stream is a line `FIRST_LINE`, then records: a line of JSON with `kind` and `b
 |---|---|---|
 | page | | `page.json`, compressed by zlib |
 | frame | camera, stamp_s, sizes | JPEGs of photo, labels and depth, one after the other; `sizes`: bytes of each |
-| tile | x, y, width, height | up to `TILE` x `TILE` RGB pixels of the map of that size, from (x, y), by zlib |
-"""
+| tile | x, y, width, height | up to `TILE` x `TILE` RGB pixels of the map of that size, from (x, y), by zlib |"""
 
 from __future__ import annotations
 

@@ -80,8 +80,7 @@ def memory() -> tuple[int, int]:
 
 def processes_of(parent: int) -> dict[str, int]:
     """Return the resident bytes of the nodes' processes that the runner `parent` started (of shared pages, their
-    share).
-    """
+    share)."""
     found: dict[str, int] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -99,8 +98,7 @@ def processes_of(parent: int) -> dict[str, int]:
 
 class ProcessMemory:
     """`processes_of` the runner `parent`, read once in `KEPT_S`, because the kernel walks all pages of a process for
-    it. Thread-safe.
-    """
+    it. Thread-safe."""
 
     def __init__(self, parent: int) -> None:
         self._parent = parent

@@ -11,9 +11,8 @@ from geometry_msgs.msg import PointStamped
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rclpy.node import Node
 
-from ltm_core.base.number_text import counted
 from ltm_core.base.strict_model import StrictModel
-from ltm_msgs_py.json_topics import LocateTracks, Turned
+from ltm_msgs_py.json_topics import LocateTracks
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
@@ -27,8 +26,7 @@ SAME_DEG = 0.1
 
 class PageMark(StrictModel):
     """A clicked mark. `stamp`: seconds, of the shown image; `across`, `down`: shares of its width and height, from the
-    upper left corner.
-    """
+    upper left corner."""
 
     camera: str
     stamp: float
@@ -74,18 +72,6 @@ class _Place(_Told):
     disagrees: str | None
 
 
-def _in_words(turned: Turned) -> str:
-    marks = f"the marks of {counted(turned.fires, 'fire')}"
-    evidence = " and ".join({"marks": marks, "pictures": "its images"}[what] for what in turned.by)
-    by = ""
-    if turned.turned_deg is not None:
-        by = f" Stated azimuths are {abs(turned.turned_deg):.1f} degrees too "
-        by += f"{'great' if turned.turned_deg > 0 else 'small'} (sigma {turned.sigma_deg:.1f})."
-    return (
-        f"camera {turned.camera} is probably misaligned ({turned.probability:.0%}), by {evidence}.{by} Check its mount."
-    )
-
-
 class Marks:
     """`take`, `places` and `wrong` may be called from any thread.
 
@@ -106,7 +92,6 @@ class Marks:
             for name in cameras
         }
         self._places: list[_Place] = []
-        self._wrong: list[str] = []
         self._lock = threading.Lock()
         node.create_subscription(
             LOCATE_TRACKS.type, site_topic(site, LOCATE_TRACKS), self._hear, stream_qos(LOCATE_TRACKS.latched, 1)
@@ -130,8 +115,7 @@ class Marks:
 
     def places(self) -> list[dict[str, Any]]:
         """Return the site's tracks, newest first, as `locate` published them; `marks` are those that lie on the images
-        of the page, as shares of their width and height.
-        """
+        of the page, as shares of their width and height."""
         with self._lock:
             places = list(self._places)
         return [place.model_dump() | {"marks": self._drawn(place), "mark_count": len(place.marks)} for place in places]
@@ -155,9 +139,10 @@ class Marks:
         return drawn
 
     def wrong(self) -> list[str]:
-        """Return sentences about misaligned cameras, if any."""
+        """Return sentences about cameras that disagree, if any."""
         with self._lock:
-            return self._wrong
+            told = [(place.disagrees, place.track) for place in self._places if place.disagrees]
+        return [f"cameras {names} disagree about place {number}: check their mounts" for names, number in told]
 
     def _hear(self, message: Any) -> None:
         try:
@@ -171,4 +156,3 @@ class Marks:
             return
         with self._lock:
             self._places = sorted(found, key=lambda place: -place.last_ns)
-            self._wrong = [] if told.turned is None else [_in_words(told.turned)]

@@ -39,8 +39,7 @@ class Releases:
     """`ROOT/releases/VERSION` are complete releases; `ROOT/current` links to one.
 
     A trial survives a power cut: `ROOT/trial` names it, and the service's start reads it first
-    (`packaging/systemd/release-guard`).
-    """
+    (`packaging/systemd/release-guard`)."""
 
     def __init__(self, root: Path = ROOT) -> None:
         self.root = root
@@ -78,8 +77,7 @@ class Releases:
     def other(self) -> str:
         """Return the release to return to: the one that ran before, else the newest other one.
 
-        Raises ConfigError if there is none.
-        """
+        Raises ConfigError if there is none."""
         others = [version for version in self.installed if version != self.current]
         if not others:
             raise ConfigError(
@@ -183,8 +181,7 @@ class PackageFile:
     def unpack(self, releases: Releases) -> Path:
         """Unpack the release beside the others; it gets its name only when it is complete.
 
-        Raises PackageError: disk full, damaged, or without a release of its own version.
-        """
+        Raises PackageError: disk full, damaged, or without a release of its own version."""
         free = shutil.disk_usage(releases.root).free
         if free < ROOM * self.size:
             raise PackageError(

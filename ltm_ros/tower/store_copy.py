@@ -3,8 +3,7 @@
 A release may migrate a store's schema forward, never back. On the way back, a store stays if its schema is still that
 of the copy, so that no frame is lost; otherwise the copy returns and the newer store is moved aside.
 
-Root does this in folders of the service's user, who processes data from cameras. So links are not followed there.
-"""
+Root does this in folders of the service's user, who processes data from cameras. So links are not followed there."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ class ServiceState:
 
 class Service(Protocol):
     """A service. `start` returns at once; `state` reports progress. `stop` kills what has not ended after `patience_s`
-    seconds; None: after the unit's own time.
-    """
+    seconds; None: after the unit's own time."""
 
     def stop(self, patience_s: float | None = None) -> None: ...
 
@@ -106,8 +104,7 @@ ROOM = 1.1
 def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
     """Copy every store of `state` to a new folder below `copies`; return it, None without stores.
 
-    The copy is consistent even if a store is written meanwhile (SQLite's backup). Raises StoreError.
-    """
+    The copy is consistent even if a store is written meanwhile (SQLite's backup). Raises StoreError."""
     stores = stores_of(state)
     if not stores:
         return None
@@ -144,8 +141,7 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
     """Put back the stores of `copy` whose schema has changed; newer stores go to the folder `aside`.
 
     Returns what was put back. The stores must not be written meanwhile. Raises StoreError with the stores that could
-    not be restored (disk full, copy damaged or missing); all others are restored.
-    """
+    not be restored (disk full, copy damaged or missing); all others are restored."""
     if not copy.is_dir():
         raise StoreError(f"{copy}: the copy of the stores does not exist")
     failed = []
@@ -174,8 +170,7 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
 
 def schema_of(store: Path) -> tuple[int, tuple[str, ...]]:
     """Return SQLite's user_version, the declarations of all tables, and the description of a map's tiles; (-1, ()) for
-    a file that is no store.
-    """
+    a file that is no store."""
     try:
         with contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()

@@ -59,8 +59,7 @@ class TowerMirror:
     """Receives from a tower from construction until `close`, and connects again if the connection breaks.
 
     `reach`: returns the tower's port (`reached`). `url`: address of the page. Raises RejectedError if the tower rejects
-    the token.
-    """
+    the token."""
 
     def __init__(self, reach: Callable[[], TowerPort], web_port: int = 0) -> None:
         self._reach = reach

@@ -1,7 +1,6 @@
 """Compute the state of a tower from its nodes' reports on `/diagnostics`; pure data, no ROS.
 
-Metrics, `ltm status`, the status page and the health checks all use it, so they cannot contradict each other.
-"""
+Metrics, `ltm status`, the status page and the health checks all use it, so they cannot contradict each other."""
 
 from __future__ import annotations
 
@@ -152,8 +151,7 @@ class TowerWatch:
     """Keeps the last report of each expected node; other reports are ignored.
 
     Args: site: its name. expected: full names of the graph's nodes, such as `/ridge/north/depth`. frame_limit_s: age in
-    seconds from which a camera's newest frame is reported as too old.
-    """
+    seconds from which a camera's newest frame is reported as too old."""
 
     def __init__(self, site: str, expected: Sequence[str], frame_limit_s: float) -> None:
         self._site, self._frame_limit_s = site, frame_limit_s

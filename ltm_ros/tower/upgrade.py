@@ -2,8 +2,7 @@
 
 Steps: unpack the release beside the others; let it check its installation and the site file and compile its kernels,
 while the current release runs; stop; copy the stores; switch; start; wait for READY. A failure before the switch
-changes nothing. A failure after it brings the previous release back.
-"""
+changes nothing. A failure after it brings the previous release back."""
 
 from __future__ import annotations
 
@@ -84,8 +83,7 @@ class Upgrade:
 
     def return_unconfirmed(self) -> str | None:
         """Return to the previous release if a release on trial is started a second time; return its version, None
-        without a trial. The service is not touched.
-        """
+        without a trial. The service is not touched."""
         trial = self._releases.trial
         if trial is None:
             return None

@@ -1,7 +1,6 @@
 """Define the layout (blueprint) of the Rerun view.
 
-It is always explicit: an automatic one would add map views, which fetch tiles from the network.
-"""
+It is always explicit: an automatic one would add map views, which fetch tiles from the network."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ def site_blueprint(
     site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
 ) -> rrb.Blueprint:
     """Return the tabs: the site (terrain, fuel grid, a camera's images, latencies), all cameras, `tabs`, the graph's
-    health.
-    """
+    health."""
     tabs = tabs or Tabs()
     overview = rrb.Vertical(
         rrb.Horizontal(
@@ -116,8 +114,7 @@ def _bounds(window: MapWindow) -> rrb.VisualBounds2D:
 
 def _changes(window: MapWindow) -> rrb.Spatial2DView:
     """Return the view of changes over the relief and the fuel map's cameras, in its cells, so that nothing moves as it
-    grows.
-    """
+    grows."""
     return rrb.Spatial2DView(
         origin="/terrain",
         contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],

@@ -149,8 +149,7 @@ Bounds = tuple[float, float, float, float]
 
 class FuelMaps:
     """Draws layers over one fuel grid: the part with evidence, or all of it without any. The relief is made once per
-    window, with the cameras' first positions.
-    """
+    window, with the cameras' first positions."""
 
     def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[MapCamera]) -> None:
         self.geometry = geometry
@@ -163,8 +162,7 @@ class FuelMaps:
 
     def draw(self, rasters: Mapping[str, NDArray[Any]]) -> dict[str, rr.EncodedImage]:
         """Return an image for each name of TITLES. `rasters`: (H, W) `life_form` (255 unknown), `code`, `entropy`,
-        `changed` and `seen_by`.
-        """
+        `changed` and `seen_by`."""
         self._follow((rasters["seen_by"] > 0) | (rasters["changed"] > 0))
         canvas, told = self._canvas, rasters["life_form"] != 255
         pictures = {

@@ -86,8 +86,7 @@ def _texture(dem: Dem) -> RgbImage:
 @dataclass(frozen=True, eq=False)
 class FuelTile:
     """The cells with evidence of one tile of the fuel layer: four `vertices` and two `triangles` per cell, a colour per
-    vertex.
-    """
+    vertex."""
 
     name: str
     vertices: Float32Array
@@ -156,8 +155,7 @@ def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, 
     """Return a viewpoint behind and above the cameras that shows all of them and the ground before them.
 
     `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM extends;
-    without a camera, the whole DEM from the south.
-    """
+    without a camera, the whole DEM from the south."""
     g = dem.geometry
     if len(positions):
         angles = np.deg2rad(azimuths_deg)

@@ -42,8 +42,7 @@ class RerunView:
     """One site in Rerun; thread-safe.
 
     `save`: .rrd file to write; `serve`: a web viewer on loopback at `web_port`, fed from `grpc_port`. Stamps are
-    nanoseconds. Raises ConfigError if a port is in use.
-    """
+    nanoseconds. Raises ConfigError if a port is in use."""
 
     def __init__(
         self,
@@ -99,8 +98,7 @@ class RerunView:
 
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
         """Log depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError for
-        another size.
-        """
+        another size."""
         if depth.shape != (model.height, model.width):
             raise ImageError(
                 f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
@@ -117,8 +115,7 @@ class RerunView:
         network: Float32Array | None = None,
     ) -> None:
         """Log fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
-        another size. Raises ImageError if fused and traced differ in size.
-        """
+        another size. Raises ImageError if fused and traced differ in size."""
         if fused.shape != traced.shape:
             raise ImageError(f"fused depth of {camera} is {fused.shape}, its traced depth {traced.shape}")
         with self._at(stamp_ns):
@@ -172,8 +169,7 @@ class RerunView:
 
     def log_fuel_map(self, stamp_ns: int, classes: UInt8Array, geometry: GridGeometry) -> None:
         """Log the fuel map (H, W) of class ids, 255 not seen, map frame. Without evidence it has stamp 0, and is shown
-        from the first frame on. Raises RasterError if shapes differ.
-        """
+        from the first frame on. Raises RasterError if shapes differ."""
         if not stamp_ns:
             self._undated["map"] = lambda first_ns: self.log_fuel_map(first_ns, classes, geometry)
             return
@@ -211,16 +207,14 @@ class RerunView:
 
     def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
         """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the
-        map.
-        """
+        map."""
         with self._at(stamp_ns):
             self._recording.log("map/change", self._change.update(cells, points, kinds))
 
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
         """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ...
 
-        A recording begins with its first frame: earlier measures would open it at a time without images.
-        """
+        A recording begins with its first frame: earlier measures would open it at a time without images."""
         if not stamp_ns or not (self._live or self._shown):
             return
         with self._at(stamp_ns):

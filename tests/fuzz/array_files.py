@@ -12,7 +12,7 @@ from scenes.networks import HEIGHT, WIDTH, write_classifier
 
 from fuzz.target import Target
 from ltm_core.base.errors import ConfigError
-from ltm_core.storage.text_io import load_arrays
+from ltm_core.storage.config_io import load_arrays
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from scenes.movie_file import jpeg, movie
+from scenes.movie_file import movie
 from scenes.phone_site import STAMP, taken
 
 from fuzz.mutations import spoil_text
@@ -76,32 +76,9 @@ def _video(folder: Path) -> list[bytes]:
     return [plain, movie(frames, 1, None, turned=90)]
 
 
-def _odometry(folder: Path) -> list[bytes]:
-    head = "timestamp, frame, x, y, z, qx, qy, qz, qw, fx, fy, cx, cy\n"
-    return [(head + "".join(f"{k}.5, {k:06d}, 0.1, 0.2, 0.3, 0, 0, 0, 1, 52, 51, 31, 21\n" for k in range(2))).encode()]
-
-
-def _read_odometry(folder: Path) -> None:
-    (folder / "camera_matrix.csv").write_text("52,0,31\n0,51,21\n0,0,1\n")
-    (folder / "rgb.mp4").write_bytes(movie([np.zeros((24, 40, 3), np.uint8)], 1, datetime(2024, 7, 5, tzinfo=UTC)))
-    _read(folder.parent, folder.name)
-
-
-def _record3d(folder: Path) -> list[bytes]:
-    return [b'{"w":40,"h":24,"fps":1,"K":[52,0,0,0,51,0,31,21,1],"poses":[[0,0,0,1,0,0,0],[0,0,0.6,0.8,1,2,3]]}']
-
-
-def _read_record3d(folder: Path) -> None:
-    (folder / "rgb").mkdir(exist_ok=True)
-    (folder / "rgb/0.jpg").write_bytes(jpeg(np.zeros((24, 40, 3), np.uint8)))
-    _read(folder.parent, folder.name)
-
-
 CAPTURE_FILES = (
     Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip"), weight=2.0),
     Target("sensor_logger_json", "walk.json", _json, _read_json),
     Target("video", "a.mp4", _video, lambda folder: _read(folder, "a.mp4")),
     Target("subtitles", "a.srt", _srt, _read_srt, spoil_text),
-    Target("stray_scanner", "odometry.csv", _odometry, _read_odometry, spoil_text),
-    Target("record3d", "metadata.json", _record3d, _read_record3d, spoil_text),
 )

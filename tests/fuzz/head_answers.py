@@ -30,9 +30,6 @@ _ONVIF = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope" xmlns
 <t:Position><t:PanTilt x="0.25" y="-0.5"/><t:Zoom x="0.1"/></t:Position>
 <t:MoveStatus><t:PanTilt>IDLE</t:PanTilt></t:MoveStatus>
 </s:Body></s:Envelope>"""
-_REOLINK = b"""[{"cmd":"x","code":0,"value":{"Token":{"name":"abc","leaseTime":3600},
-"PtzCurPos":{"Ppos":1234,"Tpos":-33},
-"ZoomFocus":{"zoom":{"pos":3}},"PtzPreset":[{"enable":1,"id":1,"name":"north"}]}}]"""
 _DISCOVERED = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"><s:Header><RelatesTo>urn:1</RelatesTo></s:Header>
 <s:Body><Scopes>onvif://www.onvif.org/name/North onvif://www.onvif.org/hardware/Q6</Scopes>
 <XAddrs>http://127.0.0.1/onvif/device_service http://[::1]/x</XAddrs></s:Body></s:Envelope>"""
@@ -70,7 +67,6 @@ HEAD_ANSWERS = (
     _head("head_vapix", _VAPIX, kind="vapix", url="http://127.0.0.1"),
     _head("head_isapi", _ISAPI, kind="isapi", units="tenths", url="http://127.0.0.1"),
     _head("head_onvif", _ONVIF, kind="onvif", url="http://127.0.0.1"),
-    _head("head_reolink", _REOLINK, kind="reolink", url="http://127.0.0.1"),
     Target(
         "discovered",
         "answer",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import rasterio.shutil
-from scenes.geopackages import add_layer, area, line, several
 from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
@@ -109,19 +109,10 @@ def _fuel_map(folder: Path) -> list[bytes]:
 
 
 def _barriers(folder: Path) -> list[bytes]:
-    x, y = GRID.x_min, GRID.y_max
-    lake = area([[(x, y), (x + 200, y), (x + 200, y - 150), (x, y)]])
-    add_layer(folder / "made.gpkg", "lakes", [several(6, [lake]), None], 26911)
-    add_layer(folder / "made.gpkg", "roads", [line([(x, y - 300), (x + 500, y - 40)])], 26911)
-    return [(folder / "made.gpkg").read_bytes()]
-
-
-def _read_barriers(folder: Path) -> None:
-    barriers = [BarrierConfig(path=folder / "b.gpkg", layer=k, kind="road") for k in ("lakes", "roads")]
-    try:
-        barrier_codes(barriers[:1], GRID)
-    finally:
-        barrier_codes(barriers[1:], GRID)
+    ring = [[-117.2, 37.5], [-117.1, 37.5], [-117.1, 37.6], [-117.2, 37.5]]
+    shapes = ({"type": "Polygon", "coordinates": [ring]}, {"type": "LineString", "coordinates": ring[:2]})
+    features = [{"type": "Feature", "properties": {}, "geometry": shape} for shape in shapes]
+    return [json.dumps({"type": "FeatureCollection", "features": features}).encode()]
 
 
 RASTER_FILES = (
@@ -130,7 +121,12 @@ RASTER_FILES = (
     Target("prior_tif", "prior.tif", lambda folder: [_codes(1), _codes(8)], _read_prior("prior.tif")),
     Target("prior_lcp", "prior.lcp", _lcp, _read_prior("prior.lcp")),
     Target("prior_folder", "bands/fbfm40.tif", lambda folder: [_codes(1)], _read_prior("bands")),
-    Target("barriers", "b.gpkg", _barriers, _read_barriers),
+    Target(
+        "barriers",
+        "b.geojson",
+        _barriers,
+        lambda f: barrier_codes([BarrierConfig(path=f / "b.geojson", kind="road")], GRID),
+    ),
     Target("landscape_tif", "land.tif", lambda folder: [_codes(8)], lambda f: read_landscape(f / "land.tif")),
     Target("landscape_lcp", "land.lcp", _lcp_with_crs, lambda f: read_landscape(f / "land.lcp")),
     Target("attribute_table", "x.tif.vat.dbf", _tables, lambda folder: quantity_of(folder / "x.tif")),

@@ -10,7 +10,7 @@ from scenes.region_scene import REGION, RegionScene, stamp_of, write_region_scen
 
 from fuzz.target import Target
 from ltm_core.base.errors import MessageError
-from ltm_core.uplink.envelope import AckHeader, Outcome, Outcomes, TileHeader, header_of, outcomes_of, unpacked
+from ltm_core.uplink.envelope import AckHeader, Outcome, Outcomes, outcomes_of, unpacked
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.runtime.health import Health
@@ -30,9 +30,8 @@ def _envelopes(folder: Path) -> list[bytes]:
 def _open(folder: Path) -> None:
     content, scene = (folder / "envelope").read_bytes(), RegionScene(folder)
     envelope = unpacked(content)
-    for read in (lambda: header_of(TileHeader, envelope), lambda: outcomes_of(envelope)):
-        with contextlib.suppress(MessageError):
-            read()
+    with contextlib.suppress(MessageError):
+        outcomes_of(envelope)
     scene.identity("bear").opened(content, "alta")
 
 

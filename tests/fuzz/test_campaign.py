@@ -25,7 +25,7 @@ OF_FAST = dict.fromkeys(
 )
 OF_SLOW = {
     **dict.fromkeys(("fuel_models", "fusion", "node_topodepth", "node_fuel_map"), 30),
-    **dict.fromkeys(("video", "stray_scanner", "record3d"), 40),
+    "video": 40,
     **dict.fromkeys(("network", "node_terrain", "node_viewer"), 10),
 }
 """How many cases, by what they cost: a minute of one core together. Not so long, but so many: on each machine the same

@@ -46,7 +46,7 @@ from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.launching.graph import describe
-from ltm_ros.recordings.importing.pose_file import read_pose_file
+from ltm_ros.recordings.importing.photo import read_pose_file
 
 _ENTRY = SurfaceVersion(
     version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1

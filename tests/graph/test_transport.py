@@ -61,7 +61,7 @@ def test_probe_tells_what_a_participant_gets(ros_domain: int, monkeypatch: pytes
 
 
 def _probe() -> dict[str, Any]:
-    command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
+    command = [sys.executable, "-m", "ltm_ros.launching.shared_memory"]
     answer: dict[str, Any] = json.loads(subprocess.check_output(command, text=True, timeout=60).splitlines()[-1])
     return answer
 

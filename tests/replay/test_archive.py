@@ -26,19 +26,16 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
-from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
-from ltm_ros.archive.task import work
+from ltm_ros.archive.task import Engine, on_workers, serial, work
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
-
-pytestmark = pytest.mark.usefixtures("without_page")
 
 
 def digest_of(store: Path) -> str:
@@ -113,15 +110,6 @@ def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) 
     assert not (Path(options.out) / STORE_FILE).exists()
     summary = reprocessed(options)
     assert (summary.digest, summary.worked) == (expected, 2 * FRAMES - 4)
-
-
-def test_shards_together_are_the_whole(options: ArchiveOptions, expected: str) -> None:
-    options = replace(options, frames_per_task=2)
-    parts = [reprocessed(replace(options, shard=(part, 3))) for part in (3, 1, 2)]
-    assert [part.digest for part in parts] == ["", "", ""]
-    assert sum(part.worked for part in parts) == 2 * FRAMES
-    whole = reprocessed(options)
-    assert (whole.digest, whole.worked) == (expected, 0)
 
 
 @pytest.fixture
@@ -325,7 +313,6 @@ def test_a_live_node_goes_on_from_the_store(resumed: ArchiveOptions, small_site:
     assert digest_of(out / STORE_FILE) == expected
 
 
-@pytest.mark.usefixtures("with_page")
 def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: Path) -> None:
     day = 86_400 * 10**9
     bags = tuple(small_site.write_bag(tmp_path / f"day_{number}", 2, BEGIN_NS + number * day) for number in range(2))
@@ -336,15 +323,8 @@ def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: 
         days = {change.stamp_ns // day for change in store.changes("life_form")}
     assert days <= {BEGIN_NS // day, BEGIN_NS // day + 1}
     assert BEGIN_NS // day in days
-    page = (tmp_path / "out/maps/index.html").read_text()
-    shown = sorted(path.stem for path in (tmp_path / "out/maps").glob("20*.png"))
-    assert shown == [str(np.datetime64(number, "D")) for number in sorted(days)]
-    assert json.dumps(shown) in page
-    assert (tmp_path / "out/maps/change.png").stat().st_size > 1000
-    first, *_ = shown
     only = reprocessed(replace(options, since_ns=BEGIN_NS + day))
     assert only.merged == 4
-    assert not (tmp_path / f"out/maps/{first}.png").exists()
 
 
 def test_burns_are_told_when_they_come(small_site: SmallSite, tmp_path: Path) -> None:
@@ -452,7 +432,6 @@ def test_a_site_whose_poses_hang_on_the_order_of_frames_is_refused(own_site: Sma
         look_through(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")), lambda done, total: None)
 
 
-@pytest.mark.usefixtures("with_page")
 def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> None:
     command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
     tried = CliRunner().invoke(cli, [*command, "--dry-run"], env={"COLUMNS": "160"})
@@ -467,8 +446,7 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
 
 @pytest.mark.parametrize(
     ("option", "wrong"),
-    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--workers", "tcp://10.0.0.1:8786"),
-     ("--workers", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
+    [("--sample", "4"), ("--max-failed", "many"), ("--cameras", "tower,nobody")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
     command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]

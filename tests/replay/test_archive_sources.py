@@ -1,112 +1,33 @@
-"""`ltm reprocess` of archives that are no bags on a disk of this machine: on S3, and folders of photos."""
+"""`ltm reprocess` of archives on disks that fail, and of folders of photos."""
 
 from __future__ import annotations
 
 import csv
 import errno
 import gc
-import json
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from weakref import WeakSet
 
 import pytest
-import s3fs
 from mcap.records import Chunk
 from scenes.own_disk import run_on_own_disk
-from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_msgs_py.bag.cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.archive import files, photo_folder
-from ltm_ros.archive.engine import serial
-from ltm_ros.archive.files import CacheConfig
+from ltm_ros.archive import photo_folder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.task import serial
 from ltm_ros.recordings.importing.build import import_photos
-
-pytestmark = pytest.mark.usefixtures("without_page")
-
 
 DISK = Path(__file__).parents[1] / "scenes" / "archive_disk_process.py"
 
 
 def reprocessed(options: ArchiveOptions) -> Summary:
     return run(look_through(options, lambda done, total: None), serial, lambda done, total: None)
-
-
-@dataclass
-class Store:
-    """A bucket with the recording. `refused`: of each request, how many more are."""
-
-    address: str = ""
-    refused: Counter[str] = field(default_factory=Counter)
-    seen: Counter[str] = field(default_factory=Counter)
-
-    def refuses(self, request: str) -> bool:
-        self.seen[request] += 1
-        self.refused[request] -= 1
-        return self.refused[request] >= 0
-
-
-@pytest.fixture
-def store(small_site: SmallSite, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
-    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    monkeypatch.setattr(files, "TRIES", 3)
-    monkeypatch.setattr(files, "FIRST_WAIT_S", 0.0)
-    monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
-    store = Store()
-    with empty_bucket("towers", store.refuses) as address:
-        store.address = address
-        s3fs.S3FileSystem().put(str(small_site.bag), f"{address}/year/bag", recursive=True)
-        yield store
-
-
-def test_an_archive_on_s3_gives_the_map_of_that_on_disk(
-    small_site: SmallSite, store: Store, expected: str, tmp_path: Path
-) -> None:
-    """Also where two requests of three are refused."""
-    recording = next(small_site.bag.glob("*.mcap")).name
-    for method in ("GET", "HEAD"):
-        store.refused[f"{method} /towers/year/bag/{recording}"] = 2
-    options = ArchiveOptions(
-        (f"{store.address}/year",), small_site.path, str(tmp_path / "out"), cache=CacheConfig(str(tmp_path / "cache"))
-    )
-    summary = reprocessed(options)
-    assert (summary.digest, summary.worked, summary.failed) == (expected, 2 * FRAMES, 0)
-    assert reprocessed(options).worked == 0
-    single = replace(options, archives=(f"{store.address}/year/bag/{recording}",), out=str(tmp_path / "single"))
-    assert reprocessed(single).digest == expected
-    fetched = [name for name in store.seen if name.startswith("GET") and name.endswith(".mcap")]
-    assert sum(store.seen[name] for name in fetched) == 3
-
-
-def test_what_a_store_keeps_refusing_is_named_and_no_result(
-    small_site: SmallSite, store: Store, expected: str, tmp_path: Path
-) -> None:
-    recording = next(small_site.bag.glob("*.mcap")).name
-    request = f"GET /towers/year/bag/{recording}"
-    store.refused[request] = 10**6
-    options = ArchiveOptions(
-        (f"{store.address}/year",),
-        small_site.path,
-        str(tmp_path / "out"),
-        max_failed=1.0,
-        cache=CacheConfig(str(tmp_path / "cache")),
-    )
-    with pytest.raises(ArchiveError, match=rf"1 recordings could not be read.*{recording} cannot be read now"):
-        reprocessed(options)
-    assert store.seen[request] == files.TRIES
-    (failure,) = json.loads((tmp_path / "out/run.json").read_text())["failures"]
-    assert failure["place"] == f"{store.address}/year/bag/{recording}"
-    assert not (tmp_path / "out" / STORE_FILE).exists()
-    store.refused.clear()
-    assert reprocessed(options).digest == expected
 
 
 def test_a_disk_that_fails_for_a_while_is_no_result(
@@ -166,7 +87,7 @@ def write_photos(site: SmallSite, folder: Path) -> Path:
 
 
 def test_a_folder_of_photos_gives_the_map_of_the_recording_that_import_makes_of_it(
-    small_site: SmallSite, store: Store, tmp_path: Path
+    small_site: SmallSite, tmp_path: Path
 ) -> None:
     folder = write_photos(small_site, tmp_path / "photos")
     import_photos([folder], tmp_path / "bag", folder / "poses.csv", small_site.site)
@@ -181,10 +102,6 @@ def test_a_folder_of_photos_gives_the_map_of_the_recording_that_import_makes_of_
     both = look_through(replace(options, archives=(folder, tmp_path / "bag")), lambda done, total: None)
     assert (both.manifest.repeated, both.manifest.failures) == (FRAMES, [])
     assert run(both, serial, lambda done, total: None).worked == 0
-    s3fs.S3FileSystem().put(str(folder), f"{store.address}/photos", recursive=True)
-    on_s3 = replace(options, archives=(f"{store.address}/photos",), out=str(tmp_path / "of_s3"))
-    small_cache = CacheConfig(str(tmp_path / "cache"), max(file.stat().st_size for file in folder.iterdir()))
-    assert reprocessed(replace(on_s3, cache=small_cache)).digest == of_bag.digest
 
 
 def test_one_photo_of_a_folder_is_held_at_a_time(

@@ -23,13 +23,11 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND, SURFACE_LAYER
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.engine import Engine, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.task import Engine, serial
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
-
-pytestmark = pytest.mark.usefixtures("without_page")
 
 DAY_NS = 86_400 * 10**9
 FRAMES = LOOKS + len(TOWER_HOURS)
@@ -74,10 +72,8 @@ def expected(small: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tupl
 def done(small: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
     """Results of all frames, a task each, and both maps."""
     out = tmp_path_factory.mktemp("done") / "out"
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("ltm_ros.archive.publish.write_page", lambda map_, folder: None)
-        options = ArchiveOptions((small.bag,), small.path, str(out), terrain=True, frames_per_task=1)
-        return out, reprocessed(options)
+    options = ArchiveOptions((small.bag,), small.path, str(out), terrain=True, frames_per_task=1)
+    return out, reprocessed(options)
 
 
 @pytest.fixture

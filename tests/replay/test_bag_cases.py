@@ -27,8 +27,6 @@ from ltm_msgs_py.image import compressed_to_rgb, image_to_msg
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
 from ltm_ros.cli.main import cli
 
-pytestmark = pytest.mark.usefixtures("without_page")
-
 IMAGE, INFO, POSE = "image_raw/compressed", "camera_info", "pose"
 DAY = 86_400 * 10**9
 Row = tuple[str, str, bytes, int, str]

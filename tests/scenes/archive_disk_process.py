@@ -6,13 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.archive import publish
-from ltm_ros.archive.engine import serial
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.task import serial
 from scenes.own_disk import answer, fill, make_disk
 from scenes.small_site import SmallSite
-
-publish.write_page = lambda map_, folder: None  # type: ignore[assignment] # as the fixture `without_page`
 
 
 def reprocessed(site: SmallSite, out: Path, after: Any = lambda done, total: None) -> Summary:

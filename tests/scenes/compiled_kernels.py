@@ -26,8 +26,8 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.kernels import KERNELS
 from ltm_core.pipeline.kernels import compile_kernels as compile_kernels_of
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack

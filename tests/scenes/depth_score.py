@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array
-from ltm_core.scoring.depth import RANGE_BINS, DepthScore
+from ltm_core.scoring.labels import RANGE_BINS, DepthScore
 
 
 def score_depth(estimate: Sequence[Float32Array], truth: Sequence[Float32Array]) -> list[DepthScore]:

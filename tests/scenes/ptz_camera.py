@@ -1,12 +1,11 @@
 """A pan-tilt-zoom camera on loopback: a PTZ head that takes its time to turn, asked and driven as those of Axis
-(VAPIX), Hikvision (ISAPI), ONVIF and Reolink are; its pictures show where it really looks."""
+(VAPIX), Hikvision (ISAPI) and ONVIF are; its pictures show where it really looks."""
 
 from __future__ import annotations
 
 import base64
 import calendar
 import hashlib
-import json
 import math
 import threading
 import time
@@ -55,7 +54,7 @@ class FakeHead:
     """What ONVIF's MoveStatus says, always; None: it is missing."""
     user: str = ""
     password: str = ""
-    """Of ONVIF's signed requests and of Reolink's log-in; empty: not looked at."""
+    """Of ONVIF's signed requests; empty: not looked at."""
     clock_ahead: float = 0.0
     time: str = "open"
     """Who may ask ONVIF for it: `open`: all; `signed`: who has the password; `none`: it is not said."""
@@ -121,7 +120,6 @@ class FakeHead:
             "/onvif/device_service": self._onvif,
             "/onvif/media": self._onvif,
             "/onvif/ptz": self._onvif,
-            "/cgi-bin/api.cgi": self._reolink,
         }
         for number, preset in enumerate(self.presets, 1):
             found[f"{base}/presets/{number}/goto"] = self._isapi_goto(preset)
@@ -287,43 +285,6 @@ class FakeHead:
             }.items()
         )
         self._xml(request, f'<s:Envelope xmlns:s="{_SOAP}" {names}><s:Body>{body}</s:Body></s:Envelope>', status)
-
-    # --- Reolink
-
-    def _reolink(self, request: Request) -> None:
-        (asked,) = json.loads(request.body)
-        query = {name: values[0] for name, values in parse_qs(request.query).items()}
-        command, parameters = asked["cmd"], asked.get("param", {})
-        pan, tilt, zoom = self.encoders()
-        value: dict[str, object] | None = None
-        if command == "Login":
-            user = parameters["User"]
-            if not self.password or (user["userName"], user["password"]) == (self.user, self.password):
-                self._tokens += 1
-                self._valid_token = f"token{self._tokens}"
-                value = {"Token": {"name": self._valid_token, "leaseTime": 3600}}
-            code = -7
-        elif query.get("token") != self._valid_token:
-            code = -6
-        elif command == "GetPtzCurPos":
-            value, code = {"PtzCurPos": {"channel": 0, "Ppos": round(pan % 360 * 10), "Tpos": round(tilt * 10)}}, 0
-        elif command == "GetZoomFocus":
-            value, code = {"ZoomFocus": {"channel": 0, "zoom": {"pos": round(zoom)}, "focus": {"pos": 3}}}, 0
-        elif command == "GetPtzPreset":
-            rows = [{"enable": 1, "id": k, "name": name} for k, name in enumerate(self.presets, 1)]
-            value, code = {"PtzPreset": [*rows, {"enable": 0, "id": 60, "name": "pos60"}]}, 0
-        elif command == "PtzCtrl" and parameters["op"] == "ToPos":
-            self.go_to(list(self.presets)[parameters["id"] - 1])
-            value, code = {"rspCode": 200}, 0
-        else:
-            code = -9
-        said: dict[str, object] = {"cmd": command, "code": 0 if value is not None else 1}
-        said |= {"value": value} if value is not None else {"error": {"detail": "no", "rspCode": code}}
-        request.answer(200, json.dumps([said]).encode(), "application/json")
-
-    def forget_token(self) -> None:
-        """As a camera that was restarted."""
-        self._valid_token = "none"
 
 
 _HIK = ' version="2.0" xmlns="http://www.hikvision.com/ver20/XMLSchema"'

@@ -130,7 +130,7 @@ class BrokerLink:
         if self.connected.is_set() and any(_fits(topic, pattern) for pattern in self.topics):
             self._take(topic, payload)
 
-    def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
+    def send(self, topic: str, payload: bytes, retain: bool = False) -> bool:
         if self.connected.is_set():
             self.broker.publish(topic, payload, retain)
         return self.connected.is_set()

@@ -10,7 +10,7 @@ import yaml
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose
 from ltm_core.site.sections import CameraConfig
 from ltm_core.tracing.trace_io import load_picture_config
-from ltm_ros.recordings.importing.pose_file import columns, read_pose_file
+from ltm_ros.recordings.importing.photo import columns, read_pose_file
 
 PAGE = (Path(__file__).parents[2] / "docs/poses.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

@@ -31,7 +31,6 @@ TOWER = {
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {
     "rerun": "the viewer",
-    "laspy": "LAS export",
     "tokenizers": "prompts for networks of text",
     "prometheus_client": "the health node",
     "paho": "the link to a region's map",
@@ -39,14 +38,11 @@ ON_DEMAND = {
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "SQLite bags, and message definitions where no ROS is installed",
     "pyarrow": "archives worked again",
-    "fsspec": "the same, on disk or S3",
-    "dask": "the same, on many workers",
-    "distributed": "the same, on many workers",
     "jinja2": "reports of the demo and of fires",
     "av": "videos for `ltm import`, RTSP streams",
 }
 NOT_ON_A_TOWER = {
-    *("rerun", "jinja2", "laspy", "tokenizers", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"),
+    *("rerun", "jinja2", "tokenizers", "pyretechnics", "rosbags", "pyarrow"),
 }
 """Of those on demand; all else is in the package that `make deb` builds."""
 
@@ -172,8 +168,8 @@ for node in {nodes}:
 print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
-    study |= {"pyarrow", "dask", "distributed"}
+    study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "rerun"}
+    study |= {"pyarrow"}
     assert not {name for name in loaded if within(name, LAB | study)}
     # Those that trace, label and weigh nothing do without what costs up to a third of a second and 70 MB a process.
     heavy = ("numba", "scipy.spatial", "scipy.special", "scipy.ndimage", "scipy.interpolate", "rasterio", "onnxruntime")

@@ -95,7 +95,6 @@ _TYPES: Final[Mapping[str, str]] = {
     ".tif": "image/tiff; application=geotiff",
     ".tiff": "image/tiff; application=geotiff",
     ".kmz": "application/vnd.google-earth.kmz",
-    ".las": "application/vnd.las",
     ".qml": "application/xml",
     ".prj": "text/plain",
 }

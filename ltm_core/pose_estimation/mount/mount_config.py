@@ -23,8 +23,7 @@ _ANGLES = 4
 class MountConfig(PoseConfig):
     """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0.
 
-    The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated.
-    """
+    The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
 
     azimuth_sigma_deg: float | None = Field(1.5, gt=0)
     pitch_sigma_deg: float | None = Field(0.5, gt=0)

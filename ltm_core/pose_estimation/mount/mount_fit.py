@@ -3,8 +3,7 @@
 An image's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
 where it is free, a factor of the focal length. Single images propose corrections; that which explains all images
-best is refined over all of them at once.
-"""
+best is refined over all of them at once."""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ def fit_mount(
 
     The sigmas of the first prior are those of the mount; of its azimuth about the vertical, of pitch and roll about the
     level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. `focal_sigma`: of the focal length, relative,
-    which was free in the searches, too; 0 holds it. Raises PoseError without images.
-    """
+    which was free in the searches, too; 0 holds it. Raises PoseError without images."""
     if not priors or len(priors) != len(searches):
         raise PoseError(f"{len(priors)} stated poses for {len(searches)} images; give one for each")
     pictures = [

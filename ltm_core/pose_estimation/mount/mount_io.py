@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_io import read_point_rows
-from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 
 READING_COLUMNS: dict[str, Sequence[str]] = {
     "pan": ("pan_deg", "pan"),

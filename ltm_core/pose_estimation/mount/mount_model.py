@@ -1,8 +1,7 @@
 """Model a pan-tilt head on a mount, and the correction that all its poses share.
 
 R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the PTZ head as a whole, pan turns about
-the PTZ head's own upright axis, tilt about the camera's right.
-"""
+the PTZ head's own upright axis, tilt about the camera's right."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ class PoseCorrection:
     3) covariance of their angles then, about these axes, rad^2; None: as stated.
 
     `tilt_zero` (rad): by which a PTZ head's camera is turned up about its own right besides, wherever it looks.
-    `tilt_covariance`: (4,) of it with the rotation about x, y and z, and its variance.
-    """
+    `tilt_covariance`: (4,) of it with the rotation about x, y and z, and its variance."""
 
     rotation: Float64Array
     angles: Float64Array | None

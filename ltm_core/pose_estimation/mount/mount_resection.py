@@ -2,8 +2,7 @@
 
 Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
-form (`mount_search`), least squares in the image, as in `resection`.
-"""
+form (`mount_search`), least squares in the image, as in `resection`."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
-from ltm_core.pose_estimation.mount.mount_search import STEEPEST_LEAN, closed_forms
+from ltm_core.pose_estimation.mount.mount_verdict import STEEPEST_LEAN, closed_forms
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
 from ltm_core.pose_estimation.skyline.pose_prior import turned
@@ -68,8 +67,7 @@ def resect_mount(
 
     `points`: at least four landmarks, spread in pan. `start`: its place, lean, signs and sigmas; its azimuth is not
     used. `bend`: `geodesy.ray_bend`. `free_focal`: fit the lens at each zoom, within some 5 percent. `free_position`:
-    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels.
-    """
+    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels."""
     _check(points, lens)
     problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px)
     stated = (start.pan_sign, start.tilt_sign)

@@ -2,8 +2,7 @@
 
 The mount's error is found in several clear images together (`mount_fit`). From then on each clear image is laid on the
 terrain from the corrected pose; if most of the last ones show another viewing direction, the mount is reported as
-slipped, its poses are not used, and the error is estimated again.
-"""
+slipped, its poses are not used, and the error is estimated again."""
 
 from __future__ import annotations
 
@@ -21,10 +20,9 @@ from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import fit_ptz_mount
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between

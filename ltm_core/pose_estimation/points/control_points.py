@@ -2,8 +2,7 @@
 
 With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964); else three
 points give up to four poses (P3P: Ding et al., CVPR 2023, in OpenCV). Pairs, triples and focal lengths are scored by
-how many points they bring near their marks, after the idea of RANSAC (Fischler and Bolles 1981).
-"""
+how many points they bring near their marks, after the idea of RANSAC (Fischler and Bolles 1981)."""
 
 from __future__ import annotations
 

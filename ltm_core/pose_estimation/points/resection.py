@@ -2,8 +2,7 @@
 
 The adjustment minimises the distances in the image: a coarse search (`control_points`), a fit with robust loss, least
 squares without outliers, and a test of which parameters the points determine. Source: Luhmann et al., Close-Range
-Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
-"""
+Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision)."""
 
 from __future__ import annotations
 
@@ -117,8 +116,7 @@ def resect(
         lens: what is known of the lens; it frees all its parameters, which are then never held.
 
     Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
-    do not follow from them, behind the camera, or so wrong that no pose explains them.
-    """
+    do not follow from them, behind the camera, or so wrong that no pose explains them."""
     unknown = [name for name in (*free, *force) if name not in PARAMETERS]
     if unknown:
         raise PoseError(f"cannot fit {', '.join(unknown)}: free parameters are {', '.join(PARAMETERS)}")

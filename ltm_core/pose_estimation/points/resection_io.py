@@ -19,7 +19,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 
 _COLUMNS: dict[str, Sequence[str]] = {

@@ -6,8 +6,7 @@
 3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the image, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
-4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`).
-"""
+4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`)."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.pose_estimation.lens import RadialTrend, corner_radius, radial_trend
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
@@ -87,8 +86,7 @@ def find_pose(
     """Search the pose of an image and judge it.
 
     `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
-    already. Raises PoseError as `terrain_horizon`.
-    """
+    already. Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:

@@ -4,8 +4,7 @@ Far land, pale before the sky, above the edge of nearer land that the strongest 
 
 Going down from clear sky, its upper edge is the first step of colour that stands out from what the sky does by itself,
 and from there on all is alike until the nearer land begins. An edge that is merely blurred, or slanted, grows darker
-all the way down.
-"""
+all the way down."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
     """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
     and masks.
 
-    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
-    """
+    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it."""
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
@@ -178,8 +176,7 @@ class ImageSkyline:
 
     `u`, `v`: (K,) pixels, where sky ends; `crest_v`: (K,) where nearer land begins below that, which is at `v` where no
     pale land stands above it. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below the crest. `covered_u`: (C,)
-    columns that are land up to the image's upper edge. `spacing`: pixels between columns.
-    """
+    columns that are land up to the image's upper edge. `spacing`: pixels between columns."""
 
     u: Float64Array
     v: Float64Array

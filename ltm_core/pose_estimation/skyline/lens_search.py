@@ -12,9 +12,8 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import vector_of_matrix
 from ltm_core.pose_estimation.lens import LensPrior
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, refine
@@ -49,8 +48,7 @@ def find_pose_and_lens(
     `evidence_of`: evidence in the image by its camera, which undistorts it. Every k1 within two standard deviations is
     searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
     lens; the poses of other lenses widen it by their weights, and their azimuths are alternatives to it. Without a
-    skyline, the lens stays as stated.
-    """
+    skyline, the lens stays as stated."""
     horizon = terrain.horizon_for(camera, prior, config)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     middle = camera.distortion[0]

@@ -2,8 +2,7 @@
 
 How far what grows on a crest stands over the DEM, by its label and how far away it is.
 
-Labels of far crests are the more often wrong, so that heights by them draw together and spread.
-"""
+Labels of far crests are the more often wrong, so that heights by them draw together and spread."""
 
 from __future__ import annotations
 

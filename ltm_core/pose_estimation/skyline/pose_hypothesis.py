@@ -63,8 +63,7 @@ def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictC
 
     How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
     half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
-    surer than the surer one.
-    """
+    surer than the surer one."""
     a, b = by_skyline.refined, by_ridges.refined
     change = _change(a, b)
     turns = slice(3, 6)
@@ -139,8 +138,7 @@ Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 @dataclass(frozen=True)
 class PoseVerdict:
     """`word`, and why in words. `gap`: by how much the best alternative costs more (inf: there is none);
-    `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits.
-    """
+    `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits."""
 
     word: Word
     reason: str

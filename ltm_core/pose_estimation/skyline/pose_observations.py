@@ -1,8 +1,7 @@
 """Differences between a photo's skyline and edges and those predicted by the terrain from a pose, linearised about it.
 
 Unknowns: shifts along the map's x, y, z (m), rotations about them (rad), the logarithm of the focal length. Weights are
-those of `skyline_search`.
-"""
+those of `skyline_search`."""
 
 from __future__ import annotations
 
@@ -15,9 +14,8 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
@@ -36,8 +34,7 @@ class Observations:
 @dataclass(frozen=True, eq=False)
 class SkylineObservations(Observations):
     """Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its
-    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
-    """
+    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so."""
 
     veiled: float
     open: float

@@ -20,8 +20,7 @@ class PosePrior:
     """Prior pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
 
     An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
-    Raises PoseError for sigmas that are none.
-    """
+    Raises PoseError for sigmas that are none."""
 
     pose: Pose
     azimuth_sigma_deg: float = 1.5

@@ -10,8 +10,7 @@ Settles a pose on the ridges in its image, whose errors neighbouring places shar
 What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
 (`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
 ground does. Here errors are a Gaussian process over the ground, so that the shape of a ridge counts for more than its
-height: least squares whitened by the covariance of all places with each other.
-"""
+height: least squares whitened by the covariance of all places with each other."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ from scipy.linalg import solve_triangular
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
@@ -56,8 +54,7 @@ _MOST_SQUARE = 9.0
 class SkylineFit:
     """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit, of those that are not
     taken for land beyond the DEM; `veiled`: that where a nearer crest may hide the horizon; `open`: that where such
-    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas.
-    """
+    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas."""
 
     cost: float = 0.0
     support: float = 0.0
@@ -69,8 +66,7 @@ class SkylineFit:
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
     """`covariance`: (7, 7) of x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
-    skyline and prior. `skyline`: how that of the photo lies on the terrain's.
-    """
+    skyline and prior. `skyline`: how that of the photo lies on the terrain's."""
 
     pose: Pose
     camera: Camera

@@ -12,11 +12,11 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.skyline.contour_scores import (
     ContourDirections,
+    PictureEvidence,
     contour_scores,
     ridge_strength,
     usual_score,
 )
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of

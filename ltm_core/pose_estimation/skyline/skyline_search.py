@@ -7,8 +7,7 @@ all skylines between it and the bound of that land are alike likely. Where trees
 either is what is seen. Where pale land stands above the edge of nearer land (`pale_land`), that crest is at the lower
 edge, and the horizon at the upper one, or at the lower where the pale land may lie beyond it, or be none. Neighbouring
 columns are alike: all of an image count as a few, and in the fit and its covariance those within one correlation
-length of a crest count as one.
-"""
+length of a crest count as one."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ def search_azimuths(
 ) -> SkylineCosts:
     """Return the costs of azimuths (Y,), radians, of an undistorted camera.
 
-    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres.
-    """
+    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres."""
     rays = np.column_stack(
         [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
     )

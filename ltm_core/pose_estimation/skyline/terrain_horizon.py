@@ -110,8 +110,7 @@ class TerrainHorizon:
     there; `at_edge`: (N,) the DEM ends there, so that it is no crest. `bound`: (N,) the tangent above which there is
     certainly no ground, also none beyond the DEM; what lies between the two is open. `front_tangent`,
     `front_range`: (N,) of the nearer crest that trees of 5 m would raise highest, 0 where that is the horizon itself:
-    trees on it, or haze, may hide the horizon.
-    """
+    trees on it, or haze, may hide the horizon."""
 
     position: Float64Array
     start: float
@@ -154,8 +153,7 @@ def terrain_horizon(
     """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
 
     `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
-    of the DEM lies around the position.
-    """
+    of the DEM lies around the position."""
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count

@@ -12,7 +12,7 @@ import typer
 from ltm_lab.cli.bench.runs import print_conditions, print_table, write_json
 from ltm_ros.cli.output import JsonFile
 
-_PACKAGES = ("numpy", "numba", "onnxruntime", "dask", "pyarrow")
+_PACKAGES = ("numpy", "numba", "onnxruntime", "pyarrow")
 
 
 def archive(

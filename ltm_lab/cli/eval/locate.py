@@ -117,8 +117,7 @@ def _print_smoke(console: Console, trials: Sequence[SmokeTrial], boxed: bool) ->
         "in the densest 50 %, 95 %": "{0.densest_50:.0%}, {0.densest_95:.1%}",
         "95 % ellipse, half axes": "{0.major:.0f} x {0.minor:.0f} m",
         "taken to agree": "{0.agreed:.1%}",
-        "turned camera named": "{0.named:.1%}",
-        "another camera named": "{0.wrongly_named:.1%}",
+        "turned camera suspected": "{0.suspected:.1%}",
         "wall time, median": "{0.milliseconds:.0f} ms",
     }
     rows = [

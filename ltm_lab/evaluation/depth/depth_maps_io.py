@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array
-from ltm_core.storage.text_io import load_array
+from ltm_core.storage.config_io import load_array
 
 _LARGEST = 512 << 20
 """Bytes of an .npy file."""

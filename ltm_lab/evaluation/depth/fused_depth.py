@@ -17,7 +17,7 @@ from ltm_core.depth.monocular import DepthKind, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.scoring.depth import DepthScore, DepthTally, at_pixels_of
+from ltm_core.scoring.labels import DepthScore, DepthTally, at_pixels_of
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_lab.frames.truth_frames_io import TruthFrame

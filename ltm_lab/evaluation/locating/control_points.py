@@ -10,8 +10,7 @@ import numpy as np
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.locating.locator import Locator
-from ltm_core.locating.posterior import Posterior, reach_in_ellipse
+from ltm_core.locating.locator import Locator, Posterior, reach_in_ellipse
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting

@@ -61,8 +61,8 @@ class SmokeJob:
 @dataclass(frozen=True)
 class SmokeTrial:
     """One trial. `range`: mean of the cameras', metres. `hidden`: metres of the plume that the camera that sees it best
-    does not see. `agreed`: the cameras were taken to agree. `named`: the camera that was named as turned. `wrong`: the
-    one that is.
+    does not see. `agreed`: the cameras were taken to agree. `wrong`: the turned camera.
+    `suspect`: the camera that is most probably wrong, if they disagree.
     """
 
     site: str
@@ -73,7 +73,7 @@ class SmokeTrial:
     wrong: str
     place: PlaceScore
     agreed: bool = True
-    named: str = ""
+    suspect: str = ""
     milliseconds: float = math.nan
 
 
@@ -194,7 +194,7 @@ def _scored(
     return SmokeTrial(
         site, case.value, boxed, away, hidden, wrong, PlaceScore.of(location.posterior, x, y),
         agreement is None or agreement.agree,
-        "" if agreement is None or agreement.wrong is None else agreement.wrong,
+        "" if agreement is None or agreement.agree else max(agreement.suspicion, key=agreement.suspicion.__getitem__),
         spent,
     )  # fmt: skip
 
@@ -202,8 +202,8 @@ def _scored(
 @dataclass(frozen=True)
 class SmokeSummary:
     """Smoke trials of one kind. Shares are of all trials, those without an answer count as misses; errors are medians
-    of those with one, and `error_p90` the 90th percentile. `named`: share of the turned cameras that were named;
-    `wrongly_named`: share of the trials in which another camera was. NaN of none.
+    of those with one, and `error_p90` the 90th percentile. `suspected`: share of the turned cameras that
+    were the most suspicious one. NaN of none.
     """
 
     count: int
@@ -221,8 +221,7 @@ class SmokeSummary:
     major: float
     minor: float
     agreed: float
-    named: float
-    wrongly_named: float
+    suspected: float
     milliseconds: float
 
     @classmethod
@@ -251,7 +250,6 @@ class SmokeSummary:
             middle([trial.place.major for trial in found]),
             middle([trial.place.minor for trial in found]),
             share([trial.agreed for trial in found]),
-            share([trial.named == trial.wrong for trial in trials if trial.wrong]),
-            share([bool(trial.named) and trial.named != trial.wrong for trial in trials]),
+            share([trial.suspect == trial.wrong for trial in trials if trial.wrong]),
             middle([trial.milliseconds for trial in found]),
         )

@@ -14,8 +14,8 @@ import numpy as np
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem

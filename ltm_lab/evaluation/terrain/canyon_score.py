@@ -14,7 +14,7 @@ from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import fuse
 from ltm_core.raster.dem import Dem
-from ltm_core.scoring.depth import at_pixels_of
+from ltm_core.scoring.labels import at_pixels_of
 from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.observation import DepthFrame

@@ -51,8 +51,7 @@ class Secret:
 
 def read_secret(config: SecretConfig) -> Secret:
     """Read the password again for each connection, so that a change needs no restart. Raises UnauthorisedError that
-    names the place.
-    """
+    names the place."""
     if config.environment is not None:
         value = os.environ.get(config.environment)
         if not value:

@@ -27,8 +27,7 @@ STEP_AFTER = 10
 
 class OffsetBounds:
     """A clock offset bounded by observed intervals. Their intersection is narrow, because a clock with whole seconds is
-    observed at all phases of its second.
-    """
+    observed at all phases of its second."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
@@ -39,8 +38,7 @@ class OffsetBounds:
 
     def add(self, low: float, high: float, now: float) -> bool:
         """Add the observation that the offset was within [low, high] at `now`. Returns True if it contradicts earlier
-        ones: then the clock was set, and they are dropped.
-        """
+        ones: then the clock was set, and they are dropped."""
         contradicts = False
         if self._seen:
             known_low, known_high = self.at(now)
@@ -64,8 +62,7 @@ class OffsetBounds:
 
 class FastestArrival:
     """For a stream with millisecond times: running minimum of arrival minus stated time. The fastest image gives the
-    offset, apart from its own delay.
-    """
+    offset, apart from its own delay."""
 
     def __init__(self) -> None:
         self._delays: deque[tuple[float, float]] = deque()
@@ -75,8 +72,7 @@ class FastestArrival:
         """Add an image. Returns True if recent images are so late that the clock must have been set back; then only
         they count.
 
-        `begins`: whether it is the first image of a connection, which shows this at once.
-        """
+        `begins`: whether it is the first image of a connection, which shows this at once."""
         self.count += 1
         self._delays.append((arrived, arrived - stated))
         while len(self._delays) > LEAST and self._delays[0][0] < arrived - WINDOW_S:
@@ -111,8 +107,7 @@ PLAUSIBLE_S = 5.0
 @dataclass(frozen=True)
 class Exposure:
     """`at`: seconds of the monotonic clock. `uncertainty`: half width of the 95 % interval in seconds. `by`: source of
-    the time.
-    """
+    the time."""
 
     at: float
     uncertainty: float
@@ -158,8 +153,7 @@ class ExposureClock:
 
     def _of_stream(self, timing: Timing, stream: float) -> Exposure:
         """Use the stream's own time, or the clock of its sender reports if more of these were seen, because it
-        continues over connections.
-        """
+        continues over connections."""
         if self._stream is None:
             self._stream = FastestArrival()
         self.resets += self._stream.add(stream, timing.arrived)

@@ -47,8 +47,7 @@ class _FileState:
 
 class FolderReader:
     """Returns files once each, in order of writing, when they are complete: unchanged since the previous check, with an
-    end-of-image marker.
-    """
+    end-of-image marker."""
 
     def __init__(self, config: FolderConfig, most_bytes: int, clock: Clock) -> None:
         self.pause = config.every
@@ -162,8 +161,7 @@ _MILLISECONDS = 1e11
 
 class CameraListReader:
     """Reads the list, the image, and the list again; if the direction has changed, the camera counts as moving. An
-    unchanged list is not transferred again.
-    """
+    unchanged list is not transferred again."""
 
     def __init__(self, config: CameraListConfig, most_bytes: int) -> None:
         self.pause = config.every
@@ -216,8 +214,7 @@ class CameraListReader:
 
 def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
     """Return the camera's entry in a list, in a mapping with a list (`cameras`, GeoJSON's `features`), or in a mapping
-    by id. Raises SourceError if it is missing.
-    """
+    by id. Raises SourceError if it is missing."""
     try:
         content = json.loads(body)
     except (ValueError, RecursionError):
@@ -244,8 +241,7 @@ def reading_of(entry: dict[str, Any], config: CameraListConfig) -> PtzReading | 
 
 def time_of(value: Any) -> CameraTime | None:
     """Parse epoch seconds or milliseconds, or ISO 8601 (UTC without a zone); the resolution is 1 s without
-    a fraction.
-    """
+    a fraction."""
     number = None if isinstance(value, bool) else stated_number(value)
     if number is not None:
         epoch = number / 1000 if number > _MILLISECONDS else number

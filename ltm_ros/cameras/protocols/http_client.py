@@ -1,6 +1,5 @@
 """Send HTTP requests to a camera: authentication, certificates, limits of size and time; errors become SourceError
-without secrets.
-"""
+without secrets."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class HttpResponse:
 
 class HttpClient:
     """A connection to one camera, for one thread. Raises UnauthorisedError if the password cannot be read, SourceError
-    if the certificates cannot.
-    """
+    if the certificates cannot."""
 
     def __init__(self, settings: HttpSettings, *, most_bytes: int) -> None:
         self._login = Login.of(settings)
@@ -73,8 +71,7 @@ class HttpClient:
 
     def get(self, url: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
         """Return the whole answer with status 200 or 304. Raises SourceError, UnauthorisedError, PictureError if it is
-        too large.
-        """
+        too large."""
         return self.send("GET", url, headers)
 
     def send(
@@ -117,8 +114,7 @@ class HttpClient:
         accepted: Collection[int] = TAKEN,
     ) -> Iterator[tuple[httpx.Response, float, float]]:
         """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
-        `get`.
-        """
+        `get`."""
         with self._said(), contextlib.ExitStack() as stack:
             # Time of the last request after a challenge: its answer holds the image.
             asked = time.monotonic()
@@ -233,8 +229,7 @@ def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
 
 def _certificates(settings: HttpSettings) -> ssl.SSLContext:
     """Return one SSL context for all connections with the same certificates, because reading the system's takes longer
-    than connecting.
-    """
+    than connecting."""
     try:
         changed = None if settings.ca is None else settings.ca.stat().st_mtime_ns
         return _context(settings.ca, changed, settings.check_name)

@@ -159,8 +159,7 @@ class MjpegReader:
 class PartSplitter:
     """Splits a multipart answer into its parts, by the line that the stream begins with, because cameras write dashes
     and case otherwise than they declare; else by `declared`. A stated length is used if an image ends there. Source:
-    RFC 2046, 5.1; cameras implement half of it.
-    """
+    RFC 2046, 5.1; cameras implement half of it."""
 
     def __init__(self, declared: bytes, most_bytes: int) -> None:
         self._declared, self._most_bytes = declared.lstrip(b"-"), most_bytes

@@ -3,8 +3,7 @@
 Sources: RFC 9112 (messages), RFC 9110 11.6 (challenges), RFC 7616 and 2617 (digest).
 
 Own code, because httpx rejects an answer with one invalid line, and knows neither `auth-int`, SHA-512-256, an empty
-algorithm nor two challenges in one line.
-"""
+algorithm nor two challenges in one line."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def tolerated(head: bytes) -> bytes:
 
 class Deadline:
     """Time of a monotonic clock at which every network operation ends. A limit for each part is not enough: an answer
-    that comes letter by letter would hold up its thread, and the watchdog would end the process of all cameras.
-    """
+    that comes letter by letter would hold up its thread, and the watchdog would end the process of all cameras."""
 
     until = math.inf
 
@@ -164,8 +162,7 @@ def challenges(lines: Iterable[str]) -> list[Challenge]:
 
 class CameraAuth(httpx.Auth):
     """Answers the strongest challenge that the camera offers and `schemes` names. No password goes out before one,
-    unless `schemes` is `basic` alone.
-    """
+    unless `schemes` is `basic` alone."""
 
     requires_request_body = True
 

@@ -48,8 +48,7 @@ class Patrol(Protocol):
 
     def advance(self) -> None:
         """Go to the next preset and wait until it rests there. Raises SourceError; StuckPtzError if it does
-        not arrive.
-        """
+        not arrive."""
         ...
 
 
@@ -58,8 +57,7 @@ class PoseModel(Protocol):
 
     def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
         """Return the pose of the optical frame in `map`, and its (6, 6) covariance: position in metres, then rotation
-        about the map's axes in radians.
-        """
+        about the map's axes in radians."""
         ...
 
 
@@ -156,8 +154,7 @@ class CameraReader(Protocol):
 
     def read(self) -> CameraImage | Nothing:
         """Return an image; may block for a few seconds. Raises SourceError if the connection must be reopened, else
-        PictureError.
-        """
+        PictureError."""
         ...
 
     def close(self) -> None: ...
@@ -174,8 +171,7 @@ HASH_SIZE = 8
 
 def thumbnail_of_bytes(data: bytes) -> UInt8Array:
     """Return a thumbnail (H / 8, W / 8, 3) in BGR of a JPEG or PNG, for a JPEG at a tenth of the decoding cost. Raises
-    PictureError.
-    """
+    PictureError."""
     try:
         return np.ascontiguousarray(decode_rgb(data, "image", 8)[..., ::-1])
     except ImageError as error:
@@ -198,8 +194,7 @@ def is_night(thumbnail: UInt8Array) -> bool:
 
 def difference_hash(thumbnail: UInt8Array) -> int:
     """Return 64 bits: whether each of 8 x 8 cells is brighter than its left neighbour. Similar images differ in few
-    bits (Krawetz's dHash).
-    """
+    bits (Krawetz's dHash)."""
     grey = cv2.resize(_grey(thumbnail), (HASH_SIZE + 1, HASH_SIZE), interpolation=cv2.INTER_AREA)
     bits = np.packbits(grey[:, 1:] > grey[:, :-1])
     return int.from_bytes(bits.tobytes(), "big")
@@ -207,8 +202,7 @@ def difference_hash(thumbnail: UInt8Array) -> int:
 
 def same_share(first: UInt8Array, second: UInt8Array) -> float:
     """Return the share of exactly equal pixels of two thumbnails; noise and light change most pixels between exposures.
-    0 if sizes differ.
-    """
+    0 if sizes differ."""
     if first.shape != second.shape:
         return 0.0
     return float((first == second).all(axis=2).mean())
@@ -237,8 +231,7 @@ class StuckPicture:
     """Compares each image with the first equal one, and after a turn with the one before the turn. The light of a live
     image soon changes.
 
-    Args: after_s: seconds for which the same image may repeat.
-    """
+    Args: after_s: seconds for which the same image may repeat."""
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s

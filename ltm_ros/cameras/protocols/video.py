@@ -21,8 +21,7 @@ TURN_S = 2.0
 """Seconds after which a call returns without an image, so that its caller can stop."""
 _HELD_BACK = ("h264", "hevc")
 """Codecs for which FFmpeg detects a complete image only when the next one begins: an image began to arrive when the
-previous one was returned, one period before it is returned itself.
-"""
+previous one was returned, one period before it is returned itself."""
 
 
 class VideoOrigin(Protocol):
@@ -34,8 +33,7 @@ class VideoOrigin(Protocol):
 
     def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
         """Return the timing of an image that began to arrive at `arrived`. `stream`: its time in the video, seconds;
-        `begun`: epoch seconds of time 0; None: unknown.
-        """
+        `begun`: epoch seconds of time 0; None: unknown."""
         ...
 
     def said(self, error: BaseException) -> str:
@@ -47,8 +45,7 @@ class VideoReader:
     """Raises SourceError if PyAV is missing, and what `origin` raises.
 
     Args: keys_only: use only key frames, each decoded alone. every: seconds between images; 0: all. stall_s: seconds
-    without an image, while packets come, after which the video is given up.
-    """
+    without an image, while packets come, after which the video is given up."""
 
     def __init__(self, origin: VideoOrigin, keys_only: bool, every: float, stall_s: float) -> None:
         self.pause = 0.0

@@ -1,42 +1,44 @@
-"""Read PTZ heads of Hikvision (ISAPI), Axis (VAPIX) and Reolink.
+"""Read PTZ heads of Hikvision (ISAPI) and Axis (VAPIX).
 
 ISAPI: source: ISAPI 2.0, PTZCtrl; fields as cameras send them. Units differ between pages: tenths of a degree in
-`status`, degrees with decimals in `absoluteEx`.
-
-Reolink: the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of the position's
-fields from reolink-aio 0.22. Own code, because reolink-aio is asynchronous and requests everything from a camera before
-it returns a position, which needs two calls.
-"""
+`status`, degrees with decimals in `absoluteEx`."""
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Mapping
-from typing import Any
 from urllib.parse import quote
 
 from ltm_core.site.source_config import (
-    HttpSettings,
     IsapiConfig,
     OnvifConfig,
     PtzConfig,
-    ReolinkConfig,
     SourceConfig,
     VapixConfig,
 )
-from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.picture import PtzReading
-from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of, span
-from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.head import (
+    Connection,
+    PtzHead,
+    PtzLimits,
+    found,
+    local,
+    number,
+    parsed_xml,
+    settings_of,
+    spacing_for,
+    span,
+    token_of,
+    tolerance_of,
+)
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 
 class IsapiPtzHead:
     """Azimuth is its pan, elevation its tilt. On most of these PTZ heads, elevation grows downwards (0 level, 90
-    straight down): `mount.tilt_sign: -1`.
-    """
+    straight down): `mount.tilt_sign: -1`."""
 
     def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._connection = connection or Connection(settings_of(config, source))
@@ -143,115 +145,9 @@ class VapixPtzHead:
         return said
 
 
-_REOLINK_PAGE = "/cgi-bin/api.cgi"
-_LOGIN_AGAIN = -6
-"""Error code of an expired token."""
-_BEFORE_END_S = 60.0
-
-
-class ReolinkPtzHead:
-    """Pan and tilt in the camera's own steps, divided by the steps per degree of the site file."""
-
-    def __init__(
-        self, config: ReolinkConfig, source: SourceConfig | None, connection: Connection | None = None
-    ) -> None:
-        settings = settings_of(config, source)
-        self._login = Login.of(settings)
-        # User and password are only in the body of the log-in request.
-        self._connection = connection or Connection(
-            HttpSettings(url=settings.url, timeout=settings.timeout, ca=settings.ca, check_name=settings.check_name)
-        )
-        self._config = config
-        self._token, self._token_until = "", 0.0
-        self.spacing = spacing_for(tolerance_of(config).angle_deg)
-
-    def read(self) -> PtzReading:
-        channel = self._config.channel
-        said = _part(self._ask("GetPtzCurPos", {"PtzCurPos": {"channel": channel}}), "PtzCurPos")
-        at = time.monotonic()
-        focus = _part(self._ask("GetZoomFocus", {"channel": channel}), "ZoomFocus")
-        zoom = _part(focus, "zoom").get("pos", 0)
-        pan, tilt = (number(str(said.get(key)), key) for key in ("Ppos", "Tpos"))
-        return PtzReading(
-            pan / self._config.pan_steps_per_deg,
-            tilt / self._config.tilt_steps_per_deg,
-            number(str(zoom), "zoom"),
-            None,
-            at,
-        )
-
-    def limits(self) -> PtzLimits:
-        return PtzLimits()
-
-    def presets(self) -> Mapping[str, str]:
-        said = self._ask("GetPtzPreset", {"channel": self._config.channel}).get("PtzPreset") or []
-        if not isinstance(said, list):
-            raise SourceError("the camera's list of presets has an unknown format")
-        rows = [row for row in said if isinstance(row, dict) and row.get("enable", 1) == 1 and "id" in row]
-        return {str(row.get("name") or row["id"]): str(row["id"]) for row in rows}
-
-    def go_to(self, preset: str) -> None:
-        number = int(token_of(self.presets(), preset))
-        where = {"channel": self._config.channel, "op": "ToPos", "speed": 32, "id": number}
-        self._ask("PtzCtrl", where)
-
-    def close(self) -> None:
-        self._connection.close()
-
-    def _ask(self, command: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        if time.monotonic() > self._token_until:
-            self._log_in()
-        code, value = self._send(command, parameters, f"&token={self._token}")
-        if code == _LOGIN_AGAIN:
-            self._log_in()
-            code, value = self._send(command, parameters, f"&token={self._token}")
-        if code:
-            raise SourceError(
-                f"the camera rejected {command} (code {code}): it may have no PTZ head, or the user lacks the "
-                "permission"
-            )
-        return value
-
-    def _log_in(self) -> None:
-        password = self._login.password.reveal() if self._login.password is not None else ""
-        user = {"User": {"userName": self._login.user or "", "password": password}}
-        code, value = self._send("Login", user, "")
-        token = _part(value, "Token")
-        if code or not token.get("name"):
-            raise UnauthorisedError(f"the camera rejected user {self._login.user} (code {code}). Check the password")
-        self._token = str(token["name"])
-        lease = number(str(token.get("leaseTime", 3600)), "leaseTime")
-        self._token_until = time.monotonic() + max(lease - _BEFORE_END_S, 1.0)
-
-    def _send(self, command: str, parameters: Mapping[str, Any], token: str) -> tuple[int, dict[str, Any]]:
-        body = json.dumps([{"cmd": command, "action": 0, "param": parameters}]).encode()
-        kind = {"content-type": "application/json"}
-        answer = self._connection.ask(f"{_REOLINK_PAGE}?cmd={command}{token}", "POST", body, kind)
-        try:
-            (said,) = json.loads(answer.body)
-            code = int(said.get("code", 0))
-            if code:
-                code = int((said.get("error") or {}).get("rspCode", code))
-            value = said.get("value") or {}
-        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
-            raise SourceError("the answer is not JSON of a Reolink camera: check url and kind of ptz") from None
-        if not isinstance(value, dict):
-            raise SourceError(f"the camera's answer to {command} has an unknown format")
-        return code, value
-
-
-def _part(answer: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """Return the named part of an answer, nothing if it is missing. Raises SourceError if it has another type."""
-    part = answer.get(key) or {}
-    if not isinstance(part, dict):
-        raise SourceError(f"the camera's answer {key} has an unknown format ({str(part)[:80]!r})")
-    return part
-
-
 def open_ptz(config: PtzConfig, source: SourceConfig | None, connection: Connection | None = None) -> PtzHead:
     """Open a PTZ head without a request. `connection`: an existing one. Raises SourceError, and UnauthorisedError if
-    the password cannot be read.
-    """
+    the password cannot be read."""
     match config:
         case VapixConfig():
             return VapixPtzHead(config, source, connection)
@@ -259,5 +155,3 @@ def open_ptz(config: PtzConfig, source: SourceConfig | None, connection: Connect
             return IsapiPtzHead(config, source, connection)
         case OnvifConfig():
             return OnvifPtzHead(config, source, connection)
-        case ReolinkConfig():
-            return ReolinkPtzHead(config, source, connection)

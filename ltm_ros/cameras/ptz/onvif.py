@@ -4,8 +4,7 @@ Sources: ONVIF Core Specification 5.9.4 (user authentication), OASIS WS-Security
 digest).
 
 Own code, because onvif-zeep-async is asynchronous, needs 27 packages, takes 57 MB and 0.4 s to start; six calls are
-needed here.
-"""
+needed here."""
 
 from __future__ import annotations
 
@@ -21,17 +20,20 @@ from xml.sax.saxutils import escape  # nosec B406 # writes only
 from ltm_core.site.source_config import OnvifConfig, SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import PtzReading
-from ltm_ros.cameras.ptz.connection import (
+from ltm_ros.cameras.ptz.head import (
     Connection,
+    PtzLimits,
     found,
     local,
     number,
     parsed_xml,
     settings_of,
+    spacing_for,
     span,
+    token_of,
+    tolerance_of,
     with_configured_host,
 )
-from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 MEDIA = "http://www.onvif.org/ver10/media/wsdl"
@@ -54,8 +56,7 @@ _TOLD = (200, 400, 401, 403, 500)
 
 class SoapClient:
     """Signs with the camera's own time, which it requests first: a token older than some seconds is rejected, and
-    cameras' clocks are off by minutes.
-    """
+    cameras' clocks are off by minutes."""
 
     def __init__(self, connection: Connection, device: str) -> None:
         self._connection, self._device = connection, device
@@ -154,8 +155,7 @@ _DEGREES = "SphericalPositionSpaceDegrees"
 
 class OnvifPtzHead:
     """The directions of its axes differ between makers, even from its own velocities: calibrate the mount's signs (`ltm
-    pose`). MoveStatus is often missing or constant, so it is used only if it reports motion.
-    """
+    pose`). MoveStatus is often missing or constant, so it is used only if it reports motion."""
 
     def __init__(self, config: OnvifConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._config = config

@@ -44,8 +44,7 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
     Sources in this order: `stated` (UTC unless it names a zone; for a frame, the start of its capture); the time of a
     recording or video, else EXIF's clock, each with its own zone; this clock in `zone`; the GPS stamp, which is UTC;
     the clock as UTC. `notes` gets assumptions and contradictions between clock and GPS stamp. Raises RecordingError
-    without any date.
-    """
+    without any date."""
     if stated is not None:
         begun = stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
         return begun + timedelta(seconds=photo.sensed.seconds)
@@ -109,8 +108,7 @@ class Assumptions:
     Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
     `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
     `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
-    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors.
-    """
+    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
 
     pitch_deg: float | None = None
     height_above_ground: float = 2.0
@@ -134,8 +132,7 @@ class Assumptions:
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """Where photos are placed: the map frame, its DEM if any (else heights must be known), known cameras by name, and
-    the error of poses that state none.
-    """
+    the error of poses that state none."""
 
     frame: SiteFrame
     dem: Dem | None = None
@@ -167,8 +164,7 @@ def height_of(
 ) -> float:
     """Return z in the map frame at (x, y); `found` gets the standard deviation from sensors, `notes` the assumptions.
 
-    Raises PoseError below the ground, and without a height.
-    """
+    Raises PoseError below the ground, and without a height."""
     dem = site.dem
     ground = float(dem.elevation_at(x, y)) if dem is not None else math.nan
     if known.z is not None:
@@ -239,8 +235,7 @@ def _climbed(sensed: Sensed, site: Surroundings, assumed: Assumptions) -> tuple[
     used.
 
     The start height is given by the user, or is the median that puts the whole walk at eye height above the terrain,
-    because single GPS fixes may be on other ground.
-    """
+    because single GPS fixes may be on other ground."""
     if sensed.climb is None:
         return None
     what = f"{sensed.source} barometer's height"

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
-from ltm_core.base.utc_time import moment_of_stamp
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_radians
 from ltm_core.cameras.sensor_pose import Attitude, Fix
@@ -30,9 +30,8 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import attitude_to_msg, camera_to_msg, fix_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import ImportedImage, Photo
+from ltm_ros.recordings.importing.photo import POSES, ImportedImage, Photo, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
-from ltm_ros.recordings.importing.pose_file import POSES, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMU, POSE, camera_topic
@@ -86,8 +85,7 @@ def import_photos(
     upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in their
     images.
 
-    Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
-    """
+    Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed."""
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
     if site is not None:
@@ -173,8 +171,7 @@ _Reading = tuple[str, str, Fix | Attitude]
 
 def _readings(site: str, placed: Sequence[tuple[str, ImportedImage, PhotoPose, int]]) -> list[_Reading]:
     """Return the fixes and attitudes of recorded tracks as the device reported them, by stamp, from a second before its
-    first photo to a second after its last one.
-    """
+    first photo to a second after its last one."""
     stamps: dict[tuple[str, SensorTrack], list[int]] = {}
     for camera, file, _, stamp in placed:
         for track in file.tracks:
@@ -203,11 +200,7 @@ def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Pat
 
 def _names_of(file: ImportedImage) -> tuple[str, str, str]:
     """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
-    return file.name, _without_suffix(file), file.capture
-
-
-def _without_suffix(file: ImportedImage) -> str:
-    return Path(file.name).with_suffix("").as_posix()
+    return file.name, Path(file.name).with_suffix("").as_posix(), file.capture
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
@@ -218,10 +211,10 @@ def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose
 
 
 def _read(file: ImportedImage, row: PhotoPose) -> Photo:
-    """Read a photo; a frame with its own row is placed by that, not by the capture's first frame."""
+    """Read a photo; a frame with its own row has that row's time."""
     photo = file.read()
-    own = row.name in (file.name, _without_suffix(file)) and row.pose != PartialPose()
-    return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
+    own = row.name in _names_of(file)[:2] and row.pose != PartialPose()
+    return replace(photo, sensed=replace(photo.sensed, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:

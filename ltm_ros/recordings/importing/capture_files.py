@@ -1,6 +1,5 @@
 """Read the files of a capture: members of a zip, or a folder. Sizes are limited, and members of a zip are only read
-into memory, so that no name from a zip becomes a path.
-"""
+into memory, so that no name from a zip becomes a path."""
 
 from __future__ import annotations
 
@@ -111,8 +110,7 @@ def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, 
     """Return the available wanted columns of a CSV with a header; blanks beside commas are removed.
 
     Raises RecordingError for an invalid CSV, or rows of another length (except an incomplete last row, if a phone
-    died).
-    """
+    died)."""
     place = f"{files.path}: {name!r}"
     lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
     rows = csv.reader(lines, skipinitialspace=True)

@@ -2,8 +2,7 @@
 
 Gimbal angles are of the camera: yaw clockwise from true north, pitch up from the horizon, roll clockwise. Altitudes:
 `AbsoluteAltitude`, `abs_alt` above sea level (above the ellipsoid with RTK); `RelativeAltitude`, `rel_alt`, `H` and
-`BAROMETER` above the take-off place. `altitude` is above either, so that it counts only with the take-off's height.
-"""
+`BAROMETER` above the take-off place. `altitude` is above either, so that it counts only with the take-off's height."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 from ltm_ros.recordings.importing.exif import number
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_subtitle
 from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, Sensed, SensorTrack, ascending
@@ -75,8 +74,7 @@ def sensed_by_xmp(xmp: Mapping[str, str], by_exif: Sensed) -> Sensed:
 @dataclass(frozen=True, eq=False)
 class Flight:
     """Subtitles of a video. `track`: with stamps that count from 1 at the video's start. `begins`: its time by the
-    drone's clock, without a zone. `lenses`: by seconds, ascending.
-    """
+    drone's clock, without a zone. `lenses`: by seconds, ascending."""
 
     track: SensorTrack
     begins: datetime | None
@@ -95,8 +93,7 @@ def subtitles_of(video: Path) -> Path | None:
 def read_subtitles(path: Path, covers: Callable[[float, float], bool] | None = None) -> Flight:
     """Read a flight. `covers(lon, lat)`: whether the site has terrain there, which decides the order of coordinates.
 
-    Raises RecordingError for a file that is not text, has no position, or has positions of an unknown order.
-    """
+    Raises RecordingError for a file that is not text, has no position, or has positions of an unknown order."""
     text = read_text(path, _LARGEST_SRT, RecordingError, "utf-8-sig")
     marks = list(_BLOCK.finditer(text))
     rows: list[dict[str, float]] = []
@@ -141,8 +138,7 @@ def read_subtitles(path: Path, covers: Callable[[float, float], bool] | None = N
 
 def _lon_first(a: float, b: float, third: str, covers: Callable[[float, float], bool] | None, path: Path) -> bool:
     """Return whether longitude precedes latitude in `GPS(a, b, third)`: by the terrain, by the third value (a number of
-    satellites follows longitude first; a height such as `0.0M`, latitude first), or as only that is on the globe.
-    """
+    satellites follows longitude first; a height such as `0.0M`, latitude first), or as only that is on the globe."""
     possible = [order for order, lat in ((True, b), (False, a)) if abs(lat) <= 90]
     covered = [order for order in possible if covers is not None and covers(*((a, b) if order else (b, a)))]
     by_format = [third.isdigit()] if third.isdigit() or third.upper().endswith("M") else []

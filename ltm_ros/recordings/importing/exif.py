@@ -36,8 +36,7 @@ class ExifFacts:
     as most cameras mean sea level even if the standard says ellipsoid (Exif 3.0), it is only certain if `above_sea`.
     `direction_deg`: of the optical axis, clockwise from true ("T") or magnetic ("M") north by `direction_ref`.
     `taken`: by the camera's clock, with its time zone if stated; `changed`: whether it may be the date of an edit.
-    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31).
-    """
+    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31)."""
 
     orientation: int = 1
     taken: datetime | None = None
@@ -103,8 +102,7 @@ def xmp_values(xmp: bytes | str | None) -> dict[str, str]:
 def _taken(tags: Mapping[int, Any]) -> tuple[datetime | None, bool]:
     """Return the date of the exposure, else of the digitisation, else of the last change, and whether it is the last.
 
-    A zone of the last change counts for another date if both read the same time.
-    """
+    A zone of the last change counts for another date if both read the same time."""
     *_, (last, _, last_zone) = _DATES
     for tag, fraction_tag, zone_tag in _DATES:
         local = _date_time(text_of(tags.get(tag)))

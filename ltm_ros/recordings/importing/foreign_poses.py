@@ -23,7 +23,7 @@ from ltm_core.cameras.foreign_camera import (
 )
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 from ltm_ros.recordings.importing.reconstructed_poses import (
     LARGEST,
     Similarity,
@@ -43,8 +43,7 @@ def read_foreign_poses(
     """Return the tool whose file this is, by its content, and its poses.
 
     `size`: width and height of formats that do not state them. `camera`: of formats that state no lens. `transform`: of
-    a reconstruction that is not on the map. Raises PoseError that names file and entry.
-    """
+    a reconstruction that is not on the map. Raises PoseError that names file and entry."""
     if path.is_dir():
         for name in ("images.txt", "reconstruction.json"):
             if (path / name).is_file():

@@ -7,17 +7,16 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from ltm_core.base.errors import CameraError, PoseError, RecordingError
+from ltm_core.base.number_text import stamp_of_moment
 from ltm_core.base.types import Float64Array
-from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, moved_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, height_of, photo_time
 from ltm_ros.recordings.importing.intrinsics import intrinsics
-from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.pose_file import PhotoPose
+from ltm_ros.recordings.importing.photo import Photo, PhotoPose
 
 _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 
@@ -25,8 +24,7 @@ _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
     """A photo with everything that the graph needs. `covariance`: (6, 6) of the pose; None: the site's default.
-    `notes`: assumptions, for the user.
-    """
+    `notes`: assumptions, for the user."""
 
     photo: Photo
     camera: Camera
@@ -41,8 +39,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     precede its sensors and EXIF.
 
     Raises PoseError, CameraError or RecordingError with the remedy if position, azimuth, pitch, focal length or date
-    are unknown.
-    """
+    are unknown."""
     notes: list[str] = []
     taken = photo_time(photo, row.stamp, assumed.time_zone, notes)
     stamp_ns = _stamp_ns(photo, taken)
@@ -62,9 +59,6 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     stated = known.model_dump(include=set(found), exclude_none=True)
     error = site.pose_error
     covariance = known.model_copy(update=found | stated).covariance(pose, error.position, error.angle_deg)
-    if photo.sensed.relative is not None:
-        first, pose = pose, photo.sensed.relative.placed(pose)
-        covariance = None if covariance is None else moved_covariance(covariance, pose.position - first.position)
     return PlacedPhoto(photo, _camera(photo, row, fixed, assumed), pose, covariance, stamp_ns, notes)
 
 

@@ -47,8 +47,7 @@ class LensFacts:
     `zoom`: digital zoom ratio; `zoom_included`: whether the 35 mm equivalent certainly includes it. `plane`: sensor
     pixels per mm along x and y. `size`: width and height in pixels that the camera recorded. `untouched`: whether the
     camera itself wrote the file. `not_pinhole`: why the image is not of a pinhole camera. `calibration`: in pixels of
-    `size`.
-    """
+    `size`."""
 
     focal_mm: float | None = None
     focal_35mm: float | None = None
@@ -71,8 +70,7 @@ def intrinsics(
     """Return the calibration of the upright image `what` of `width` x `height` pixels.
 
     `focal_35mm`: applies if the metadata states none. Raises CameraError if the image is not of a pinhole camera, is
-    cropped, or its field of view is unknown, outside 5 to 120 degrees, or differs between sources by more than 10 %.
-    """
+    cropped, or its field of view is unknown, outside 5 to 120 degrees, or differs between sources by more than 10 %."""
     long, short = max(width, height), min(width, height)
     remedy = "give fx or hfov_deg in a pose file (--poses)"
     if lens.not_pinhole or long > _WIDEST_ASPECT * short:
@@ -118,8 +116,7 @@ def intrinsics(
 
 def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[str, list[float]]:
     """Return possible focal lengths in pixels by source, the most accurate first. There are two if it is unknown
-    whether a source includes the digital zoom.
-    """
+    whether a source includes the digital zoom."""
     stated: dict[str, float] = {}
     if lens.calibration.fx is not None:
         stated["calibration in XMP"] = lens.calibration.fx * scale
@@ -206,8 +203,7 @@ def lens_of_video(tags: Mapping[str, str]) -> LensFacts:
 
 def lens_of_subtitle(block: str) -> LensFacts | None:
     """Return the facts of one block of DJI's subtitles; None if it has no focal length. Values without a decimal point
-    are tenths of a millimetre, and ten-thousandths of a zoom ratio.
-    """
+    are tenths of a millimetre, and ten-thousandths of a zoom ratio."""
     found: dict[str, str] = dict(_SUBTITLE.findall(block))
     focal, zoom = found.get("focal_len", ""), found.get("dzoom_ratio", found.get("DZOOM", "1"))
     value, ratio = positive(focal.replace(",", ".")), positive(zoom.replace(",", ".")) or 1.0

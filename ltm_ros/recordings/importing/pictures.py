@@ -8,16 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
+from ltm_core.base.number_text import stamp_of_moment
 from ltm_core.base.types import Float64Array
-from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.sensor_pose import held_phone
 from ltm_core.storage.image_io import LARGEST_FILE
-from ltm_ros.recordings.importing.arkit import (
-    is_record3d,
-    is_stray_scanner,
-    record3d_pictures,
-    stray_scanner_pictures,
-)
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
@@ -49,8 +43,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     A sensor recording without photos of its own applies to all photos beside it, by their time.
 
     Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
-    unknown.
-    """
+    unknown."""
     paths = list(paths)
     found: list[ImportedImage] = []
     skipped: list[SkippedFile] = []
@@ -106,10 +99,6 @@ def _found_in(path: Path, assumed: Assumptions) -> Iterator[ImportedImage | Sens
         files = CaptureFiles(path)
         if is_sensor_logger(files):
             yield from _sensor_logger(files)
-        elif is_stray_scanner(files):
-            yield from stray_scanner_pictures(files, assumed)
-        elif is_record3d(files):
-            yield from record3d_pictures(files, assumed)
         elif path.is_dir():
             yield from _in_folder(path, assumed)
         else:
@@ -218,8 +207,7 @@ def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     """Return (3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
 
     EXIF's orientation decides; without one a portrait was held upright, and a landscape on the side on which it is
-    upright.
-    """
+    upright."""
     stated = photo.exif.orientation
     turned = (_TURNED_DEG[stated],) if stated != 1 and stated in _TURNED_DEG else ()
     rotation = track.rotation_at(stamp_ns)

@@ -15,8 +15,8 @@ from ltm_core.cameras.plausibility import doubt_of_height
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit

@@ -16,7 +16,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.foreign_camera import ForeignPose, earth_centred, east_north_up
 from ltm_core.geometry.camera import Camera
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 
 LARGEST = 256 << 20
 """Maximum size of a file in bytes."""

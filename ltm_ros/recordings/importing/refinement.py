@@ -1,8 +1,7 @@
 """Find the poses of imported photos in their images, before they are written.
 
 The compass error of a phone is similar in all photos of a walk (iron in its case and pocket). So photos with a found
-pose give the compass error of the others, which are searched again from there.
-"""
+pose give the compass error of the others, which are searched again from there."""
 
 from __future__ import annotations
 
@@ -16,8 +15,8 @@ from ltm_core.base.errors import ImageError, LtmError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_io import (
     UNSTATED_TILT_SIGMA_DEG,
     PoseResult,
@@ -44,8 +43,7 @@ LEAST_SPREAD_DEG = 1.0
 class Refinement:
     """Result of a search. `verdict`: a word and the reason. `accepted`: the pose found in the image is written.
     `as_others`: no certain pose was found, and the compass is corrected like that of the others; anything else: the
-    given pose is kept. `turned_deg`: rotation in azimuth, pitch and roll.
-    """
+    given pose is kept. `turned_deg`: rotation in azimuth, pitch and roll."""
 
     verdict: str
     reason: str
@@ -97,8 +95,7 @@ class PoseRefinement:
     """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose.
 
     `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network and label head of each camera.
-    Raises DemError at creation.
-    """
+    Raises DemError at creation."""
 
     def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
         self._site = site
@@ -111,8 +108,7 @@ class PoseRefinement:
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
         """Search one photo by itself; all are searched before the first is refined. Raises ModelError for the camera's
-        network, and ConfigError for its mask.
-        """
+        network, and ConfigError for its mask."""
         view = self._view(camera)
         try:
             prior = self._prior(item)

@@ -3,8 +3,7 @@
 Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `time` is nanoseconds since 1970 UTC;
 `altitude` is above the WGS 84 ellipsoid; a negative accuracy marks an invalid value; `bearing` is the course of travel,
 not the heading; a camera frame is named by its milliseconds since 1970. The quaternion maps the phone's axes to a world
-with x to true north on iOS, and y to magnetic north on Android.
-"""
+with x to true north on iOS, and y to magnetic north on Android."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import ENU_FROM_ENU, ENU_FROM_NWU
-from ltm_core.storage.text_io import read_text
+from ltm_core.storage.config_io import read_text
 from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
 from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
 
@@ -165,8 +164,7 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     """Return whether the world's y points north, as on Android, by the angles beside each quaternion.
 
     The app's documents define the axes by platform, and its setting "standardise" converts those of iOS to Android's:
-    the file itself shows which it holds. Without angles, the platform decides.
-    """
+    the file itself shows which it holds. Without angles, the platform decides."""
     told = np.column_stack([angles[name] for name in ("yaw", "pitch", "roll")])
     used = np.isfinite(told).all(axis=1)
     if not used.any():

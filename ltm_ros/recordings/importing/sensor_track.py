@@ -13,11 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ltm_core.base.errors import RecordingError
+from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
-from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
-from ltm_core.geometry.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,20 +29,6 @@ class Walk:
 
 
 @dataclass(frozen=True, eq=False)
-class Relative:
-    """Pose of a frame relative to the first frame of its capture: `rotation` (3, 3) and `translation` (3,) metres map
-    this frame's optical coordinates to the first's.
-    """
-
-    rotation: Float64Array
-    translation: Float64Array
-
-    def placed(self, first: Pose) -> Pose:
-        """Return the position of this frame, given the position of the first."""
-        return Pose(first.to_map(self.translation), first.rotation @ self.rotation)
-
-
-@dataclass(frozen=True, eq=False)
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
@@ -51,9 +36,7 @@ class Sensed:
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
     sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
     if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
-    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start.
-    `relative`: to the capture's first frame, to which all other values then belong.
-    """
+    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start."""
 
     source: str = "EXIF"
     stamp: datetime | None = None
@@ -74,7 +57,6 @@ class Sensed:
     tilt_sigma_deg: float | None = None
     calibration: PartialCalibration = field(default_factory=PartialCalibration)
     seconds: float = 0.0
-    relative: Relative | None = None
     missing: str = ""
     """Reason why there is no position, if known."""
 
@@ -109,8 +91,7 @@ _WALKING_SPEED = 1.4
 @dataclass(frozen=True, eq=False)
 class Fixes:
     """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
-    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too.
-    """
+    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too."""
 
     stamp_ns: Int64Array
     lon: Float64Array

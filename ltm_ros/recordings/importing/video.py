@@ -41,8 +41,7 @@ _EPOCH_1904 = datetime(1971, 1, 1, tzinfo=UTC)
 class Video:
     """`begins`: its first frame's time, with its zone; None if not stated. `times`: seconds after it of the requested
     frames. `lat`, `lon`, `altitude`: one position for the whole video, above sea level; `position_sigma`: metres.
-    `maker`: of the camera, empty if not stated.
-    """
+    `maker`: of the camera, empty if not stated."""
 
     path: Path
     begins: datetime | None
@@ -59,10 +58,6 @@ class Video:
         pixels, turn_deg = self._frame(seconds)
         # The turn that shows it upright is counter-clockwise, as NumPy's.
         return np.ascontiguousarray(np.rot90(pixels, round(turn_deg / 90) % 4))
-
-    def stored(self, seconds: float) -> UInt8Array:
-        """Return the same in the orientation of the sensor."""
-        return self._frame(seconds)[0]
 
     def _frame(self, seconds: float) -> tuple[UInt8Array, float]:
         with _opened(self.path) as container:
@@ -83,8 +78,7 @@ class Video:
 
 def is_video(path: Path) -> bool:
     """Return whether it is a video, by its first box: ISO 14496-12's `ftyp`, or one of QuickTime's in older files. HEIC
-    and AVIF begin alike and name themselves.
-    """
+    and AVIF begin alike and name themselves."""
     try:
         with path.open("rb") as file:
             head = file.read(12)
@@ -95,8 +89,7 @@ def is_video(path: Path) -> bool:
 
 def read_video(path: Path, every: float) -> Video:
     """Return a video's metadata, with the times of a frame every `every` seconds. Raises RecordingError if it cannot be
-    read, or has no images.
-    """
+    read, or has no images."""
     with _opened(path) as container:
         stream = container.streams.video[0]
         if stream.width * stream.height > MAX_PIXELS:

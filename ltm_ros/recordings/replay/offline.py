@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import LtmError, RecordingError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
@@ -35,8 +35,7 @@ class Selection:
     """The input topics of a site's cameras in a bag, and a time span.
 
     `start`, `duration`: seconds from the bag's first message. Results of the graph are never replayed. `health`: counts
-    messages, those that are invalid, and those lost in damaged parts.
-    """
+    messages, those that are invalid, and those lost in damaged parts."""
 
     inputs: InputReader
     topics: dict[str, Topic]
@@ -59,8 +58,7 @@ class Selection:
         names: Mapping[str, str] | None = None,
     ) -> Selection:
         """Open a bag; `names`: other names of its topics. Raises RecordingError if it has no image of a camera of the
-        site, or nothing in the span.
-        """
+        site, or nothing in the span."""
         reader = BagReader(bag, names=names)
         recorded = reader.topics()
         inputs = InputReader(reader, site)
@@ -97,8 +95,7 @@ class Selection:
 
     def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
         """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
-        end, those that are lost.
-        """
+        end, those that are lost."""
         for message in self:
             counted = self.topics[message.topic].counted
             if counted:
@@ -132,8 +129,7 @@ def require_frames(
     bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
 ) -> None:
     """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
-    topics of the bag beside the expected ones.
-    """
+    topics of the bag beside the expected ones."""
     if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
         said = [(key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]
         reasons = {text for (kind, _), text in said if kind == "reason"}
@@ -266,8 +262,7 @@ def replay_offline(
 ) -> dict[str, dict[str, str]]:
     """Run a recording through a graph; return each node's health summary by its full name.
 
-    `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`.
-    """
+    `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`."""
     writer = BagWriter(record) if record is not None else None
     try:
         offline = OfflineGraph(graph, writer, str(selection.inputs.reader.path))

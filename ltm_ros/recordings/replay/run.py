@@ -53,8 +53,7 @@ class LivePlayer:
     def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
         """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of real time; in longer recorded pauses
         the clock continues for that long and until the graph is idle, and skips the rest. Raises RecordingError unless
-        both are positive.
-        """
+        both are positive."""
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
         if not longest_pause > 0:
@@ -101,8 +100,7 @@ class LivePlayer:
         """Wait until the images have subscribers, at least `nodes` nodes have reported and subscribed to the clock, all
         are matched, and nothing of that has changed for a second.
 
-        Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
-        """
+        Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain."""
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
         known, loose = 0, list[str]()
         truth = tuple(f"/{topic.name}" for topic in CAMERA_TRUTH)  # only a recorder takes it
@@ -137,8 +135,7 @@ class LivePlayer:
 
         The recording's time is paused while the graph is behind, and before the second frame of a camera until the
         first ones are finished, because those wait for networks and code that are used for the first time. With `loop`,
-        stamps of later rounds are moved on with the clock, so that each stays unique.
-        """
+        stamps of later rounds are moved on with the clock, so that each stays unique."""
         round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift, begun, warm = 0, 0, set[str](), False
@@ -186,8 +183,7 @@ class LivePlayer:
 
     def _first_frames_done(self) -> Callable[[], bool]:
         """Return a check whether the graph has finished what it can, because a frame may wait for a later message. It
-        ends after `WARM_UP` seconds.
-        """
+        ends after `WARM_UP` seconds."""
         self._changed = time.monotonic()
         deadline = self._changed + WARM_UP
         return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue", "in_flight"))
@@ -212,8 +208,7 @@ class LivePlayer:
         self, summaries: Iterable[dict[str, str] | None], busy: Sequence[str] = ("queue", "waiting", "in_flight")
     ) -> bool:
         """Return whether nothing has changed for a while, and nothing is queued or in flight (a large frame may take
-        longer).
-        """
+        longer)."""
         empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 
@@ -240,8 +235,7 @@ class LivePlayer:
 
 def _round_ns(selection: Selection) -> int:
     """Return the duration of one round of a loop: the selection and the pause between two frames, at least a second,
-    for recordings of one photo.
-    """
+    for recordings of one photo."""
     span = selection.end_ns - selection.begin_ns
     return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
 
@@ -255,8 +249,7 @@ class ReplayOptions:
 
     `state`: an existing folder in which the fuel map, the terrain and the nodes `pose` keep what they know; None: it
     ends with the replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live
-    replay only. `names`: other names of recorded topics.
-    """
+    replay only. `names`: other names of recorded topics."""
 
     start: float = 0.0
     duration: float | None = None
@@ -326,8 +319,7 @@ def run_live(
 ) -> dict[str, dict[str, str]]:
     """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
-    Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work.
-    """
+    Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work."""
     site = require_ready(site_path, Wanted(), console)
     selection = options.selection(bag, site)
     apply_to_process(options.domain_id)

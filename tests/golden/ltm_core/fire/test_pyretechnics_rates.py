@@ -16,8 +16,8 @@ import rasterio
 from scipy.ndimage import uniform_filter
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.fire.effect import FireScenario, Moisture, Wind
 from ltm_core.fire.pyretechnics import Pyretechnics, interpreter
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.export.landscape import Landscape, terrain_bands
 from ltm_core.geometry.grid import GridGeometry

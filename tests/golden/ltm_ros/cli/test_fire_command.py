@@ -1,4 +1,4 @@
-"""`ltm fire` by Pyretechnics: of two landscape files, and of a store with an ensemble."""
+"""`ltm fire` by Pyretechnics: of two landscape files, and of a store."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_of_two_files(tmp_path: Path) -> None:
     assert "no forecast" in zipfile.ZipFile(out / "fire.kmz").read("doc.kml").decode()
 
 
-def test_of_a_store_with_an_ensemble(tmp_path: Path) -> None:
+def test_of_a_store(tmp_path: Path) -> None:
     site = write_grass_site(tmp_path)
     node = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
     node.start()
@@ -86,20 +86,12 @@ def test_of_a_store_with_an_ensemble(tmp_path: Path) -> None:
         node.idle()
     node.finish()
     assert node.persistence.map.layers().changed.sum() > 100
-    figures = {}
-    for seed in (1, 1, 2):
-        out = tmp_path / f"out{len(figures)}"
-        fire(
-            tmp_path / "kept/fuel_map.ltm", "--site", site, "--ignition", "481365,4149865", "--wind", "4,200",
-            "--moisture", "6,7,8,60,90", "--hours", 2, "--ensemble", 3, "--seed", seed, "--out", out,
-        )  # fmt: skip
-        with rasterio.open(out / "fire.tif") as source:
-            figures[out] = source.read(8)
-            assert source.tags()["map_site"] == load_site(site).name
-            assert source.tags()["map_as_of"].startswith("2023-11-14")
-    first, again, other = figures.values()
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()
-    assert set(np.unique(np.round(3 * first)).tolist()) <= {0.0, 1.0, 2.0, 3.0}
-    page = (tmp_path / "out0/index.html").read_text()
-    assert "Of 3 landscapes drawn from what is known of the fuel" in page
+    out = tmp_path / "out"
+    fire(
+        tmp_path / "kept/fuel_map.ltm", "--site", site, "--ignition", "481365,4149865", "--wind", "4,200",
+        "--moisture", "6,7,8,60,90", "--hours", 2, "--out", out,
+    )  # fmt: skip
+    with rasterio.open(out / "fire.tif") as source:
+        assert np.nanmax(source.read(2)) <= 2.0
+        assert source.tags()["map_site"] == load_site(site).name
+        assert source.tags()["map_as_of"].startswith("2023-11-14")

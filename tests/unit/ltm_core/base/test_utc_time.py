@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltm_core.base.utc_time import moment_of_stamp, stamp_of_moment
+from ltm_core.base.number_text import moment_of_stamp, stamp_of_moment
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.tracing.trace_io import PictureConfig, load_picture_config
-from ltm_ros.recordings.importing.pose_file import read_pose_file
+from ltm_ros.recordings.importing.photo import read_pose_file
 
 FRAME = SiteFrame("EPSG:32611", 402_000.0, 3_787_000.0)
 POSE = {"x": 402_310.0, "y": 3_787_120.0, "z": 912.5, "azimuth_deg": 214.0, "pitch_deg": -4.0, "roll_deg": 1.5}

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.fire.effect import BANDS, FireEffect, burn_probability, changed_fuel, write_fire
-from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind
+from ltm_core.fire.effect import BANDS, FireEffect, FireRun, FireScenario, Moisture, Wind, changed_fuel, write_fire
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, arrival_scale, difference_classes, fire_sheet
@@ -29,18 +27,15 @@ BEFORE = run([N] * 6, [N, 0.0, 0.5, 1.0, 2.0, N], [N, 0.5, 0.7, 1.5, N, N], [N] 
 AFTER = run([N] * 6, [N, 0.0, 0.5, 2.5, N, N], [N, 0.5, 0.7, 1.5, 2.9, N], [N] * 6)
 
 
-def effect(**more: object) -> FireEffect:
+def effect() -> FireEffect:
     changed = np.zeros(GRID.shape, bool)
     changed[1, 3:5] = changed[0, 0] = True
-    return FireEffect(BEFORE, AFTER, changed, 100.0, 3.0, **more)  # type: ignore[arg-type]
+    return FireEffect(BEFORE, AFTER, changed, 100.0, 3.0)
 
 
 def test_hectares_by_the_hour() -> None:
     rows = effect().areas()
-    assert [(r.hours, r.before, r.after, r.ensemble) for r in rows] == [(1.0, 5, 4, None), (3.0, 7, 7, None)]
-    members = tuple((float(k), 2.0 * k) for k in range(11))
-    spread = effect(members=members, probability=np.zeros(GRID.shape, np.float32)).areas()
-    assert spread[1].ensemble == (2.0, 10.0, 18.0)
+    assert [(r.hours, r.before, r.after) for r in rows] == [(1.0, 5, 4), (3.0, 7, 7)]
 
 
 def test_where_it_comes_later_earlier_or_only_once() -> None:
@@ -70,13 +65,6 @@ def test_where_it_comes_later_earlier_or_only_once() -> None:
     assert edge.reaches_edge() == 0.0
 
 
-def test_probability() -> None:
-    found = burn_probability([BEFORE, AFTER])
-    assert found[1, 4] == found[2, 4] == 0.5
-    assert found[1, 1] == 1.0
-    assert found[0, 0] == 0.0
-
-
 def landscape(fuel: int = 102) -> Landscape:
     bands = np.zeros((8, *GRID.shape), np.int16)
     bands[0] = np.arange(24).reshape(GRID.shape) * 7 + 300
@@ -92,13 +80,11 @@ def test_changed_fuel_is_fuel_or_canopy_not_terrain() -> None:
     assert np.argwhere(changed_fuel(landscape(), Landscape(other, GRID))).tolist() == [[1, 2], [2, 3]]
 
 
-@pytest.mark.parametrize("drawn", [False, True])
-def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
-    probability = burn_probability([BEFORE, AFTER]) if drawn else None
-    made = effect(probability=probability, members=((4.0, 7.0),) if drawn else ())
+def test_a_geotiff_and_pictures(tmp_path: Path) -> None:
+    made = effect()
     write_fire(tmp_path / "fire.tif", made, GRID, {"wind": "8 m/s"})
     with rasterio.open(tmp_path / "fire.tif") as source:
-        assert source.descriptions == tuple(BANDS)[: 8 if drawn else 7]
+        assert source.descriptions == tuple(BANDS)
         assert source.units == tuple(BANDS.values())[: source.count]
         assert source.tags()["wind"] == "8 m/s"
         bands = source.read()
@@ -106,7 +92,7 @@ def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
     np.testing.assert_allclose(bands[2][1, 3], 1.5)
     assert np.isnan(bands[2][1, 4])
     sheet = fire_sheet(made, landscape(), FireScenario(1, 1, Wind(8.0, 45.0), Moisture.parse("D2L2"), 6.0))
-    assert (sheet.shape[0] > 1.5 * sheet.shape[1]) == drawn
+    assert sheet.shape[0] < 1.5 * sheet.shape[1]
     picture, legend = arrival_overlay(made, landscape())
     assert picture.shape == (16, 24, 3)
     assert legend.shape[1] == 520

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
 from ltm_core.fire.pyretechnics import VARIABLE, FireModelError, Pyretechnics
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry

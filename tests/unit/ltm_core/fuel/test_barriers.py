@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from scenes.geopackages import add_layer, area, line, several
+from pyproj import Transformer
 
-from ltm_core.base.errors import RasterError
+from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import BarrierConfig, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
@@ -30,16 +32,24 @@ def fuels(folder: Path) -> Path:
     return folder / "fuels.tif"
 
 
+def degrees(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    turn = Transformer.from_crs("EPSG:32611", "OGC:CRS84", always_xy=True)
+    return [turn.transform(*point) for point in points]
+
+
+def geojson(path: Path, *shapes: tuple[str, Any]) -> Path:
+    geometries = [{"type": kind, "coordinates": coordinates} for kind, coordinates in shapes]
+    features = [{"type": "Feature", "properties": {}, "geometry": shape} for shape in (None, *geometries)]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return path
+
+
 def test_areas_by_the_share_of_the_cell_and_lines_without_gaps(tmp_path: Path) -> None:
-    path = add_layer(
-        tmp_path / "a.gpkg", "lakes", [None, several(6, [area(box(1, 1, 1.6, 1)), area(box(5, 3, 2, 2), ">")])]
-    )
+    areas = [[degrees(box(1, 1, 1.6, 1)[0])], [degrees(box(5, 3, 2, 2)[0])]]
+    lakes = geojson(tmp_path / "lakes.geojson", ("MultiPolygon", areas))
     road = [(300_000 + 5, 3_700_000 - 140), (300_000 + 205, 3_700_000 - 10)]
-    add_layer(path, "roads", [line(road)])
-    barriers = (
-        BarrierConfig(path=path, layer="roads", kind="road"),
-        BarrierConfig(path=path, layer="lakes", kind="water"),
-    )
+    roads = geojson(tmp_path / "roads.geojson", ("LineString", degrees(road)))
+    barriers = (BarrierConfig(path=roads, kind="road"), BarrierConfig(path=lakes, kind="water"))
     prior = load_prior(PriorConfig(path=fuels(tmp_path), barriers=barriers), GRID)
     water = prior.codes == 98
     assert set(zip(*np.nonzero(water), strict=True)) == {(1, 1), (1, 2), (3, 5), (3, 6), (4, 5)}
@@ -51,38 +61,18 @@ def test_areas_by_the_share_of_the_cell_and_lines_without_gaps(tmp_path: Path) -
     assert all(any((r + a, c + b) in cells for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0))) for r, c in cells)
 
 
-def test_a_layer_in_another_crs(tmp_path: Path) -> None:
-    from pyproj import Transformer
-
-    turn = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
-    ring = [turn.transform(*point) for point in box(2, 2, 1, 1)[0]]
-    path = add_layer(tmp_path / "a.gpkg", "houses", [area([ring])], 4326)
-    barrier = BarrierConfig(path=path, kind="built")
-    prior = load_prior(PriorConfig(path=fuels(tmp_path), barriers=(barrier,)), GRID)
-    assert [tuple(cell) for cell in np.argwhere(prior.codes == 91).tolist()] == [(2, 2)]
-
-
 def test_paths_are_taken_from_the_site_file(tmp_path: Path) -> None:
-    config = PriorConfig.model_validate({"path": "f.tif", "barriers": [{"path": "r.gpkg", "kind": "road"}]})
-    assert config.below(tmp_path).barriers[0].path == tmp_path / "r.gpkg"
+    config = PriorConfig.model_validate({"path": "f.tif", "barriers": [{"path": "r.geojson", "kind": "road"}]})
+    assert config.below(tmp_path).barriers[0].path == tmp_path / "r.geojson"
 
 
 def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
-    path = add_layer(tmp_path / "a.gpkg", "lakes", [area(box(1, 1, 1, 1))])
-    arcs = add_layer(tmp_path / "e.gpkg", "a", [b"\x01\x08\x00\x00\x00" + bytes(20)])
-    (tmp_path / "b.gpkg").write_bytes(b"no database")
-    for barrier, message in (
-        (
-            BarrierConfig(path=path, layer="rivers", kind="water"),
-            r"a.gpkg: no layer .rivers.; it has the layers lakes",
-        ),
-        (BarrierConfig(path=add_layer(tmp_path / "d.gpkg", "a", [], -1), kind="road"), r"d.gpkg: .* no known CRS"),
-        (BarrierConfig(path=arcs, kind="road"), r"e.gpkg: .*geometry type 8"),
-        (BarrierConfig(path=tmp_path / "b.gpkg", kind="water"), r"b.gpkg: cannot be read as a GeoPackage"),
-        (BarrierConfig(path=tmp_path / "c.gpkg", kind="water"), r"c.gpkg: no such file"),
-    ):
-        with pytest.raises(RasterError, match=message):
-            load_prior(PriorConfig(path=fuels(tmp_path), barriers=(barrier,)), GRID)
+    (tmp_path / "b.geojson").write_bytes(b"no JSON")
+    metres = geojson(tmp_path / "m.geojson", ("LineString", [(300_000.0, 3_700_000.0), (300_100.0, 3_700_000.0)]))
+    curve = geojson(tmp_path / "c.geojson", ("CircularString", [(0.0, 0.0), (1.0, 1.0)]))
+    for path in (tmp_path / "b.geojson", metres, curve, tmp_path / "d.geojson"):
+        with pytest.raises(ConfigError, match=path.name):
+            load_prior(PriorConfig(path=fuels(tmp_path), barriers=(BarrierConfig(path=path, kind="road"),)), GRID)
 
 
 def test_elmfires_buildings(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import KNOTS, DirectionTable, SightLikelihood, sight_likelihood
-from ltm_core.locating.posterior import Ellipse, Posterior, reach_in_ellipse
+from ltm_core.locating.locator import Ellipse, Posterior, reach_in_ellipse
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 

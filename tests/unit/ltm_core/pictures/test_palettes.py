@@ -14,7 +14,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.fuel.codes import FuelSystem, code_color, fuel_models
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.fire_maps import DIFFERENCE, FLAME, FLAME_DIFFERENCE, PROBABILITY, arrival_scale
+from ltm_core.pictures.fire_maps import DIFFERENCE, FLAME, FLAME_DIFFERENCE, arrival_scale
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas
 from ltm_core.pictures.legend import scale_colors, text_width
 from ltm_core.pictures.locating import STATE_COLORS
@@ -107,7 +107,7 @@ def test_other_classes_differ_for_everyone(name: str, vision: str) -> None:
 
 SCALES = {
     "uncertainty": DOUBT, "frames": FRAMES, "cameras": CAMERAS, "footprint": FOOTPRINT, "flame": FLAME,
-    "probability": PROBABILITY, "arrival difference": DIFFERENCE, "flame difference": FLAME_DIFFERENCE,
+    "arrival difference": DIFFERENCE, "flame difference": FLAME_DIFFERENCE,
     "arrival": arrival_scale(6.0),
 }  # fmt: skip
 

@@ -7,7 +7,7 @@ import pytest
 from scenes.depth_score import score_depth
 
 from ltm_core.base.errors import ImageError
-from ltm_core.scoring.depth import DepthTally
+from ltm_core.scoring.labels import DepthTally
 
 INF = np.float32(np.inf)
 

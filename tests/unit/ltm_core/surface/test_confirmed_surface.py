@@ -11,8 +11,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.fuel_change import FuelChange, cover_after, fuel_changes
-from ltm_core.surface.layers import SurfaceLayers
+from ltm_core.surface.layers import FuelChange, SurfaceLayers, cover_after, fuel_changes
 from ltm_core.vision.labels import Label
 
 GRID = GridGeometry(100.0, 460.0, 2.0, 50, 30)

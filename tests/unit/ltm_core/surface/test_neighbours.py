@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.surface.neighbours import (
+from ltm_core.surface.change import (
     SMOOTHING,
     WIDE,
     Estimates,

@@ -11,13 +11,13 @@ import pytest
 from scenes.small_site import FRAMES, write_small_site
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_lab.bench.archive import TimedReport, WorkedPlan, measure_speedup, write_days
 from ltm_lab.bench.archive_month import MonthResult, MonthRun, measure_month
 from ltm_lab.bench.colour_network import write_colour_network
-from ltm_ros.archive.engine import Done
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Plan, look_through
+from ltm_ros.archive.task import Done
 
 COLOURS = {"sky": (200, 210, 235), "soil": (175, 160, 150), "tree": (35, 75, 35)}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_core.scoring.depth import at_pixels_of
+from ltm_core.scoring.labels import at_pixels_of
 from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
 from ltm_lab.evaluation.depth.fused_depth import fit_to_truth
 

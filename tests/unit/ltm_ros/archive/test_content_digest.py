@@ -34,7 +34,6 @@ from ltm_ros.archive.content_digest import (
     picture_digest,
     votes_digest,
 )
-from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
 
@@ -127,7 +126,7 @@ class _Pictures(ArchiveImageReader):
     """Gives one picture for all frames."""
 
     def __init__(self, rgb: UInt8Array) -> None:
-        super().__init__(ArchiveFiles(CacheConfig()))
+        super().__init__()
         self._rgb = rgb
 
     def read(self, frame: ArchiveFrame) -> RawPicture:
@@ -177,5 +176,4 @@ def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Pat
     (file,) = (tmp_path / "bag").glob("*.mcap")
     wanted = picture_digest(picture_of(raw, RAW_TYPE))
     frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
-    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
-        assert reader.read(frame).size == (6, 4)
+    assert ArchiveImageReader().read(frame).size == (6, 4)

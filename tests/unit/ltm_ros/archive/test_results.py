@@ -1,26 +1,20 @@
-"""The folder of results: whole files, and words where it cannot be used; and who works the tasks."""
+"""The folder of results, and who works the tasks."""
 
 from __future__ import annotations
 
-import logging
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
-import fsspec
 import numba
 import pytest
-from distributed import LocalCluster
+from scenes.archive_jobs import full_disk_at_3, thread_count
 
-from ltm_core.base.errors import ArchiveError
 from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
-from ltm_ros.archive import engine
-from ltm_ros.archive.engine import Cluster, on_cluster, on_workers
+from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
-from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.task import TaskReport
+from ltm_ros.archive.task import TaskReport, on_workers
 from ltm_ros.runtime.ros_environment import available_cores
 
 
@@ -41,47 +35,11 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
     """Somebody has put one beside the layers; they are what is removed when a later run has not written them."""
-    for url in (str(tmp_path), "memory://folders"):
-        results = ResultFolder(url)
-        results.write("layers/code.tif", b"content")
-        results.write("layers/mine/notes.txt", b"content")
-        assert results.names("layers") == {"code.tif"}
-        assert results.names("nothing") == set()
-
-
-def test_a_store_that_fails_in_whatever_way_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As that of S3, whose library has errors that are no OSError."""
-
-    class EndpointConnectionError(Exception):
-        pass
-
-    def broken(*given: object, **more: object) -> None:
-        raise EndpointConnectionError("no route")
-
-    results = ResultFolder("memory://year")
-    results.write("a", b"content")
-    for function in ("pipe_file", "cat_file", "exists"):
-        monkeypatch.setattr(fsspec.get_filesystem_class("memory"), function, broken)
-    for use in (lambda: results.write("a", b""), lambda: results.read("a"), lambda: results.names("a")):
-        with pytest.raises(ArchiveError, match=r"memory://year cannot be used now \(EndpointConnectionError"):
-            use()
-    with pytest.raises(ArchiveError, match="cannot be used now"):
-        results.has("a")
-    with pytest.raises(ArchiveError, match="cannot be used now"), results.open("a"):
-        broken()  # a store that serves parts fails as late as when they are read
-
-
-@pytest.mark.parametrize("remote", [False, True])
-def test_a_file_is_copied_as_it_is_and_read_in_parts(tmp_path: Path, remote: bool) -> None:
-    content = bytes(range(251)) * 4000
-    (tmp_path / "made").write_bytes(content)
-    results = ResultFolder("memory://copies" if remote else str(tmp_path / "out"))
-    results.put(tmp_path / "made", "maps/terrain.sqlite")
-    assert results.names("maps") == {"terrain.sqlite"}
-    assert results.read("maps/terrain.sqlite") == content
-    with results.open("maps/terrain.sqlite") as file:
-        file.seek(251)
-        assert file.read(2) == b"\x00\x01"
+    results = ResultFolder(str(tmp_path))
+    results.write("layers/code.tif", b"content")
+    results.write("layers/mine/notes.txt", b"content")
+    assert results.names("layers") == {"code.tif"}
+    assert results.names("nothing") == set()
 
 
 SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
@@ -92,51 +50,16 @@ def task(number: int) -> Task:
     return Task((frame,), "", f"{number}", f"{number}")
 
 
-def empty(task: Task, settings: TaskSettings) -> TaskReport:
-    if task.evidence_key == "3":
-        raise OSError("the disk is full")
-    return TaskReport(1)
-
-
-@pytest.fixture
-def cluster() -> Iterator[LocalCluster]:
-    """A scheduler without workers."""
-    place = {"host": "127.0.0.1", "dashboard_address": None}
-    with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, protocol="tcp", **place) as cluster:
-        yield cluster
-
-
-def test_a_cluster_without_workers_is_told_of_and_goes_on_when_some_come(
-    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(engine, "PATIENCE_S", 0.05)
-    monkeypatch.setattr(engine, "work", empty)
-
-    class Waited(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            cluster.scale(1)
-
-    logger = logging.getLogger(engine.__name__)
-    logger.addHandler(waited := Waited())
-    try:
-        done = list(on_cluster(Cluster(cluster.scheduler_address))([task(n) for n in range(6)], SETTINGS))
-    finally:
-        logger.removeHandler(waited)
-    said = next(record.getMessage() for record in caplog.records if record.name == engine.__name__)
-    assert f"{cluster.scheduler_address} has no workers" in said
-    assert f"dask worker {cluster.scheduler_address}" in said
+@pytest.mark.slow  # starts processes
+def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
+    done = list(on_workers(2, full_disk_at_3)([task(n) for n in range(6)], SETTINGS))
     assert {one.task.evidence_key for one in done} == set("012345")
     assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
 
 
-def surroundings(task: Task, settings: TaskSettings) -> TaskReport:
-    hurried = [name for name in os.environ if name.startswith("MALLOC_")]
-    return TaskReport(kernel_threads() + 1000 * len(hurried))
-
-
 @pytest.mark.slow  # starts two processes
-def test_workers_keep_their_memory_and_leave_each_other_s_cores_alone() -> None:
+def test_workers_leave_each_other_s_cores_alone() -> None:
     threads = max(1, available_cores() // 2)
-    done = list(on_workers(2, surroundings)([task(n) for n in range(3)], SETTINGS))
+    done = list(on_workers(2, thread_count)([task(n) for n in range(3)], SETTINGS))
     assert [one.report for one in done] == 3 * [TaskReport(threads)]
     assert kernel_threads() == numba.config.NUMBA_NUM_THREADS

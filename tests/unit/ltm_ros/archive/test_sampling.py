@@ -12,7 +12,7 @@ import yaml
 from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.utc_time import DAY_NS
+from ltm_core.base.number_text import DAY_NS
 from ltm_core.site.site_io import load_site
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.sampling import (

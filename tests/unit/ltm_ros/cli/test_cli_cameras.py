@@ -26,7 +26,6 @@ from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cameras.discovery import discover
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cli import cameras
-from ltm_ros.cli.cameras_watch import state_table
 from ltm_ros.cli.main import cli
 
 PASSWORD = "tower-%7 <&> secret"
@@ -135,7 +134,6 @@ def test_a_camera_with_a_stated_pose_is_fixed_although_it_could_turn(camera: Htt
         ("isapi degrees", "/ISAPI/PTZCtrl/channels/1/absoluteEx"),
         ("isapi tenths", "/ISAPI/PTZCtrl/channels/1/status"),
         ("onvif", "/onvif"),
-        ("reolink", "/cgi-bin/api.cgi"),
     ],
 )
 def test_probe_tells_each_kind_of_head(camera: HttpCamera, kind: str, page: str) -> None:
@@ -405,29 +403,6 @@ def test_snapshot_tells_why_there_is_no_picture(tmp_path: Path, camera: HttpCame
     assert not (tmp_path / "out").exists()
     with pytest.raises(ConfigError, match="mast of site hollow has no section `source`"):
         run("snapshot", small.path, "mast", "--out", tmp_path / "out")
-
-
-def test_the_table_shows_states_in_words_and_no_markup_of_a_stranger() -> None:
-    from rich.console import Console
-
-    said = {"state": "stuck", "state_why": "[bold]the same picture", "state_since": "1790000000", "frames_out": "3"}
-    said |= {
-        "camera_clock_ahead_s": "37.2",
-        "stamp_uncertainty_s": "0.5",
-        "stamp_told_by": "exif",
-        "picture_age_s": "4.0",
-    }
-    console = Console(width=200)
-    with console.capture() as captured:
-        console.print(state_table({"north": said, "south": {}}))
-    shown = captured.get()
-    for told in ("stuck", "[bold]the same picture", "+37.2 s", "+- 0.5 s by exif", "4.0 s ago", "silent"):
-        assert told in shown
-
-
-def test_watch_needs_a_source(small: SmallSite) -> None:
-    with pytest.raises(ConfigError, match="no camera has a section `source`"):
-        run("watch", small.path, "--once")
 
 
 @pytest.mark.parametrize("with_ptz", [False, True])

@@ -50,7 +50,6 @@ def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
         ((now, *USUAL[:4], *before), r"give --moisture"),
         ((now, *USUAL, "--hours", 0, *before), r"--hours 0"),
         ((now, *USUAL, "--since", "2026-01-01", *before), r"--since needs a store"),
-        ((now, *USUAL, "--ensemble", 3, *before), r"which a landscape file lacks"),
         ((tmp_path / "a.ltm", *USUAL, "--out", out), r"give the site file with --site"),
         ((tmp_path / "none.tif", *USUAL, *before), r"none.tif"),
     ):

@@ -90,10 +90,9 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
     views = {view["camera"]: view for view in said["cameras"]}
     for camera in TOWERS:
         assert views[camera]["pixel"] == pytest.approx([float(v) for v in marked(camera).split(",")], abs=0.5)
-    (tmp_path / "points.csv").write_text("id,x,y,z,u,v\nA,399900,3802480,64,900,500\nB,399000,3801100,90,1,1\n")
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8))
     out = tmp_path / "out"
-    locate(site=path, points=tmp_path / "points.csv", photo=f"north={tmp_path}/photo.png", out=out)
+    locate(site=path, place="399900,3802480", photo=f"north={tmp_path}/photo.png", out=out)
     drawn = cv2.imread(str(out / "places.png"))
     u, v = (round(float(x)) for x in marked("north").split(","))
     assert (drawn[v - 30 : v + 30, u - 30 : u + 30] != 90).any()

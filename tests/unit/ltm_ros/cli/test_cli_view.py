@@ -24,8 +24,6 @@ from ltm_ros.cli.view import view as view_command
         ({"site": Path("a.yaml"), "token": Path("token")}, ConfigError, "--connect"),
         ({"connect": "http://192.0.2.7", "web_port": 0}, ConfigError, "unencrypted"),
         ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
-        ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
-        ({"rrd": Path("a.rrd"), "tab": "Fuel"}, ConfigError, "--screenshot"),
     ],
 )
 def test_view_command_refuses_what_it_cannot_show(given: dict[str, Any], error: type[Exception], remedy: str) -> None:

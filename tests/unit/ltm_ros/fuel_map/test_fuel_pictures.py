@@ -44,10 +44,9 @@ from ltm_core.pictures.fuel_maps import (
     coverage_sheet,
     fuel_sheet,
     overlay_picture,
-    seen_sheet,
 )
 from ltm_core.pictures.maps import MapCamera
-from ltm_core.pictures.sheets import round_step, with_axes
+from ltm_core.pictures.photo_overlays import round_step, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
@@ -167,12 +166,6 @@ def test_sheets_hold_what_they_name() -> None:
         assert sheet.shape[1] > 2 * 300
     changes = change_sheet(canvas, before, after, PALETTE, ("then", "now"))
     assert (changes == PINK).all(axis=-1).sum() > 4 * 50, "outlined in all four maps"
-    cells = np.zeros(GRID.shape, bool)
-    cells[4:9] = True
-    assert (
-        seen_sheet(canvas, {"north": cells}).shape[0]
-        < seen_sheet(canvas, {"north": cells, "east": cells, "x": cells}).shape[0]
-    )
     with pytest.raises(ImageError, match="no camera has seen"):
         coverage_sheet(canvas, CoverageMap(GRID))
 
@@ -295,7 +288,7 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
     assert (heights[1:] != -9999).all()
     assert (fuel[heights == -9999] == -9999).all(), "a cell without a height has no code"
     np.testing.assert_array_equal(fuel == 102, (found["first"] == LifeForm.GRASS) & (heights != -9999))
-    for kind in ("png", "change", "coverage"):
+    for kind in ("png", "change"):
         export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
         assert cv2.imread(str(tmp_path / f"{kind}.png")).shape[1] > 1500
     since = tmp_path / "since.png"
@@ -321,15 +314,13 @@ def test_change_is_drawn_of_the_part_that_cameras_have_seen(
     assert whole is None
 
 
-def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:
+def test_a_bag_has_no_history(tmp_path: Path) -> None:
     site = write_site(tmp_path)
     grid = grid_of(site)
     with BagWriter(tmp_path / "bag") as writer:
         for number in range(4):
             writer.write(f"/{NAME}/{camera_of(number)}/fuel/votes", message(number, grid), stamp_of_frame(number))
         writer.write(f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS), BEGIN_NS)
-    export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.png", "--format", "coverage")
-    assert cv2.imread(str(tmp_path / "c.png")).shape[0] > 3 * 500, "three cameras, a row each"
     with pytest.raises(ConfigError, match="needs a store"):
         export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--as-of", "2024-01-01")
     with pytest.raises(ConfigError, match="give --format change"):

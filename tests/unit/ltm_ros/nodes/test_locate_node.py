@@ -20,10 +20,9 @@ from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionError
 from ltm_core.locating.sighting import Sighting
-from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, pose_to_msg
+from ltm_msgs_py.pose import msg_to_covariance, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import describe
@@ -38,7 +37,6 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
-    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -198,98 +196,26 @@ def test_what_the_site_masks_is_not_located(tmp_path: Path) -> None:
     assert len(running.kept.on(LOCATE_FUSED)) == 1
 
 
-def turned_says(running: Running, marks: dict[str, Sighting], second: int) -> dict[str, Any] | None:
-    """What is said of a turned camera once all have marked a fire again."""
-    for camera, seen in marks.items():
-        running.pose(seen, STAMP + second * SECOND)
-        message = PointStamped(header=make_header(STAMP + second * SECOND, f"{camera}_optical"))
-        message.point.x, message.point.y = (float(v) for v in seen.mark.pixels[0])
-        running.send(camera, LOCATE_POINT, message)
-    said: dict[str, Any] | None = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    return said
-
-
-def three_of(turned_deg: float) -> tuple[dict[str, tuple[float, float, float]], dict[str, Sighting]]:
-    """Towers, and what they mark; north is turned."""
-    towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
-    fire = np.array([-100.0, 1900.0, 0.0])
-    return towers, {
-        name: sighting(name, at, fire, 0.05, turned_deg if name == "north" else 0.0) for name, at in towers.items()
-    }
-
-
-def lost(running: Running, camera: str, second: int) -> None:
-    """The watch of the mount says that the camera's pose is not known any more."""
-    unknown = PoseCorrection(np.zeros(3), np.eye(3) * 4.0)
-    running.send(camera, POSE_CORRECTION, correction_to_msg(unknown, STAMP + second * SECOND))
-
-
-def test_pictures_count_with_marks(tmp_path: Path) -> None:
-    towers, marks = three_of(1.0)
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    said = turned_says(running, marks, 0)
-    assert said is not None
-    assert (said["camera"], said["fires"], said["by"]) == ("north", 1, ["marks"])
-    assert said["turned_deg"] == pytest.approx(1.0, abs=0.15)
-    lost(running, "north", 1)
-    surer = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (surer["camera"], surer["by"]) == ("north", ["marks", "pictures"])
-    assert surer["probability"] > said["probability"]
-
-
-def test_pictures_name_a_camera_before_anything_is_marked(tmp_path: Path) -> None:
-    towers, _ = three_of(0.0)
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    running.node.start()
-    lost(running, "east", 1)
-    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (said["camera"], said["fires"], said["by"]) == ("east", 0, ["pictures"])
-    assert said["turned_deg"] is None
-    told = len(running.kept.on(LOCATE_TRACKS))
-    lost(running, "east", 9)  # nothing has changed
-    assert len(running.kept.on(LOCATE_TRACKS)) == told
-    found = PoseCorrection(np.radians([0.0, 0.0, 2.0]), np.eye(3) * 1e-6)
-    running.send("east", POSE_CORRECTION, correction_to_msg(found, STAMP + 10 * SECOND))
-    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-
-
 def places(running: Running) -> list[dict[str, Any]]:
     """What is said last of each track."""
     features = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["features"]
     return [one["properties"] for one in features if one["properties"]["role"] == "place"]
 
 
-def test_a_mount_that_is_fitted_again_begins_anew(tmp_path: Path) -> None:
+def test_cameras_of_which_one_is_turned_disagree(tmp_path: Path) -> None:
     towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
+    running = Running(tmp_path, cameras={name: {} for name in towers})
     fire = np.array([-100.0, 1900.0, 0.0])
-    marks = {name: sighting(name, at, fire, 0.05, 1.0 if name == "north" else 0.0) for name, at in towers.items()}
-    said = turned_says(running, marks, 0)
-    assert said is not None
-    assert said["camera"] == "north"
-
-    def correct(yaw_deg: float, variance: float) -> None:
-        found = PoseCorrection(np.radians([0.0, 0.0, yaw_deg]), np.eye(3) * variance)
-        running.send("north", POSE_CORRECTION, correction_to_msg(found, STAMP + 5 * SECOND))
-
-    correct(0.0, 4.0)  # it has slipped: by how much is not known yet
-    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (said["camera"], said["by"]) == ("north", ["marks", "pictures"])
-    correct(1.0, 1e-6)
-    assert running.health.summary()["noted.refitted.north"] == "1"
-    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-    assert {place["disagrees"] for place in places(running)} == {None}
-    correct(1.0, 1e-6)  # as a node that starts again is told
-    assert running.health.summary()["noted.refitted.north"] == "1"
-    straight = marks | {"north": sighting("north", towers["north"], fire, 0.05)}
-    assert turned_says(running, straight, 10) is None
-    # What east and west had marked has become one track when north was named.
-    assert {"north", "east", "west"} in [{*place["seen_by"]} for place in places(running)]
-    message = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), STAMP)
-    message.pose.covariance[21] = np.nan
-    with pytest.raises(LtmError):
-        running.send("north", POSE_CORRECTION, message)
-    assert running.health.summary()["noted.refitted.north"] == "1"
+    for name, at in towers.items():
+        seen = sighting(name, at, fire, 0.05, 2.0 if name == "west" else 0.0)
+        running.pose(seen)
+        message = PointStamped(header=make_header(STAMP, f"{name}_optical"))
+        message.point.x, message.point.y = (float(v) for v in seen.mark.pixels[0])
+        running.send(name, LOCATE_POINT, message)
+    found = places(running)
+    assert [{*place["seen_by"]} for place in found] == [{"north", "east"}, {"west"}]
+    assert {place["disagrees"] for place in found} == {"east, north, west"}
+    assert running.health.summary()["noted.cameras_disagree"] == "1"
 
 
 def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site

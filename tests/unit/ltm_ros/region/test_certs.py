@@ -29,7 +29,7 @@ def made(folder: Path, *options: str) -> set[str]:
 def test_keys_are_for_their_owner_alone_and_what_is_there_stays(tmp_path: Path) -> None:
     folder = tmp_path / "certs"
     pairs = {f"{name}.{kind}" for name in ("ca", "broker", "aggregator", "alta", "desk") for kind in ("crt", "key")}
-    assert made(folder, "--tower", "alta", "--follower", "desk") == pairs | {"mosquitto.conf", "acl"}
+    assert made(folder, "--tower", "alta", "--tower", "desk") == pairs | {"mosquitto.conf", "acl"}
     assert {path.stat().st_mode & 0o077 for path in folder.glob("*.key")} == {0}
     assert "listener 8883 127.0.0.1\n" in (folder / "mosquitto.conf").read_text()
     (folder / ".bear.key.new").write_text("left by a stop in the midst")  # as the umask has it
@@ -84,7 +84,7 @@ def test_another_authority_in_the_folder_is_left_alone(tmp_path: Path) -> None:
 
 def test_nothing_is_compiled_or_imported_after_the_start(tmp_path: Path) -> None:
     """In a process of its own: in this one other tests have done both."""
-    scene = write_region_scene(tmp_path, tiles=1e-9)
+    scene = write_region_scene(tmp_path)
     (tmp_path / "frame").write_bytes(scene.sealed("alta", 1))
     code = Path(__file__).with_name("frames_after_start.py")
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

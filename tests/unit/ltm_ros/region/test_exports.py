@@ -1,10 +1,9 @@
-"""The region's map as GeoTIFFs with a STAC item, on disk and on S3, anew when it has changed."""
+"""The region's map as GeoTIFFs with a STAC item, anew when it has changed."""
 
 from __future__ import annotations
 
-import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +12,20 @@ import pytest
 import rasterio
 from scenes.fuel_frames import BEGIN_NS
 from scenes.region_scene import write_region_scene
-from scenes.s3_bucket import empty_bucket
 from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
-from ltm_ros.region.aggregator import Aggregator
+from ltm_ros.region.aggregator import Aggregator, RegionExports
 from ltm_ros.region.mqtt_link import votes_topic
 from ltm_ros.region.service import RegionService
-from ltm_ros.region.tiles import RegionExports
 from ltm_ros.runtime.health import Health
 
 
-@pytest.fixture
-def bucket() -> Iterator[str]:
-    pytest.importorskip("s3fs")
-    with empty_bucket("maps") as address:
-        yield f"{address}/kern"
-
-
-def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) -> None:
+def test_the_map_is_exported_when_it_has_changed(tmp_path: Path) -> None:
     scene, health = write_region_scene(tmp_path), Health()
     (tmp_path / "out").mkdir()
     aggregator = Aggregator(scene.config, health, lambda: 0)
-    exports = RegionExports(ExportConfig(folder=tmp_path / "out", every=5.0, copy_to=bucket), aggregator, health)
+    exports = RegionExports(ExportConfig(folder=tmp_path / "out", every=5.0), aggregator, health)
 
     def exported(times: int) -> bool:
         return health.summary().get("noted.exported") == str(times)
@@ -56,33 +46,7 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
         np.testing.assert_array_equal(raster.read(1), shown.life_form)
         assert raster.crs.to_string() == scene.site.crs
         assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-    item = json.loads((tmp_path / "out/item.stac.json").read_text())
-    import s3fs
-
-    store = s3fs.S3FileSystem()
-    store.invalidate_cache()
-    there = {Path(path).name for path in store.ls("maps/kern")}
-    assert there >= {"item.stac.json", *item["assets"]}
-    assert store.cat_file("maps/kern/life_form.tif") == (tmp_path / "out/life_form.tif").read_bytes()
-    aggregator.close()
-
-
-def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) -> None:
-    scene, health = write_region_scene(tmp_path), Health()
-    (tmp_path / "out").mkdir()
-    aggregator = Aggregator(scene.config, health, lambda: 0)
-    elsewhere = ExportConfig(folder=tmp_path / "out", every=1.0, copy_to="s3://nobodys/kern")
-    exports = RegionExports(elsewhere, aggregator, health)
-    wait_for(
-        lambda: exports.look(0.0, changed=False) or "cannot be copied there" in health.last_error,
-        "words",
-        health.summary,
-    )
     assert (tmp_path / "out/item.stac.json").is_file()
-    (tmp_path / "out/item.stac.json").unlink()
-    exports.close()
-    assert (tmp_path / "out/item.stac.json").is_file()
-    assert "noted.exported" not in health.summary()
     aggregator.close()
 
 
@@ -98,7 +62,7 @@ def test_an_export_that_fails_by_a_bug_is_told_and_tried_again_and_the_map_lives
         raise ValueError("a library's")
 
     with monkeypatch.context() as patched:
-        patched.setattr("ltm_ros.region.tiles.export_site", broken)
+        patched.setattr("ltm_ros.region.aggregator.export_site", broken)
         exports.look(0.0, changed=True)
 
         def looked() -> bool:

@@ -40,18 +40,16 @@ from ltm_ros.region.mqtt_link import (
     ack_topic,
     hand_over,
     presence_topic,
-    tile_topic,
     votes_topic,
 )
 from ltm_ros.region.service import RegionService, RegionWatch
-from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> RegionScene:
-    return write_region_scene(tmp_path, free_port(), tiles=0.1)
+    return write_region_scene(tmp_path, free_port())
 
 
 @pytest.fixture
@@ -235,7 +233,6 @@ def test_a_tower_writes_its_own_topic_alone_and_hears_what_is_its_own(scene: Reg
         votes_topic(REGION, "bear"),
         ack_topic(REGION, "bear"),
         f"ltm/{REGION}/aggregator",
-        tile_topic(REGION, 0, 0),
     ]
     with Client(scene, "alta") as alta, Client(scene, "bear") as bear:
         assert alta.connected.wait(PATIENCE_S)
@@ -303,39 +300,7 @@ def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broke
             wait_for(lambda: "oversize packet" in broker.log or "Packet too large" in broker.log, "the broker's word")
 
 
-def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, broker: Broker) -> None:
-    desk = scene.identity("desk")
-    got: dict[str, bytes] = {}
-    with mapped(scene) as service, sending(scene, "alta") as (alta, _):
-        offer(alta, scene, range(8))
-        wait_for(lambda: service.frames == 8, "frames")
-        follower = MqttLink(scene.broker("desk"), desk, "desk", [f"ltm/{REGION}/tile/#"], got.__setitem__, Health())
-        follower.start()
-        try:
-            shown = service.service.aggregator.persistence.shown
-            crs_grid = scene.site.in_crs(scene.geometry)
-
-            def followed() -> Any:
-                classes = np.full(scene.geometry.shape, 255, np.uint8)
-                for content in list(got.values()):
-                    header, part, where = opened_tile(desk, content)
-                    row, col = (round(float(v)) for v in crs_grid.to_grid(where.x_min + 15, where.y_max - 15))
-                    assert (row, col) == (32 * header.row, 32 * header.col)
-                    assert header.grid == scene.grid
-                    classes[row : row + part.shape[0], col : col + part.shape[1]] = part
-                return classes
-
-            wait_for(lambda: np.array_equal(followed(), shown.life_form), "the map")
-            before = shown.life_form.copy()
-            offer(alta, scene, range(8, 40))
-            wait_for(lambda: service.frames == 40 and not np.array_equal(before, shown.life_form), "another map")
-            wait_for(lambda: np.array_equal(followed(), shown.life_form), "more")
-        finally:
-            follower.stop()
-
-
-def test_a_map_that_ends_is_not_thought_to_be_there_whatever_waited_before(scene: RegionScene, broker: Broker) -> None:
-    """As many tiles as the broker has not yet confirmed stand between its last frame and its good-bye."""
+def test_a_map_that_ends_is_not_thought_to_be_there(scene: RegionScene, broker: Broker) -> None:
     presence: list[bytes] = []
     topic, desk = presence_topic(REGION), scene.identity("desk")
     follower = MqttLink(scene.broker("desk"), desk, "desk", [topic], lambda _, b: presence.append(b), Health())
@@ -346,8 +311,6 @@ def test_a_map_that_ends_is_not_thought_to_be_there_whatever_waited_before(scene
     try:
         wait_for(lambda: follower.connected.is_set() and link.connected.is_set(), "connections")
         link.send(topic, b"a life", retain=True)
-        for number in range(500):
-            link.send(tile_topic(REGION, number, 0), bytes(10_000), retain=True, qos=1)
         link.stop()
         wait_for(lambda: presence[-1:] == [b""], "the map's end", lambda: presence)
         assert b"a life" in presence

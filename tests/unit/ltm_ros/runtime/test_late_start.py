@@ -7,8 +7,7 @@ import threading
 from collections.abc import Callable
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.runtime.late_start import LONGEST_PAUSE_S, LateStart
-from ltm_ros.runtime.retry import Backoff
+from ltm_ros.runtime.retry import LONGEST_PAUSE_S, Backoff, LateStart
 
 
 class Disk:

@@ -15,7 +15,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.web_server import WebResponse
-from ltm_ros.tower.patient_server import PatientServer
+from ltm_ros.tower.health_client import PatientServer
 
 ROUTES = {"GET /healthz": lambda _: WebResponse(b"alive\n")}
 

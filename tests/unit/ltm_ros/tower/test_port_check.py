@@ -14,8 +14,7 @@ from scenes.small_site import NAME, write_small_site
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower import health_client as port_check
-from ltm_ros.tower.health_client import DoctorState
-from ltm_ros.tower.patient_server import open_health_server
+from ltm_ros.tower.health_client import DoctorState, open_health_server
 
 
 @pytest.fixture

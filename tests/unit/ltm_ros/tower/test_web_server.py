@@ -20,8 +20,7 @@ from pydantic import ValidationError
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.web_server import CONNECTIONS, WebResponse, WebServer
-from ltm_ros.tower.health_client import ask
-from ltm_ros.tower.patient_server import open_health_server
+from ltm_ros.tower.health_client import ask, open_health_server
 
 TOKEN = "0123456789abcdef-token"
 ROUTES = {

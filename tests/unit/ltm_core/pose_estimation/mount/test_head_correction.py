@@ -17,7 +17,7 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_msgs_py.pose import correction_to_msg, correction_values, msgs_to_correction
 from ltm_msgs_py.status import status_to_msg

@@ -15,8 +15,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.pose_estimation.mount import mount_fit
 from ltm_core.pose_estimation.mount.mount_fit import MountFit, fit_mount, widened
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between, turned
 from ltm_core.raster.dem import Dem

@@ -10,7 +10,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.vision.labels import UNLABELLED
 

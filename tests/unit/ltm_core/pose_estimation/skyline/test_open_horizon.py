@@ -13,8 +13,8 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit

@@ -11,8 +11,8 @@ from scenes.mountain_view import BEND, CAMERA, eye, view
 from ltm_core.base.errors import ImageError, PoseError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.image_edges import image_skyline
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.terrain_horizon import terrain_horizon
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround

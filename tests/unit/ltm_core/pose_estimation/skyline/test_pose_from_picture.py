@@ -14,8 +14,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline import pose_search as skyline_poses
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis

@@ -7,8 +7,7 @@ import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, usual_score
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, picture_evidence, usual_score
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import ridge_observations, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, turned

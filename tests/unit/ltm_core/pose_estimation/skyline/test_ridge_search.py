@@ -10,8 +10,8 @@ from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CoverHeights, CrestCover, PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between

@@ -11,9 +11,8 @@ from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import pose_refinement as ridge_settling
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import RidgeObservations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned

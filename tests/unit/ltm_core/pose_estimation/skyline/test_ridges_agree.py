@@ -11,8 +11,8 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned

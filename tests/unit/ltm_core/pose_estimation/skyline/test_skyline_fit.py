@@ -10,8 +10,8 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between

@@ -8,7 +8,7 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_watch import clearer_turn
-from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 

@@ -17,7 +17,7 @@ from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, Una
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, PartSplitter, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraImage
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import settings_of, with_configured_host
+from ltm_ros.cameras.ptz.head import settings_of, with_configured_host
 
 JPEG = jpeg(scene(64, 48))
 OK = b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\n"

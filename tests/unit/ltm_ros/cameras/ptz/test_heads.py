@@ -13,8 +13,7 @@ from scenes.waiting import wait_for
 
 from ltm_core.site.source_config import PtzConfig, RtspConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import PtzHead, tolerance_of
+from ltm_ros.cameras.ptz.head import PtzHead, parsed_xml, settings_of, tolerance_of
 from ltm_ros.cameras.ptz.makers import VapixPtzHead, open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
@@ -23,7 +22,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "isapi tenths": {"kind": "isapi", "units": "tenths"},
     "isapi degrees": {"kind": "isapi", "units": "degrees"},
     "onvif": {"kind": "onvif"},
-    "reolink": {"kind": "reolink"},
 }
 DOWNWARDS = ("isapi tenths", "isapi degrees")
 PASSWORD = "tower-%7 <&> secret"
@@ -86,10 +84,6 @@ def test_limits(turning: Turning, kind: str, pan: Any, tilt: Any, zoom: Any) -> 
     assert limits.zoom == pytest.approx(zoom)
 
 
-def test_reolink_says_no_limits(turning: Turning) -> None:
-    assert opened(turning[1], "reolink").limits().pan_deg is None
-
-
 def test_onvif_s_scale_and_inversion_are_the_model_s(turning: Turning) -> None:
     fake, camera = turning
     fake.onvif_inverted = True
@@ -139,7 +133,7 @@ def _login(name: str = "HEAD_PASSWORD") -> dict[str, Any]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_wrong_password_is_told_without_it_and_a_right_one_works(turning: Turning, kind: str) -> None:
     fake, camera = turning
-    if kind in ("onvif", "reolink"):
+    if kind == "onvif":
         fake.user, fake.password = "viewer", PASSWORD
     else:
         camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
@@ -154,14 +148,6 @@ def test_onvif_behind_digest_too(turning: Turning) -> None:
     fake.user, fake.password = "viewer", PASSWORD
     camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
     assert opened(camera, "onvif", **_login()).read().pan_deg == pytest.approx(123.4, abs=0.01)
-
-
-def test_reolink_logs_in_again_where_the_camera_has_forgotten(turning: Turning) -> None:
-    fake, camera = turning
-    head = opened(camera, "reolink")
-    head.read()
-    fake.forget_token()
-    assert head.read().pan_deg == pytest.approx(123.4, abs=0.06)
 
 
 def _answering(body: bytes, status: int = 200) -> Callable[[Any], None]:

@@ -16,7 +16,7 @@ from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.image import compressed_to_rgb
-from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.record import import_
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.photo import read_photo
 from ltm_ros.recordings.importing.pictures import find_pictures

@@ -13,7 +13,7 @@ from ltm_lab.simulator.phone_photo_io import write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
-from ltm_ros.recordings.importing.pose_file import read_pose_file
+from ltm_ros.recordings.importing.photo import read_pose_file
 
 WALK = [taken(0, (231.0, -3.5, 1.25)), taken(1, (118.0, 4.0, -2.0), at=(9.0, 3.0, 0.7), portrait=True)]
 LENS = Assumptions(focal_35mm=27.0, height_above_ground=1.6, keep_unknown=True)

@@ -356,7 +356,7 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None
 def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site) -> None:
     import typer
 
-    from ltm_ros.cli.import_ import import_
+    from ltm_ros.cli.record import import_
 
     app = typer.Typer()
     app.command()(import_)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.recordings.importing.pose_file import read_pose_file
+from ltm_ros.recordings.importing.photo import read_pose_file
 
 
 def csv_file(folder: Path, text: str) -> Path:

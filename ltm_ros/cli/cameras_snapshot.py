@@ -1,23 +1,14 @@
-"""`ltm cameras watch` and `ltm cameras snapshot`: watch the cameras of a graph, and take one image."""
+"""`ltm cameras snapshot`: take one image with its pose."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rich.markup import escape
-from rich.table import Table
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
@@ -37,94 +28,8 @@ from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
 from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cli.output import table
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.ros_environment import limit_shutdown
-
-STYLES = {"alive": "green", "connecting": "cyan", "night": "blue", "moved": "cyan"}
-"""Styles of the states that need no action; other states are red."""
-SILENT_S = 5.0
-"""Seconds without diagnostics after which a node counts as silent; diagnostics come once a second."""
-
-
-class CameraWatch:
-    """Subscriber to `/diagnostics` with its own ROS context."""
-
-    def __init__(self, site: str, cameras: Sequence[str]) -> None:
-        self._names = {f"/{site}/{camera}/source": camera for camera in cameras}
-        self._said: dict[str, tuple[float, dict[str, str]]] = {}
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = Node("ltm_cameras_watch", context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-
-    def listen(self, seconds: float, until_all: bool = False) -> None:
-        """Listen for the given time, or until every camera has reported."""
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline and not (until_all and not self.silent()):
-            self._executor.spin_once(timeout_sec=0.1)
-
-    def states(self) -> dict[str, dict[str, str]]:
-        """Return the last report of each camera; empty for silent cameras."""
-        now = time.monotonic()
-        found: dict[str, dict[str, str]] = {}
-        for camera in self._names.values():
-            at, said = self._said.get(camera, (0.0, {}))
-            found[camera] = said if now - at < SILENT_S else {}
-        return found
-
-    def silent(self) -> list[str]:
-        """Return the cameras that have never reported."""
-        return [camera for camera in self._names.values() if camera not in self._said]
-
-    def close(self) -> None:
-        limit_shutdown()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def _on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            camera = self._names.get(status.name)
-            if camera is not None:
-                self._said[camera] = time.monotonic(), {value.key: value.value for value in status.values}
-
-
-def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
-    """Return the table of all cameras' states."""
-    rows: list[Sequence[str]] = []
-    for camera, said in states.items():
-        if not said:
-            rows.append((camera, "[red]silent", *[""] * 6, "no report from its node: check that the graph is running"))
-            continue
-        state = said.get("state", "?")
-        age, known = said.get("picture_age_s"), said.get("stamp_uncertainty_s")
-        ahead = said.get("camera_clock_ahead_s")
-        rows.append(
-            (
-                camera,
-                f"[{STYLES.get(state, 'bold red')}]{escape(state)}",
-                _since(said.get("state_since")),
-                "" if age is None else f"{age} s ago",
-                "" if known is None else f"+- {known} s by {escape(said.get('stamp_told_by', '?'))}",
-                "" if ahead is None else f"{float(ahead):+.1f} s",
-                said.get("frames_out", ""),
-                said.get("dropped", ""),
-                escape(said.get("state_why", "")),
-            )
-        )
-    columns = ("camera", "state", "since (UTC)", "image", "stamps", "clock", "published", "rejected", "why")
-    return table("", columns, rows)
-
-
-def _since(epoch: str | None) -> str:
-    if not epoch:
-        return ""
-    return datetime.fromtimestamp(float(epoch), UTC).strftime("%m-%d %H:%M:%S")
-
 
 READINGS = "readings.csv"
 
@@ -133,8 +38,7 @@ def take_snapshot(
     site_file: Path, camera_name: str, out: Path, name: str, trace: bool, tries: int, overwrite: bool
 ) -> tuple[list[Path], list[str]]:
     """Take an image; return the written files and the lines to print. Raises ConfigError, and SourceError if no usable
-    image came.
-    """
+    image came."""
     site = load_site(site_file)
     require_folder(out, "an image")
     frame, reason = _frame(site, camera_name, tries)

@@ -5,28 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.number_text import counted, difference, number
+from ltm_core.base.number_text import difference, number
 from ltm_core.fire.effect import (
-    CellDoubt,
     FireEffect,
-    burn_probability,
+    FireScenario,
     changed_fuel,
-    drawn_codes,
-    hectares,
     read_landscape,
     require_same_grid,
-    with_codes,
     write_fire,
 )
 from ltm_core.fire.pyretechnics import Pyretechnics
-from ltm_core.fire.scenario import FireScenario
 from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
@@ -42,20 +34,18 @@ from ltm_ros.pages import render_page, write_figures
 
 @dataclass(frozen=True, eq=False)
 class MapPair:
-    """The previous and the updated map. `draw`: makes a random landscape; None: no probabilities are known. `made`: the
-    map's provenance; None: a file without any."""
+    """The previous and the updated map. `made`: the map's provenance; None: a file without any."""
 
     name: str
     was: str
     before: Landscape
     after: Landscape
-    draw: Callable[[np.random.Generator], Landscape] | None = None
     made: Provenance | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FireResult:
-    """`model`: name of the fire model. `seconds`: wall time of each fire, the two and then the draws."""
+    """`model`: name of the fire model. `seconds`: wall time of each of the two fires."""
 
     effect: FireEffect
     model: str
@@ -88,7 +78,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
     site = load_site(site_path)
     with FuelSource.open(store, site) as map_:
         layers, empty = map_.layers, map_.empty if since is None else map_.at(since)
-        evidence, prior, climate = map_.evidence, map_.prior, map_.climate
+        prior, climate = map_.prior, map_.climate
         system = system_of(prior)
         grid, terrain = site.in_map(map_.geometry), map_.terrain()
         spare, seen = spare_heights(site, grid), map_.canopy(None, terrain).seen
@@ -97,56 +87,22 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         )  # fmt: skip
         was = with_fuel(now, empty, prior, climate)
         made = map_.provenance(layers, terrain.version, None, system, now)
-    assert evidence is not None
-
-    @cache  # for the first draw: not needed without an ensemble
-    def doubt() -> CellDoubt:
-        return CellDoubt.of(layers, evidence.alpha(), evidence.rules.mask)
-
-    def draw(rng: np.random.Generator) -> Landscape:
-        width, stand = evidence.rules.context_cells, evidence.stand_correlation
-        codes = drawn_codes(doubt(), climate, system, rng, width, stand)
-        return with_fuel(now, with_codes(layers, codes), prior, climate, seen)
-
     earlier = "prior map" if since is None else since
-    return MapPair(site.name, earlier, was, now, draw, made)
+    return MapPair(site.name, earlier, was, now, made)
 
 
-def run_fires(
-    pair: MapPair, scenario: FireScenario, ensemble: int, seed: int, progress: Callable[[str], None]
-) -> FireResult:
-    """Run the fires. Raises ConfigError for an ensemble of maps without probabilities, and if no fire model is
-    installed."""
-    if ensemble and pair.draw is None:
-        raise ConfigError(
-            "an ensemble needs the cell probabilities of a store (.ltm), which a landscape file lacks: give the "
-            "store and --site, or remove --ensemble"
-        )
-    cell, seconds, runs = pair.after.geometry.resolution, [], []
+def run_fires(pair: MapPair, scenario: FireScenario, progress: Callable[[str], None]) -> FireResult:
+    """Run the fires. Raises ConfigError if no fire model is installed."""
+    seconds, runs = [], []
     with Pyretechnics() as model:
         for name, landscape in (("before the update", pair.before), ("after the update", pair.after)):
             progress(f"the fire on the map {name}")
             started = time.monotonic()
             runs.append(model.spread(landscape, scenario))
             seconds.append(time.monotonic() - started)
-        effect = FireEffect(runs[0], runs[1], changed_fuel(pair.before, pair.after), cell, scenario.hours)
-        members, drawn = [], []
-        for k in range(ensemble):
-            assert pair.draw is not None
-            progress(f"random landscape {k + 1} of {ensemble}")
-            landscape = pair.draw(np.random.default_rng([seed, k]))
-            started = time.monotonic()
-            run = model.spread(landscape, scenario)
-            seconds.append(time.monotonic() - started)
-            drawn.append(run)
-            members.append(tuple(hectares(run, h, cell) for h in effect.hours_shown()))
         version = f"Pyretechnics {model.version}"
-    if drawn:
-        probability = burn_probability(drawn)
-        effect = FireEffect(
-            runs[0], runs[1], effect.changed, cell, scenario.hours, probability, tuple(members)
-        )  # fmt: skip
-    return FireResult(effect, version, tuple(seconds))
+    changed, cell = changed_fuel(pair.before, pair.after), pair.after.geometry.resolution
+    return FireResult(FireEffect(runs[0], runs[1], changed, cell, scenario.hours), version, tuple(seconds))
 
 
 FILES = ("index.html", "fire.png", "fire.tif", "fire.kmz", "fire.json")
@@ -193,7 +149,7 @@ _FIRST = ("ignition", "wind", "fuel moisture", "duration", "map as of")
 def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str, str]:
     x, y = (float(v) for v in pair.after.geometry.to_map(scenario.row, scenario.col))
     made = pair.made and pair.made.moment()
-    told = {
+    return {
         "ignition": f"{x:.0f} m E, {y:.0f} m N in {pair.after.geometry.crs}",
         "wind": scenario.wind.described(),
         "fuel moisture": scenario.moisture.described(),
@@ -204,9 +160,6 @@ def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str
         "cells with changed fuel or canopy": number(int(result.effect.changed.sum())),
         "previous map": pair.was,
     }
-    if result.effect.members:
-        told["drawn landscapes"] = str(len(result.effect.members))
-    return told
 
 
 def figures(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str, Any]:
@@ -217,7 +170,6 @@ def figures(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[s
         "first_contact_h": effect.first_contact(),
         "edge_h": effect.after.reaches_edge(),
         "seconds_per_fire": list(result.seconds),
-        "mean_burn_probability": None if effect.probability is None else float(effect.probability.mean()),
         "note": NO_FORECAST,
     }
 
@@ -242,11 +194,5 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
     if edge is not None:
         said.append(
             f"It reaches the edge of the landscape after {edge:.1f} h; after that, the burned area is too small."
-        )
-    if last.ensemble is not None:
-        low, middle, high = last.ensemble
-        said.append(
-            f"{counted(len(effect.members), 'landscape')} drawn from the fuel probabilities: 80 % burn {number(low)} "
-            f"to {number(high)} ha (median {number(middle)}). This is the effect of the uncertain fuel on this fire."
         )
     return said

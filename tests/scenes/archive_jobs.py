@@ -1,0 +1,23 @@
+"""What workers of an archive do in place of a task; a process of its own must be able to import it."""
+
+from __future__ import annotations
+
+import os
+
+from ltm_core.base.kernels import kernel_threads
+from ltm_ros.archive.plan import Task, TaskSettings
+from ltm_ros.archive.task import TaskReport, work
+
+
+def deadly_work(deadly: str, task: Task, settings: TaskSettings) -> TaskReport:
+    return os._exit(9) if task.evidence_key == deadly else work(task, settings)
+
+
+def full_disk_at_3(task: Task, settings: TaskSettings) -> TaskReport:
+    if task.evidence_key == "3":
+        raise OSError("the disk is full")
+    return TaskReport(1)
+
+
+def thread_count(task: Task, settings: TaskSettings) -> TaskReport:
+    return TaskReport(kernel_threads())
