@@ -61,7 +61,10 @@ def rendered(folder: Path) -> Set:
     for frame in read_truth_frames(folder):
         by.setdefault(frame.camera_name, []).append(frame)
     return Set(
-        open_dem(folder), is_curved(folder), [f for v in by.values() for f in v[: (2 * len(v) + 1) // 3]], [f for v in by.values() for f in v[(2 * len(v) + 1) // 3 :]]
+        open_dem(folder),
+        is_curved(folder),
+        [f for v in by.values() for f in v[: (2 * len(v) + 1) // 3]],
+        [f for v in by.values() for f in v[(2 * len(v) + 1) // 3 :]],
     )
 
 
@@ -83,7 +86,9 @@ def engabreen(data: Path) -> Set:
         coarse = np.nanmean(cut.reshape(rows, 10, cols, 10), axis=(1, 3)).astype(np.float32)
     given = Dem(coarse, GridGeometry(g.x_min, g.y_max, g.resolution * 10, cols, rows, g.crs))
     frames = [
-        _photo_frame(name, k + 1, np.ascontiguousarray(read_rgb(data / "engabreen" / name)[::3, ::3]), camera, fit.pose, dem)
+        _photo_frame(
+            name, k + 1, np.ascontiguousarray(read_rgb(data / "engabreen" / name)[::3, ::3]), camera, fit.pose, dem
+        )
         for k, name in enumerate(ENGABREEN_PHOTOS)
     ]
     return Set(given, True, frames[:1], frames[1:])
@@ -111,7 +116,8 @@ class Example:
         self.maps = [m.clone() for m in maps]
         with torch.no_grad():
             self.quarter = network.own.quarter(self.maps)
-        self.target = torch.from_numpy(target)
+        size = (manifest.input.width // 2, manifest.input.height // 2)
+        self.target = torch.from_numpy(cv2.resize(target, size, interpolation=cv2.INTER_NEAREST))
         small = functional.interpolate(tensor, self.before.shape[2:], mode="area")
         self.edge_x = torch.exp(-4 * (small[..., 1:] - small[..., :-1]).abs().mean(1, keepdim=True))
         self.edge_y = torch.exp(-4 * (small[..., 1:, :] - small[..., :-1, :]).abs().mean(1, keepdim=True))
@@ -228,7 +234,9 @@ def scored(network: Any, data: Set, segmenter: Segmenter, manifest: NetworkManif
     config = load_fusion_config(manifest)
     run = DepthEvaluation(0.0, data.dem, ClassPriors.of(LabelSet.load(), config), data.curved, None, config)
     for frame in data.judged:
-        tensor = torch.from_numpy(as_tensor(fitted(frame.photo, manifest.input).pixels, manifest.input).astype(np.float32))
+        tensor = torch.from_numpy(
+            as_tensor(fitted(frame.photo, manifest.input).pixels, manifest.input).astype(np.float32)
+        )
         with torch.inference_mode():
             maps = network.encoder(tensor)[1:]
             values = torch.exp(network.inverse(network.depth(network.own.quarter(maps))))[0, 0].numpy()
@@ -236,7 +244,10 @@ def scored(network: Any, data: Set, segmenter: Segmenter, manifest: NetworkManif
         run.add(frame, Given(NetworkDepth(values, "relative_inverse"), labels, segmenter.manifest.label_columns))
     score = run.score()
     rows = {
-        source: [(s.pixels, round(s.rmse, 2), round(s.median, 2)) for s in next(r.scores for r in score.rows if (r.source, r.group) == (source, "all"))]
+        source: [
+            (s.pixels, round(s.rmse, 2), round(s.median, 2))
+            for s in next(r.scores for r in score.rows if (r.source, r.group) == (source, "all"))
+        ]
         for source in ("traced", "network", "fused")
     }
     return {"verdicts": dict(score.verdicts), **rows}
@@ -248,13 +259,17 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
     manifest, segmenter = NetworkManifest.find("landscape_v2_depth"), Segmenter.open("landscape_v2", 2)
     network = load_exported(manifest)
     assert network.own is not None
     found: dict[str, Any] = {}
     for name in given.sets:
-        data = {"engabreen": engabreen, "canyon": canyon}[name](given.data) if name in ("engabreen", "canyon") else rendered(Path(name))
+        data = (
+            {"engabreen": engabreen, "canyon": canyon}[name](given.data)
+            if name in ("engabreen", "canyon")
+            else rendered(Path(name))
+        )
         found[Path(name).name] = rows = {"shipped": scored(network, data, segmenter, manifest)}
         print(name, "shipped", json.dumps(rows["shipped"]), flush=True)
         for title, way in WAYS.items():

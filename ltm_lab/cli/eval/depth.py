@@ -47,7 +47,7 @@ def depth(
         ),
     ] = None,
     networks: Annotated[
-        str, typer.Option(help="Depth networks to compare, names or manifests, separated by commas.")
+        str, typer.Option(help="Depth networks to compare, separated by commas.")
     ] = "landscape_v2_depth",
     depth_maps: Annotated[
         Path | None, typer.Option(help="Folder of depth maps CAMERA/STAMP_NS.npy instead of a network.")
@@ -138,7 +138,15 @@ def depth(
             covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
             console.print(f"{name}: {verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
         if len(of_errors) > 1:
-            columns_ = ("pose error, deg", "frames", "checkable", "pose suspected", "network unusable", "traced", "fused")
+            columns_ = (
+                "pose error, deg",
+                "frames",
+                "checkable",
+                "pose suspected",
+                "network unusable",
+                "traced",
+                "fused",
+            )
             print_table(console, f"{name}: verdicts by pose error", columns_, map(_verdicts, of_errors))
     compared = [(name, of_errors[0]) for name, of_errors in scores.items()]
     print_table(console, "RMSE (median error), m, by true depth", _COMPARED, _comparison(compared), _ALIGNED)

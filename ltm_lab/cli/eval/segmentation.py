@@ -17,10 +17,7 @@ def segmentation(
             help="Folder of pictures NAME.png or .jpg with NAME_labels.png or polygons.json, or of such folders."
         ),
     ],
-    model: Annotated[
-        list[str] | None,
-        typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
-    ] = None,
+    networks: Annotated[str, typer.Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
     head: Annotated[
         list[str] | None,
         typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
@@ -79,7 +76,7 @@ def segmentation(
         )
     console = Console()
     heads = [SHIPPED_LABEL_HEAD, *(head or [])]
-    segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in _names(networks) or [DEFAULT_MODEL] for h in heads]
     chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
     for s in segmenters:
         s.withdraw_otherwise = {k: v for k, v in chosen.items() if v is not None}
