@@ -221,9 +221,9 @@ class EvidenceMap:
             FLOOR,
         )
         if not self._one_view:
+            # As if a second view had shown nothing: the design effect of two.
             lone = (state["best"][touched].max(axis=-1) > 0).sum(axis=-1) < 2
-            unsure = 0.99 * np.log(self.rules.sure_odds)
-            log_likelihood[lone] = np.maximum(log_likelihood[lone], log_likelihood[lone].max(axis=1)[:, None] - unsure)
+            log_likelihood[lone] /= 1 + correlation.between_views
         cells = CellEvidence(
             evidence=worth / UNIT,
             log_likelihood=log_likelihood,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +14,7 @@ from ltm_lab.evaluation.depth.fused_depth import BEYOND
 from ltm_ros.cli.output import JsonFile, writable_folder
 
 if TYPE_CHECKING:
+    from ltm_core.base.types import Float32Array
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluationScore
 
 CLAIM = (
@@ -115,15 +116,17 @@ def depth(
             if depth_maps is not None:
                 values = read_depth_map(depth_maps, frame.camera_name, frame.stamp_ns, frame.photo.shape)
                 estimates = [NetworkDepth(values, depth_kind.value)]
-            for estimate, (name, of_errors) in zip(estimates, runs.items(), strict=True):
-                for run in of_errors:
-                    sources = run.add(frame, Given(estimate, called, columns))
-                    if pictures is not None:
-                        pictures.mkdir(parents=True, exist_ok=True)
-                        title = f"{frame.camera_name} {frame.date} {name}, pose {run.pose_error_deg:g} deg off"
-                        sheet = depth_sheet(title.replace("  ", " "), frame.photo, sources, frame.surface)
-                        file = f"{frame.camera_name}_{frame.stamp_ns}_{Path(name).name}_{run.pose_error_deg:g}_deg.png"
-                        (pictures / file).write_bytes(to_png(sheet))
+            for place_of_error, error in enumerate(errors):
+                shown: dict[str, Float32Array] = {}
+                for estimate, (name, of_errors) in zip(estimates, runs.items(), strict=True):
+                    found = of_errors[place_of_error].add(frame, Given(estimate, called, columns))
+                    shown |= found if len(runs) == 1 else _of_network(name, found)
+                if pictures is not None:
+                    pictures.mkdir(parents=True, exist_ok=True)
+                    title = f"{frame.camera_name} {frame.date} pose {error:g} deg off".replace("  ", " ")
+                    sheet = depth_sheet(title, frame.photo, shown, frame.surface)
+                    file = f"{frame.camera_name}_{frame.stamp_ns}_pose_{error:g}_deg.png"
+                    (pictures / file).write_bytes(to_png(sheet))
             count += 1
             status.update(f"scored {count} frames")
     if count == 0:
@@ -172,7 +175,7 @@ _COLUMNS = ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", 
 
 _COMPARED = ("network", "source", "0-100 m", "100-300 m", "300-1,000 m", "> 1,000 m", "all", "beyond 100 m")
 _ALIGNED = (
-    "metric: metres of the network; aligned: scale (relative depth: and shift) fitted to the true depth; network: fitted "
+    "metric: the network's metres; aligned: scale (relative depth: and shift) fitted to true depth; network: fitted "
     "to the terrain, as LTM does; fused: with traced depth"
 )
 
@@ -183,9 +186,19 @@ def _comparison(scores: Sequence[tuple[str, DepthEvaluationScore]]) -> Iterator[
         by_group = {(row.source, row.group): row.scores for row in score.rows}
         for source in (s for s, group in by_group if group == "all" and not (number and s in ("traced", "surface"))):
             cells = [*by_group[source, "all"], *by_group.get((source, BEYOND), [])[-1:]]
-            yield (name, source, *(f"{c.rmse:,.1f} ({c.median:,.1f})" if c.pixels else "" for c in cells))
+            yield (name, source, *(f"{_short(c.rmse)} ({_short(c.median)})" if c.pixels else "" for c in cells))
             name = ""
         yield ()
+
+
+def _of_network(name: str, sources: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
+    """Return what a picture of several networks shows of one."""
+    kept = {key: depth for key, depth in sources.items() if key in ("traced", "surface")}
+    return kept | {f"{name} {key}": sources[key] for key in ("aligned", "fused")}
+
+
+def _short(metres: float) -> str:
+    return f"{metres:,.1f}" if metres < 100 else f"{metres:,.0f}"
 
 
 def _rows(score: DepthEvaluationScore) -> Iterator[tuple[str, ...]]:
