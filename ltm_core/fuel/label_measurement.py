@@ -267,7 +267,7 @@ def measure_labels(
                 f"{share:.0%} of the seen cells differ from the prior map; measure on frames from before the change, "
                 "or give a newer prior map"
             )
-        beside = ndimage.binary_dilation(changed > 0, np.ones((3, 3)), iterations=int(np.ceil(reach)))
+        beside = ndimage.binary_dilation(changed > 0, np.ones((3, 3)))
         truth = np.where(changed > 0, changed, np.where(beside, 255, prior)).astype(np.uint8)
         cells = seen_cells(votes, truth, forms)
         appearance = fit_cell_appearance([cells])

@@ -59,7 +59,7 @@ def segmentation(
 
     from ltm_core.base.errors import RecordingError
     from ltm_core.label_heads.head_trial import write_overlay
-    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, holds_frames, read_frames, without_classes
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, read_frames, without_classes
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
@@ -67,8 +67,8 @@ def segmentation(
     from ltm_lab.evaluation.segmentation.network_score import score_frames
     from ltm_ros.pages import write_figures
 
-    inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
-    sets = [folder] if folder.is_dir() and holds_frames(folder) else inside
+    inside = sorted(p for p in folder.iterdir() if p.is_dir() and _holds_frames(p)) if folder.is_dir() else []
+    sets = [folder] if folder.is_dir() and _holds_frames(folder) else inside
     if not sets:
         raise RecordingError(
             f"{folder}: no frames; expected pictures NAME.png or .jpg with NAME{LABELS_SUFFIX} or {POLYGONS_FILE}, or "
@@ -115,3 +115,10 @@ def segmentation(
 
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _holds_frames(folder: Path) -> bool:
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX
+    from ltm_core.vision.areas import POLYGONS_FILE
+
+    return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()

@@ -79,9 +79,7 @@ def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
     return settings.model_copy(update={"optimiser": settings.optimiser.model_copy(update={"steps": steps})})
 
 
-train = typer.Typer(
-    cls=TrainGroup, no_args_is_help=True, help="Train the network; fit constants of fuel and fusion."
-)
+train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network; fit constants of fuel and fusion.")
 train.command(WHOLE)(run)
 train.command()(fusion)
 train.command()(photos)
