@@ -96,11 +96,12 @@ def depth(
     place = source if source is not None else project_path("bags/demo/recording")
     scene = open_scene(place, site, date)
     over = None if surface is None else with_surface(scene.dem, Dem.open(surface).in_frame(scene.frame))
-    opened = [] if depth_maps is not None else [DepthNetwork.open(name.strip()) for name in networks.split(",")]
+    names = [] if depth_maps is not None else dict.fromkeys(name.strip() for name in networks.split(","))
+    opened = {name: DepthNetwork.open(name) for name in names}
     segmenter = Segmenter.open(segmentation or scene.model) if labels is Labels.model else None
     errors = dict.fromkeys([0.0, *_numbers(pose_error)])
     runs: dict[str, list[DepthEvaluation]] = {}
-    for name, config in [(n.manifest.name, n.fusion) for n in opened] or [(str(depth_maps), FusionConfig())]:
+    for name, config in [(key, n.fusion) for key, n in opened.items()] or [(str(depth_maps), FusionConfig())]:
         classes, beyond = ClassPriors.of(LabelSet.load(), config), scene.possible
         runs[name] = [DepthEvaluation(e, scene.dem, classes, scene.curved, over, config, beyond) for e in errors]
     count = 0
@@ -112,15 +113,15 @@ def depth(
             elif labels is Labels.truth:
                 called = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
                 columns = frame.labels.shape[1]
-            estimates = [network.predict(frame.photo, frame.camera) for network in opened]
+            estimates = [network.predict(frame.photo, frame.camera) for network in opened.values()]
             if depth_maps is not None:
                 values = read_depth_map(depth_maps, frame.camera_name, frame.stamp_ns, frame.photo.shape)
                 estimates = [NetworkDepth(values, depth_kind.value)]
             for place_of_error, error in enumerate(errors):
                 shown: dict[str, Float32Array] = {}
-                for estimate, (name, of_errors) in zip(estimates, runs.items(), strict=True):
-                    found = of_errors[place_of_error].add(frame, Given(estimate, called, columns))
-                    shown |= found if len(runs) == 1 else _of_network(name, found)
+                for estimate, (name, own) in zip(estimates, runs.items(), strict=True):
+                    sources = own[place_of_error].add(frame, Given(estimate, called, columns))
+                    shown |= sources if len(runs) == 1 else _of_network(name, sources)
                 if pictures is not None:
                     pictures.mkdir(parents=True, exist_ok=True)
                     title = f"{frame.camera_name} {frame.date} pose {error:g} deg off".replace("  ", " ")
@@ -131,7 +132,7 @@ def depth(
             status.update(f"scored {count} frames")
     if count == 0:
         raise RecordingError(f"{place} holds no frame with photo, pose and truth: nothing can be scored")
-    scores = {name: [run.score() for run in of_errors] for name, of_errors in runs.items()}
+    scores = {name: [run.score() for run in own] for name, own in runs.items()}
     for name, of_errors in scores.items():
         for score in of_errors:
             if len(scores) == 1:
@@ -141,16 +142,7 @@ def depth(
             covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
             console.print(f"{name}: {verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
         if len(of_errors) > 1:
-            columns_ = (
-                "pose error, deg",
-                "frames",
-                "checkable",
-                "pose suspected",
-                "network unusable",
-                "traced",
-                "fused",
-            )
-            print_table(console, f"{name}: verdicts by pose error", columns_, map(_verdicts, of_errors))
+            print_table(console, f"{name}: verdicts by pose error", _VERDICTS, map(_verdicts, of_errors))
     compared = [(name, of_errors[0]) for name, of_errors in scores.items()]
     print_table(console, "RMSE (median error), m, by true depth", _COMPARED, _comparison(compared), _ALIGNED)
     console.print(CLAIM)
@@ -173,6 +165,7 @@ def _numbers(text: str) -> list[float]:
 _COLUMNS = ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", "median", "bias")
 
 
+_VERDICTS = ("pose error, deg", "frames", "checkable", "pose suspected", "network unusable", "traced", "fused")
 _COMPARED = ("network", "source", "0-100 m", "100-300 m", "300-1,000 m", "> 1,000 m", "all", "beyond 100 m")
 _ALIGNED = (
     "metric: the network's metres; aligned: scale (relative depth: and shift) fitted to true depth; network: fitted "
