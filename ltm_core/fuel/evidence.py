@@ -103,7 +103,7 @@ class EvidenceMap:
         self._errors_of = dict(errors_of or {})
         all_measured = all(known.measured for known in (self._errors, *self._errors_of.values()))
         self._correlation = self._errors.correlation if all_measured else ALIKE
-        self._one_view = all(known.one_view for known in (self._errors, *self._errors_of.values()))
+        self._one_view = min(known.one_view for known in (self._errors, *self._errors_of.values()))
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
@@ -214,10 +214,9 @@ class EvidenceMap:
             self.rules.frame_cap * UNIT,
             FLOOR,
         )
-        if not self._one_view:
+        if self._one_view < 1:
             lone = (state["best"][touched].max(axis=-1) > 0).sum(axis=-1) < 2
-            unsure = 0.99 * np.log(self.rules.sure_odds)
-            log_likelihood[lone] = np.maximum(log_likelihood[lone], log_likelihood[lone].max(axis=1)[:, None] - unsure)
+            log_likelihood[lone] *= self._one_view
         cells = CellEvidence(
             evidence=worth / UNIT,
             log_likelihood=log_likelihood,

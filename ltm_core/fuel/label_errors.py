@@ -81,15 +81,15 @@ class LabelErrors:
     """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
     form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
     `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
-    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: whether frames of one view can
-    make a cell certain; else it takes two, because the network may err alike over a whole slope."""
+    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: factor of the log
+    odds of a cell that only one view has seen, because the network may err alike over a whole slope."""
 
     shares: Float64Array
     correlation: LabelCorrelation
     source: str = ""
     appearance: CellAppearanceModel | None = None
     state: str = "measured"
-    one_view: bool = True
+    one_view: float = 1.0
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -135,7 +135,7 @@ _HEAD: Final = """\
 # shares: of the labels in cells of each life form. correlation: of the errors of two pixels of a cell, of two cells of
 # a stand, of two frames of a view, and of two views. appearance: weights of a constant, of the label shares of the cell
 # (grass, shrub, tree, bare, water, built, burned), of these times the confidence over 0.7, and of the shares of the
-# cells in front and behind; one row for each incidence. one_view: false if it takes two views to make a cell certain.
+# cells in front and behind; one row for each incidence. one_view: factor of the log odds of one view alone.
 # What is absent was not measured.
 """
 
@@ -153,7 +153,7 @@ class ReliabilityRecord(StrictModel):
     live: str = ""
     photos: int | None = Field(None, ge=0)
     ece: dict[str, float] = Field(default_factory=dict)
-    one_view: bool = True
+    one_view: float = Field(1.0, ge=0, le=1)
     correlation: LabelCorrelation | None = None
     shares: dict[str, dict[str, float]] | None = None
     appearance: CellAppearanceFile | None = None

@@ -73,11 +73,6 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
     return frames
 
 
-def holds_frames(folder: Path) -> bool:
-    """Return whether a folder has labels of images in one of the two forms."""
-    return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()
-
-
 def without_classes(frames: Sequence[Frame], classes: Sequence[int]) -> list[Frame]:
     """Return the frames with the pixels of `classes` unlabelled, so that they count neither for nor against a label."""
     if not classes:

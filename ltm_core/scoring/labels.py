@@ -101,11 +101,6 @@ class SegmentationScore:
         return float(np.mean(present)) if present else float("nan")
 
 
-def score_labels(truth: UInt8Array, predicted: UInt8Array, classes: int) -> SegmentationScore:
-    """Return the score of one label image (H, W) uint8; truth of 255 is not counted."""
-    return SegmentationScore.empty(classes).plus(truth, predicted)
-
-
 def _ratio(part: object, whole: object) -> Float64Array:
     part, whole = np.asarray(part, np.float64), np.asarray(whole, np.float64)
     return np.asarray(np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole > 0), np.float64)

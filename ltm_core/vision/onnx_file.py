@@ -52,11 +52,6 @@ class NetworkFile:
         return cls(content, weights, hashlib.sha256("".join(lines).encode()).hexdigest())
 
 
-def network_digest(path: Path) -> str:
-    """Return the SHA-256 of a network with its external weights, as `NetworkFile.digest`. Raises as its `read`."""
-    return NetworkFile.read(path).digest
-
-
 def file_digest(path: Path) -> str:
     """Return the SHA-256 of one file as hexadecimal text."""
     with path.open("rb") as file:

@@ -17,7 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_lab.training.config import NetworkConfig, SplitConfig, TrainingConfig
+from ltm_lab.training.config import NetworkConfig, TrainingConfig
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork, for_inference
 from ltm_lab.training.loop import MEAN, STD
@@ -59,27 +59,6 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
     manifest = folder / f"{config.name}.yaml"
     _write(manifest, _manifest(file, config, labels) | {"maps": maps})
     _write(folder / f"{config.name}_depth.yaml", _depth_manifest(file, config))
-    return manifest
-
-
-def export_adapted(
-    network: LandscapeNetwork, base: NetworkManifest, name: str, labels: LabelSet, folder: Path, source: str
-) -> Path:
-    """Write a network that was adapted from another's file, with what is known of that one's labels. `source`: what
-    its manifest says of where it comes from."""
-    split = SplitConfig(test=("none",))
-    size = {"deploy_width": base.input.width, "deploy_height": base.input.height}
-    output = {key: getattr(base.output, key) for key in ("offsets", "redness", "withdraw")}
-    config = TrainingConfig(
-        name=name, split=split, licence=base.licence, coarse_look=base.coarse_look, **output, **size
-    )
-    manifest = export(network, config, labels, folder)
-    content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
-    content["output"]["temperature"] = base.output.temperature
-    content["source"] = source
-    if base.heads_of:  # of the labels alone: depth that a site has taught serves cameras with a head as well
-        content["heads_of"] = base.heads_of
-    _write(manifest, content)
     return manifest
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltm_lab.evaluation.depth.fused_depth import BEYOND
 from ltm_ros.cli.output import JsonFile, writable_folder
 
 if TYPE_CHECKING:
+    from ltm_core.base.types import Float32Array
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluationScore
 
 CLAIM = (
@@ -39,9 +41,15 @@ class DepthMapKind(StrEnum):
 
 def depth(
     source: Annotated[
-        Path | None, typer.Argument(help="Folder of `ltm-lab simulate`, or a bag with truth; default: bags/demo.")
+        Path | None,
+        typer.Argument(
+            help="Folder of `ltm-lab simulate`, `engabreen` or `grandcanyon_rm22`, or a bag with truth; default: "
+            "bags/demo."
+        ),
     ] = None,
-    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "tcmonodepth",
+    networks: Annotated[
+        str, typer.Option(help="Depth networks to compare, separated by commas.")
+    ] = "landscape_v2_depth",
     depth_maps: Annotated[
         Path | None, typer.Option(help="Folder of depth maps CAMERA/STAMP_NS.npy instead of a network.")
     ] = None,
@@ -75,84 +83,76 @@ def depth(
     from ltm_core.pictures import to_png
     from ltm_core.raster.dem import Dem
     from ltm_core.raster.dem_stack import with_surface
-    from ltm_core.tracing.possible_ground import NOTHING_BEYOND
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
+    from ltm_lab.evaluation.depth.scenes import open_scene
     from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
-    from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_ros.pages import write_figures
 
     console = Console()
     place = source if source is not None else project_path("bags/demo/recording")
-    name = segmentation or DEFAULT_MODEL
-    if (place / "frames.json").is_file():
-        dem, frames, curved = open_dem(place), read_truth_frames(place, date), is_curved(place)
-        possible = NOTHING_BEYOND
-        frame_of_map = site_frame(place)
-    else:
-        from ltm_lab.frames.truth_frames import recorded_truth_frames
-        from ltm_ros.recordings.recorded_run import Recorded
-
-        recorded = Recorded.find(place, site)
-        name = segmentation or recorded.site.model
-        dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
-        curved, frame_of_map = recorded.site.curvature, recorded.site.frame
-        possible = recorded.site.possible_ground
-    over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
-    network = None if depth_maps is not None else DepthNetwork.open(model)
-    config = FusionConfig() if network is None else network.fusion
-    classes = ClassPriors.of(LabelSet.load(), config)
-    segmenter = Segmenter.open(name) if labels is Labels.model else None
+    scene = open_scene(place, site, date)
+    over = None if surface is None else with_surface(scene.dem, Dem.open(surface).in_frame(scene.frame))
+    names = [] if depth_maps is not None else dict.fromkeys(name.strip() for name in networks.split(","))
+    opened = {name: DepthNetwork.open(name) for name in names}
+    segmenter = Segmenter.open(segmentation or scene.model) if labels is Labels.model else None
     errors = dict.fromkeys([0.0, *_numbers(pose_error)])
-    runs = [DepthEvaluation(error, dem, classes, curved, over, config, possible) for error in errors]
+    runs: dict[str, list[DepthEvaluation]] = {}
+    for name, config in [(key, n.fusion) for key, n in opened.items()] or [(str(depth_maps), FusionConfig())]:
+        classes, beyond = ClassPriors.of(LabelSet.load(), config), scene.possible
+        runs[name] = [DepthEvaluation(e, scene.dem, classes, scene.curved, over, config, beyond) for e in errors]
     count = 0
     with console.status("scoring") as status:
-        for frame in islice(frames, limit):
-            if network is not None:
-                estimate = network.predict(frame.photo, frame.camera)
-            elif depth_maps is not None:
-                values = read_depth_map(depth_maps, frame.camera_name, frame.stamp_ns, frame.photo.shape)
-                estimate = NetworkDepth(values, depth_kind.value)
-            given = Given(estimate, None)
+        for frame in islice(scene.frames, limit):
+            called, columns = None, 0
             if segmenter is not None:
-                given = Given(estimate, segmenter.segment(frame.photo).labels, segmenter.manifest.label_columns)
+                called, columns = segmenter.segment(frame.photo).labels, segmenter.manifest.label_columns
             elif labels is Labels.truth:
-                true = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
-                given = Given(estimate, true, frame.labels.shape[1])
-            for run in runs:
-                sources = run.add(frame, given)
+                called = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
+                columns = frame.labels.shape[1]
+            estimates = [network.predict(frame.photo, frame.camera) for network in opened.values()]
+            if depth_maps is not None:
+                values = read_depth_map(depth_maps, frame.camera_name, frame.stamp_ns, frame.photo.shape)
+                estimates = [NetworkDepth(values, depth_kind.value)]
+            for place_of_error, error in enumerate(errors):
+                shown: dict[str, Float32Array] = {}
+                for estimate, (name, own) in zip(estimates, runs.items(), strict=True):
+                    sources = own[place_of_error].add(frame, Given(estimate, called, columns))
+                    shown |= sources if len(runs) == 1 else _of_network(name, sources)
                 if pictures is not None:
                     pictures.mkdir(parents=True, exist_ok=True)
-                    title = f"{frame.camera_name} {frame.date} pose {run.pose_error_deg:g} deg".replace("  ", " ")
-                    sheet = depth_sheet(title, frame.photo, sources, frame.surface)
-                    file = f"{frame.camera_name}_{frame.stamp_ns}_pose_{run.pose_error_deg:g}_deg.png"
+                    title = f"{frame.camera_name} {frame.date} pose {error:g} deg off".replace("  ", " ")
+                    sheet = depth_sheet(title, frame.photo, shown, frame.surface)
+                    file = f"{frame.camera_name}_{frame.stamp_ns}_pose_{error:g}_deg.png"
                     (pictures / file).write_bytes(to_png(sheet))
             count += 1
             status.update(f"scored {count} frames")
     if count == 0:
         raise RecordingError(f"{place} holds no frame with photo, pose and truth: nothing can be scored")
-    scores = [run.score() for run in runs]
-    what = model if depth_maps is None else str(depth_maps)
-    for score in scores:
-        title = f"pose {score.pose_error_deg:g} deg off: metres against the visible surface, network {what}"
-        print_table(console, title, _COLUMNS, _rows(score))
-        verdicts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(score.verdicts.items()))
-        covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
-        console.print(f"{verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
-    if len(scores) > 1:
-        columns = ("pose error, deg", "frames", "checkable", "pose suspected", "network unusable", "traced", "fused")
-        print_table(console, "verdicts by pose error", columns, map(_verdicts, scores))
+    scores = {name: [run.score() for run in own] for name, own in runs.items()}
+    for name, of_errors in scores.items():
+        for score in of_errors:
+            if len(scores) == 1:
+                title = f"pose {score.pose_error_deg:g} deg off: metres against the visible surface, network {name}"
+                print_table(console, title, _COLUMNS, _rows(score))
+            verdicts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(score.verdicts.items()))
+            covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
+            console.print(f"{name}: {verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
+        if len(of_errors) > 1:
+            print_table(console, f"{name}: verdicts by pose error", _VERDICTS, map(_verdicts, of_errors))
+    compared = [(name, of_errors[0]) for name, of_errors in scores.items()]
+    print_table(console, "RMSE (median error), m, by true depth", _COMPARED, _comparison(compared), _ALIGNED)
     console.print(CLAIM)
-    state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
+    state = f"{place}, {count} frames, depth {', '.join(runs)}, labels "
+    state += labels.value if segmenter is None else segmenter.manifest.name
     state += f", surface raster {surface}" if surface is not None else ""
     console.print(f"conditions: {state}; {len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}")
     if json_path is not None:
-        report = {"conditions": state, "claim": CLAIM, "scores": [_as_json(score) for score in scores]}
-        write_figures(json_path, report)
+        found = [{"network": name} | _as_json(score) for name, of_errors in scores.items() for score in of_errors]
+        write_figures(json_path, {"conditions": state, "claim": CLAIM, "scores": found})
 
 
 def _numbers(text: str) -> list[float]:
@@ -163,6 +163,35 @@ def _numbers(text: str) -> list[float]:
 
 
 _COLUMNS = ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", "median", "bias")
+
+
+_VERDICTS = ("pose error, deg", "frames", "checkable", "pose suspected", "network unusable", "traced", "fused")
+_COMPARED = ("network", "source", "0-100 m", "100-300 m", "300-1,000 m", "> 1,000 m", "all", "beyond 100 m")
+_ALIGNED = (
+    "metric: the network's metres; aligned: scale (relative depth: and shift) fitted to true depth; network: fitted "
+    "to the terrain, as LTM does; fused: with traced depth"
+)
+
+
+def _comparison(scores: Sequence[tuple[str, DepthEvaluationScore]]) -> Iterator[tuple[str, ...]]:
+    """Yield a row for each source of each network; traced depth once."""
+    for number, (name, score) in enumerate(scores):
+        by_group = {(row.source, row.group): row.scores for row in score.rows}
+        for source in (s for s, group in by_group if group == "all" and not (number and s in ("traced", "surface"))):
+            cells = [*by_group[source, "all"], *by_group.get((source, BEYOND), [])[-1:]]
+            yield (name, source, *(f"{_short(c.rmse)} ({_short(c.median)})" if c.pixels else "" for c in cells))
+            name = ""
+        yield ()
+
+
+def _of_network(name: str, sources: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
+    """Return what a picture of several networks shows of one."""
+    kept = {key: depth for key, depth in sources.items() if key in ("traced", "surface")}
+    return kept | {f"{name} {key}": sources[key] for key in ("aligned", "fused")}
+
+
+def _short(metres: float) -> str:
+    return f"{metres:,.1f}" if metres < 100 else f"{metres:,.0f}"
 
 
 def _rows(score: DepthEvaluationScore) -> Iterator[tuple[str, ...]]:

@@ -17,10 +17,7 @@ def segmentation(
             help="Folder of pictures NAME.png or .jpg with NAME_labels.png or polygons.json, or of such folders."
         ),
     ],
-    model: Annotated[
-        list[str] | None,
-        typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
-    ] = None,
+    networks: Annotated[str, typer.Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
     head: Annotated[
         list[str] | None,
         typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
@@ -62,7 +59,7 @@ def segmentation(
 
     from ltm_core.base.errors import RecordingError
     from ltm_core.label_heads.head_trial import write_overlay
-    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, holds_frames, read_frames, without_classes
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, read_frames, without_classes
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
@@ -70,8 +67,8 @@ def segmentation(
     from ltm_lab.evaluation.segmentation.network_score import score_frames
     from ltm_ros.pages import write_figures
 
-    inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
-    sets = [folder] if folder.is_dir() and holds_frames(folder) else inside
+    inside = sorted(p for p in folder.iterdir() if p.is_dir() and _holds_frames(p)) if folder.is_dir() else []
+    sets = [folder] if folder.is_dir() and _holds_frames(folder) else inside
     if not sets:
         raise RecordingError(
             f"{folder}: no frames; expected pictures NAME.png or .jpg with NAME{LABELS_SUFFIX} or {POLYGONS_FILE}, or "
@@ -79,7 +76,7 @@ def segmentation(
         )
     console = Console()
     heads = [SHIPPED_LABEL_HEAD, *(head or [])]
-    segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in _names(networks) or [DEFAULT_MODEL] for h in heads]
     chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
     for s in segmenters:
         s.withdraw_otherwise = {k: v for k, v in chosen.items() if v is not None}
@@ -118,3 +115,10 @@ def segmentation(
 
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _holds_frames(folder: Path) -> bool:
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX
+    from ltm_core.vision.areas import POLYGONS_FILE
+
+    return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()

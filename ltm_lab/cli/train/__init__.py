@@ -1,4 +1,4 @@
-"""`ltm train`: trains the default network, adapts it to a site's own cameras, and fits constants of fuel and fusion.
+"""`ltm train`: trains the default network, and fits constants of fuel and fusion.
 
 It also labels photos to train on. `ltm-lab train CONFIG` is short for `ltm-lab train run CONFIG`.
 """
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperGroup
 
-from ltm_lab.cli.train.adapt import adapt
 from ltm_lab.cli.train.appearance import appearance
 from ltm_lab.cli.train.fusion import fusion
 from ltm_lab.cli.train.photos import photos
@@ -80,9 +79,8 @@ def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
     return settings.model_copy(update={"optimiser": settings.optimiser.model_copy(update={"steps": steps})})
 
 
-train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network, or adapt it to a site's cameras.")
+train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network; fit constants of fuel and fusion.")
 train.command(WHOLE)(run)
-train.command()(adapt)
 train.command()(fusion)
 train.command()(photos)
 train.command()(appearance)

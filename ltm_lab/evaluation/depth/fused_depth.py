@@ -22,6 +22,8 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_lab.frames.truth_frames_io import TruthFrame
 
+BEYOND = "beyond 100 m"
+"""The group of pixels for which the paper compares networks."""
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it
 
 
@@ -118,10 +120,14 @@ class DepthEvaluation:
         over = None if self._over is None else self._over.trace(frame.camera, pose)
         fused = fuse(traced, given.network, frame.photo, given.labels, self._classes, settings, over, self._config)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape
+        own = at_pixels_of(given.network.values, size, shape)
+        aligned = fit_to_truth(own, frame.surface, given.network.kind)
         sources = {
             "traced": at_pixels_of(fused.ground, size, shape),
             **({} if over is None else {"surface": at_pixels_of(over.depth(), size, shape)}),
-            "network": _network_alone(fused, given.network, frame, size),
+            **({"metric": own} if given.network.kind == "metric" else {}),
+            "aligned": aligned,
+            "network": _fitted_to_terrain(fused, frame, size, aligned),
             "fused": at_pixels_of(fused.depth, size, shape),
         }
         true = np.isfinite(frame.surface)
@@ -135,6 +141,7 @@ class DepthEvaluation:
             "covered": common & covered,
             "changed": common & frame.changed,
             "covered or changed": common & (covered | frame.changed),
+            BEYOND: common & (frame.surface > 100.0),
         }
         for name, depth in sources.items():
             self._covered[name] += int((true & np.isfinite(depth)).sum())
@@ -180,30 +187,35 @@ def upsampled_labels(labels: UInt8Array, size: tuple[int, int]) -> UInt8Array:
     return np.ascontiguousarray(np.repeat(np.repeat(labels, step, 0), step, 1)[: size[0], : size[1]])
 
 
-def _network_alone(fused: FusedDepth, network: NetworkDepth, frame: TruthFrame, size: tuple[int, int]) -> Float32Array:
-    """The network's metres at the truth's pixels: fitted to the terrain, and where that failed to the truth itself."""
-    shape = frame.surface.shape
+def _fitted_to_terrain(
+    fused: FusedDepth, frame: TruthFrame, size: tuple[int, int], otherwise: Float32Array
+) -> Float32Array:
+    """The network's metres at the truth's pixels: fitted to the terrain, and `otherwise` where that failed."""
     if fused.fit is None or fused.fit.trouble:
-        return fit_to_truth(at_pixels_of(network.values, size, shape), frame.surface, network.kind)
-    inverse = at_pixels_of(fused.fit.inverse, size, shape)
+        return otherwise
+    inverse = at_pixels_of(fused.fit.inverse, size, frame.surface.shape)
     farthest = float(np.max(frame.surface[np.isfinite(frame.surface)], initial=1.0))
     return np.asarray(1.0 / np.maximum(inverse, 1.0 / farthest), np.float32)
 
 
 def fit_to_truth(values: Float32Array, truth: Float32Array, kind: DepthKind) -> Float32Array:
-    """`values` (H, W) as metres: scale and shift by least squares over the pixels of finite truth.
+    """`values` (H, W) as metres: scale and shift by least squares over the pixels of finite truth; of metric depth the
+    scale alone, the median ratio.
 
     The protocol by which networks of relative depth are compared (Ranftl et al. 2020, "Towards robust monocular depth
     estimation", section 6): inverse depth is fitted in inverse depth, and the result is held below the largest true
-    depth. Metric values come back as they are. Raises ImageError on different shapes.
+    depth. Raises ImageError on different shapes.
     """
     if values.shape != truth.shape:
         raise ImageError(f"depth of {values.shape} cannot be fitted to truth of {truth.shape}")
     both = np.isfinite(values) & np.isfinite(truth) & (truth > 0)
-    if kind == "metric" or both.sum() < 2:
+    if both.sum() < 2:
         return values
     inverse = kind == "relative_inverse"
     x, y = values[both].astype(np.float64), truth[both].astype(np.float64)
+    if kind == "metric":
+        positive = x > 0
+        return np.asarray(values * np.median(y[positive] / x[positive]), np.float32) if positive.any() else values
     scale, shift = np.linalg.lstsq(np.column_stack([x, np.ones_like(x)]), 1 / y if inverse else y, rcond=None)[0]
     fitted = scale * values.astype(np.float64) + shift
     farthest = y.max()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltm_core.base.types import BoolArray, UInt8Array
-from ltm_core.scoring.labels import SegmentationScore, score_labels
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_lab.evaluation.gallery.exhibit import Fact
 
@@ -34,7 +34,7 @@ def facts_of_areas(labels: UInt8Array, truth: UInt8Array, names: Sequence[str]) 
 
     Sky counts apart: it is most of what people name, and easy.
     """
-    score = score_labels(truth, labels, len(names))
+    score = SegmentationScore.empty(len(names)).plus(truth, labels)
     facts = facts_of_score(score, names)
     facts += [
         Fact(f"{name} by hand ({score.true[index]:,} px) is called", called(labels, truth == index, names))

@@ -180,18 +180,20 @@ def test_a_measured_network_finds_what_has_changed(confusion: np.ndarray) -> Non
     assert layers.changed[~new].mean() < 0.01
 
 
-@pytest.mark.parametrize("confirmed", [True, False])
-def test_one_view_changes_a_cell_only_if_another_network_confirms_what_it_finds(confirmed: bool) -> None:
+@pytest.mark.parametrize("known", ["confirms", "contradicts", None])
+def test_one_view_changes_no_cell_against_a_known_network_and_counts_less_without_one(known: str | None) -> None:
     truth, codes = landscape(slice(10, 17))
     new = (truth == LifeForm.TREE) & (codes == CODES[Label.SHRUB])
     frames = [frame for frame in drawn_votes(truth, RIGHT, 5) if frame.source == "north"]
-    errors = measured(frames, codes, np.where(new, truth, 0).astype(np.uint8) if confirmed else np.zeros_like(truth))
-    assert errors.one_view == confirmed
+    reference = {"confirms": np.where(new, truth, 0).astype(np.uint8), "contradicts": np.zeros_like(truth), None: None}
+    errors = measured(frames, codes, reference[known])
+    alone = 1 / (1 + errors.correlation.between_views)
+    assert errors.one_view == pytest.approx({"confirms": 1, "contradicts": 0, None: alone}[known], abs=1e-3)
     found = mapped(frames, codes, errors).changed[new].mean()
-    assert found > 0.8 if confirmed else found == 0.0
+    assert found == 0 if known == "contradicts" else found > 0.8
     # The record keeps it.
     record = record_of(errors, "drawn", site="drawn", live="2026-11-29, 2 views")
-    assert record.errors().one_view == confirmed
+    assert record.errors().one_view == errors.one_view
     assert record.state == "measured on site drawn, live (2026-11-29, 2 views)"
 
 

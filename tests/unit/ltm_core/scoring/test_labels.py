@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_core.scoring.labels import SegmentationScore, score_labels
+from ltm_core.scoring.labels import SegmentationScore
 
 TRUTH = np.array([[0, 0, 1, 1, 1], [2, 2, 2, 255, 255]], np.uint8)
 FOUND = np.array([[0, 1, 1, 1, 255], [2, 2, 0, 0, 2]], np.uint8)
 
 
 def test_scores_are_those_counted_by_hand() -> None:
-    score = score_labels(TRUTH, FOUND, 4)
+    score = SegmentationScore.empty(4).plus(TRUTH, FOUND)
     expected = [[1, 1, 0, 0, 0], [0, 2, 0, 0, 1], [1, 0, 2, 0, 0], [0, 0, 0, 0, 0]]
     np.testing.assert_array_equal(score.confusion, expected)
     assert score.pixels == 8
@@ -29,7 +29,7 @@ def test_scores_are_those_counted_by_hand() -> None:
 
 
 def test_frames_add_up() -> None:
-    once = score_labels(TRUTH, FOUND, 3)
+    once = SegmentationScore.empty(3).plus(TRUTH, FOUND)
     twice = once.plus(TRUTH, FOUND)
     np.testing.assert_array_equal(twice.confusion, 2 * once.confusion)
 
@@ -42,4 +42,4 @@ def test_no_truth_gives_no_score() -> None:
 
 def test_label_images_of_two_shapes_are_refused() -> None:
     with pytest.raises(ImageError, match=r"\(2, 4\).*\(2, 5\)"):
-        score_labels(TRUTH, FOUND[:, :4], 3)
+        SegmentationScore.empty(3).plus(TRUTH, FOUND[:, :4])

@@ -25,7 +25,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.vision import install_io
 from ltm_core.vision.install_io import Recipe, RecipeFile, download
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.onnx_file import NetworkFile, network_digest
+from ltm_core.vision.onnx_file import NetworkFile
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli import main
@@ -106,7 +106,7 @@ def test_the_digest_covers_external_weights(tmp_path: Path) -> None:
     assert found.digest == hashlib.sha256(f"{own} \n{weights} model.onnx_data\n".encode()).hexdigest()
     add(tmp_path / "net")
     installed = NetworkManifest.find("net")
-    assert installed.sha256 == network_digest(installed.model_file()) == found.digest
+    assert installed.sha256 == NetworkFile.read(installed.model_file()).digest == found.digest
     data = installed.model_file().with_name("model.onnx_data")
     data.write_bytes(data.read_bytes()[:-1] + b"\x01")
     with pytest.raises(ModelError, match=found.digest):
@@ -115,7 +115,7 @@ def test_the_digest_covers_external_weights(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"model\.onnx_data"):
         OnnxModel(installed)
     plain = write_classifier(tmp_path)
-    assert network_digest(tmp_path / "colors.onnx") == NetworkManifest.load(plain).sha256
+    assert NetworkFile.read(tmp_path / "colors.onnx").digest == NetworkManifest.load(plain).sha256
 
 
 def test_external_weights_are_those_beside_the_file(
@@ -142,7 +142,7 @@ def test_weights_outside_the_folder_are_rejected(tmp_path: Path, location: str) 
     file = depth_anything_3(tmp_path / "net")
     file.write_bytes(file.read_bytes().replace(b"model.onnx_data", location.encode().ljust(15, b"x")[:15]))
     with pytest.raises(ModelError, match=re.escape(location[:13])):
-        network_digest(file)
+        NetworkFile.read(file)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_weights_outside_the_folder_are_rejected(tmp_path: Path, location: str) 
 )
 def test_a_file_that_is_no_network_is_rejected(tmp_path: Path, data_folder: Path, content: bytes) -> None:
     (tmp_path / "net.onnx").write_bytes(content)
-    assert network_digest(tmp_path / "net.onnx") == hashlib.sha256(content).hexdigest()
+    assert NetworkFile.read(tmp_path / "net.onnx").digest == hashlib.sha256(content).hexdigest()
     with pytest.raises(ModelError, match=r"net\.onnx"):
         add(tmp_path / "net.onnx")
     assert not data_folder.exists()
@@ -162,7 +162,7 @@ def test_a_manifest_may_state_the_checksum_of_the_onnx_file_alone(tmp_path: Path
     stated = {"file": "model.onnx", "sha256": hashlib.sha256(file.read_bytes()).hexdigest(), "name": "da3"}
     (file.parent / "da3.yaml").write_text(yaml.safe_dump(stated))
     add(file.parent / "da3.yaml")
-    assert NetworkManifest.find("da3").sha256 == network_digest(file)
+    assert NetworkManifest.find("da3").sha256 == NetworkFile.read(file).digest
 
 
 def test_the_kind_decides_which_key_of_a_site_a_network_is_for(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
-from ltm_core.scoring.labels import score_labels
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE
 from ltm_core.vision.network_image import InputSpec, as_tensor
@@ -263,7 +263,9 @@ def test_the_default_network_tells_sky_from_ground() -> None:
     slope = np.array([70, 72, 45]) + rough
     photo = np.clip(np.where(ground[..., None], slope, sky), 0, 255).astype(np.uint8)
     found = segmenter.segment(photo).labels
-    assert score_labels(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8), 2).iou.min() > 0.9
+    assert (
+        SegmentationScore.empty(2).plus(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8)).iou.min() > 0.9
+    )
     assert np.mean(np.isin(found[ground], [Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE])) > 0.9
 
 

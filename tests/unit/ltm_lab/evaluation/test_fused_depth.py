@@ -11,9 +11,10 @@ from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
+from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
+from ltm_lab.evaluation.depth.fused_depth import BEYOND, DepthEvaluation, Given, upsampled_labels
 from ltm_lab.frames.truth_frames_io import TruthFrame
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -69,14 +70,32 @@ def test_a_raster_of_what_stood_is_scored_and_fused_too() -> None:
     labels = upsampled_labels(given.labels, (CAMERA.height, CAMERA.width))
     run.add(changed, Given(scene.network(), labels))
     score = run.score()
-    assert [row.source for row in score.rows if row.group == "all"] == ["traced", "surface", "network", "fused"]
+    assert [row.source for row in score.rows if row.group == "all"] == [
+        "traced",
+        "surface",
+        "aligned",
+        "network",
+        "fused",
+    ]
     assert score.rmse("surface", "covered") < 0.2 * score.rmse("traced", "covered")
     assert score.rmse("traced", "changed") < 0.2 * score.rmse("surface", "changed")
     for group in ("covered", "changed", "covered or changed"):
         worst = max(score.rmse("traced", group), score.rmse("surface", group))
         assert score.rmse("fused", group) < 0.35 * worst
     parts = [row.scores[-1].pixels for row in score.rows if row.source == "fused"]
-    assert parts[-1] == parts[2] + parts[3]  # covered or changed; here no pixel is both
+    assert parts[4] == parts[2] + parts[3]  # covered or changed; here no pixel is both
+
+
+def test_metric_depth_is_scored_as_given_and_scaled_to_the_truth() -> None:
+    scene, given = depth_scene(), frame()
+    far = np.isfinite(scene.truth) & (scene.truth > 100.0)
+    metres = np.where(np.isfinite(scene.truth), scene.truth / 2, np.nan).astype(np.float32)
+    run = DepthEvaluation(0.0, scene.dem, CLASSES)
+    run.add(given, Given(NetworkDepth(metres, "metric"), None))
+    score = run.score()
+    truth = scene.truth[::2, ::2][far[::2, ::2]]
+    assert score.rmse("metric", BEYOND) == pytest.approx(np.sqrt(np.mean((truth / 2) ** 2)), rel=0.05)
+    assert score.rmse("aligned") == pytest.approx(0.0, abs=1e-2)
 
 
 def test_a_negative_pose_error_is_rejected() -> None:

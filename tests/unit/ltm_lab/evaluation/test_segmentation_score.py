@@ -43,7 +43,7 @@ def test_scores_of_two_networks_are_those_of_their_answers(tmp_path: Path) -> No
     right = write_classifier(tmp_path, stride=1)
     blind = changed(right, name="blind", mapping={"blue": "sky"}).rename(tmp_path / "blind.yaml")
     right = write_classifier(tmp_path, stride=1)
-    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--model", str(right), "--model", str(blind)]
+    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--networks", f"{right},{blind}"]
     result = CliRunner().invoke(main.cli, [*arguments, "--json", str(tmp_path / "s.json")], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     assert "skyline, median px of 512" in result.output
@@ -126,7 +126,7 @@ def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: P
     expected[:15] = Label.SKY
     expected[20:35, 20:30] = Label.SHRUB
     np.testing.assert_array_equal(frame.labels, expected)
-    arguments = ["eval", "segmentation", str(folder), "--model", str(write_classifier(tmp_path, stride=1))]
+    arguments = ["eval", "segmentation", str(folder), "--networks", str(write_classifier(tmp_path, stride=1))]
     options = ["--ignore", "shrub", "--macro", "sky,shrub", "--overlays", str(tmp_path / "drawn")]
     result = CliRunner().invoke(main.cli, [*arguments, *options, "--json", str(tmp_path / "s.json")])
     assert result.exit_code == 0, result.output

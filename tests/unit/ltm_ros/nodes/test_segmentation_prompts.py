@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from scenes.outlets import Kept
-from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
+from scenes.rerun_site import STAMP, chunks
 from scenes.worded_network import DEMO, demo_frames, write_worded_network
 from std_msgs.msg import String
 
@@ -16,9 +16,9 @@ from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.labels import Label
 from ltm_msgs_py.image import image_to_msg, msg_to_array
 from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
+from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import LABELS_HEAT, LABELS_IMAGE, PROMPT
-from ltm_ros.viewer.view import RerunView
 
 pytest.importorskip("tokenizers")
 
@@ -81,6 +81,7 @@ def test_a_prompt_of_an_operator_gives_heat_and_no_votes(
     handler.subscriptions[topic](String(data="  downed   trees "))
     labels, heat = labelled(handler, outlet, photo)
     assert heat is not None
+    (message,) = outlet.on(LABELS_HEAT)
     np.testing.assert_array_equal(labels, before)
     step = photo.shape[0] // truth.shape[0]
     seen = heat[::step, ::step]
@@ -94,10 +95,12 @@ def test_a_prompt_of_an_operator_gives_heat_and_no_votes(
     assert labelled(handler, outlet, photo)[1] is None
 
     # The viewer draws it over the image.
-    view = RerunView("prompts", site(north={}), hills(), LABELS, save=tmp_path / "view.rrd")
-    view.log_heat("north", STAMP, heat)
-    view.close()
-    (row,) = chunks(tmp_path / "view.rrd")["/map/cameras/north/heat"]
+    config = ViewerConfig(site=str(tmp_path / "site.yaml"), save=str(tmp_path / "view.rrd"))
+    viewer = ViewerHandler(config, Kept(), Health())
+    (show,) = (call for topic, call in viewer.subscriptions.items() if topic.name.endswith("tower_north/labels/heat"))
+    show(message)
+    viewer.finish()
+    (row,) = chunks(tmp_path / "view.rrd")["/map/cameras/tower_north/heat"]
     shown = np.frombuffer(bytes(row["Image:buffer"][0]), np.uint8).reshape(-1, 4)
     assert shown[:, 3].max() > 100
     assert shown[:, 3].min() < 20
