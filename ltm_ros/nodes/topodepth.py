@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
+from ltm_core.depth.topodepth import Fusion, FusionVerdict
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.kernels import compile_kernels
@@ -120,27 +120,30 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         )
         if found.trouble:
             self.health.drop("network", found.trouble)
-        self._publish(found.fused, stamp, found.view)
+        self._publish(found.fusion, stamp, found.view)
         self.outlet.acknowledge(FINISHED, stamp)
 
-    def _publish(self, fused: FusedDepth, stamp: int, seen: SceneView) -> None:
-        frame = self._frame_id
-        self.health.note(f"verdict.{fused.verdict.value}")
-        if fused.verdict is not FusionVerdict.OK:
-            self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
-        self.health.gauge("verdict", fused.verdict.value)
-        self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
-        wrong, name = fused.verdict is not FusionVerdict.OK, f"{self.config.camera}/fused"
-        self.outlet.publish(FUSED_INFO, status_to_msg(name, stamp, fused.info(), fused.reason, wrong))
-        metres = fused.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
+    def _publish(self, fusion: Fusion, stamp: int, seen: SceneView) -> None:
+        """Publish what has subscribers. Pixels are fused only for subscribers of `fused/*`."""
+        frame, outcome = self._frame_id, fusion.outcome
+        self.health.note(f"verdict.{outcome.verdict.value}")
+        if outcome.verdict is not FusionVerdict.OK:
+            self.health.gauge("last_verdict", f"{outcome.verdict.value}: {outcome.reason}")
+        self.health.gauge("verdict", outcome.verdict.value)
+        self.health.gauge("inlier_ratio", f"{outcome.inlier_ratio:.3f}")
+        wrong, name = outcome.verdict is not FusionVerdict.OK, f"{self.config.camera}/fused"
+        self.outlet.provide(
+            FUSED_INFO, stamp, lambda: status_to_msg(name, stamp, fusion.fused.info(), outcome.reason, wrong)
+        )
+        metres = outcome.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
         if metres is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = cache(partial(fused.measured, seen.doubtful))
+        measured = cache(partial(outcome.measured, seen.doubtful))
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
         self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
-        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused.sigma, stamp, frame))
-        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fused.source, "mono8", stamp, frame))
-        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused.depth, stamp, frame))
+        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fusion.fused.sigma, stamp, frame))
+        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fusion.fused.source, "mono8", stamp, frame))
+        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fusion.fused.depth, stamp, frame))
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)

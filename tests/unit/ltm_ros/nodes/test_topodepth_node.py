@@ -14,6 +14,7 @@ from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.depth import topodepth
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
@@ -126,6 +127,23 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert float(info["inlier_ratio"]) > 0.5
     assert node.health.summary()["verdict"] == "ok"
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
+
+
+def test_pixels_are_fused_only_for_subscribers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    node, fused = Node(tmp_path, monkeypatch), []
+    given = topodepth.fuse_pixels
+    monkeypatch.setattr(topodepth, "fuse_pixels", lambda *args: fused.append(given(*args)))
+    heard = MEASURED_DEPTH, MEASURED_SIGMA
+    monkeypatch.setattr(
+        node.kept, "provide", lambda topic, _, make: topic in heard and node.kept.publish(topic, make())
+    )
+    node.feed()
+    assert np.isfinite(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).any()
+    assert node.health.summary()["verdict"] == "ok"
+    assert not fused
+    heard = FUSED_DEPTH, FUSED_INFO
+    node.feed(stamp=STAMP + 1)
+    assert len(fused) == 1
 
 
 def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
