@@ -191,10 +191,9 @@ class Fusion:
             pose, camera = judged.seen.pose, judged.seen.camera
             standing = OcclusionPrior.of(judged.seen.depth(), labels, classes, camera, pose, view.shape, config)
         # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
-        camera = self.traced.camera
-        refine_occlusion_boundaries(
-            self.rgb, ground, expected, sigma, labels, classes, camera, config, view, judged.edges
-        )
+        camera, edges = self.traced.camera, DepthDiscontinuities.of(ground, config.surface.jump)
+        edges = edges if hidden is None else edges_seen(edges, hidden)
+        refine_occlusion_boundaries(self.rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
         over = None if self.surface is None else self.surface.depth()
         if over is not None and labels is not None:
             over = with_labelled_sky(over, labels, classes.sky)
@@ -253,7 +252,6 @@ class _JudgedPhoto(NamedTuple):
     ground: Float32Array
     seen: DepthImage
     labels: UInt8Array | None
-    edges: DepthDiscontinuities | None
     check: PoseCheck
     refused: tuple[FusionVerdict, str] | None
 
@@ -274,20 +272,17 @@ def _judge(photo: Fusion) -> _JudgedPhoto:
     camera, ground = traced.camera, as_traced
     told = DepthImage(ground, camera, traced.pose)
     if unusable:
-        return _JudgedPhoto(ground, told, labels, None, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
+        return _JudgedPhoto(ground, told, labels, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
     if labels is not None and hidden is not None:
         labels = labels_behind(hidden, labels, ground, classes.sky)
     if labels is not None:
         ground = with_labelled_sky(ground, labels, classes.sky)
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
-    edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    if hidden is not None:
-        edges = edges_seen(edges, hidden)
     sigmas = settings.angle_sigma, settings.dem_sigma
-    check = PoseCheck.none()
+    check, jump = PoseCheck.none(), config.surface.jump
     if config.pose_check.enabled:
-        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
+        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, jump, hidden)
     refused: tuple[FusionVerdict, str] | None = None
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
@@ -295,7 +290,7 @@ def _judge(photo: Fusion) -> _JudgedPhoto:
     elif check.suspected:
         refused = FusionVerdict.POSE_SUSPECTED, check.reason
     seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
-    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, edges, check, refused)
+    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, check, refused)
 
 
 def _traced_alone(

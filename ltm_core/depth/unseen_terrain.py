@@ -106,6 +106,8 @@ def unknown_share(depth: Float32Array) -> UnknownShare:
     is used."""
     part = depth[::_EVERY, ::_EVERY]
     unknown, known = np.isnan(part), np.isfinite(part)
+    if not unknown.any():
+        return UnknownShare(0.0, 0.0, 0.0, 0.0)
     above = np.logical_or.accumulate(known, axis=0)
     below = np.logical_or.accumulate(known[::-1], axis=0)[::-1]
     return UnknownShare(

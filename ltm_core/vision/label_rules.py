@@ -66,15 +66,17 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
     """Set labels (H, W) that the rules withdraw to 255, and their confidence to 0, in place; `image` (H, W, 3)."""
     if not rules.any:
         return
+    height, width = labels.shape
     out = confidence < np.uint8(round(255 * rules.confidence))
     if rules.tree_contrast > 0:
         trees = labels == Label.TREE
         if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
-            low = (contrast(image) < rules.tree_contrast).astype(np.uint8)
-            height, width = labels.shape
-            out |= trees & (cv2.resize(low, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
-    labels[out] = UNLABELLED
-    confidence[out] = 0
+            low = contrast(image) < rules.tree_contrast
+            rows, columns = (np.arange(n) * of // n for n, of in zip((height, width), low.shape, strict=True))
+            out |= trees & low[:, columns][rows]  # `cv2.resize` takes three times as long
+    gone = out * np.uint8(UNLABELLED)
+    labels |= gone
+    confidence &= ~gone
 
 
 def contrast(image: UInt8Array) -> Float32Array:
