@@ -73,10 +73,12 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
         if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
             low = contrast(image) < rules.tree_contrast
             rows, columns = (np.arange(n) * of // n for n, of in zip((height, width), low.shape, strict=True))
-            out |= trees & low[:, columns][rows]  # `cv2.resize` takes three times as long
-    gone = out * np.uint8(UNLABELLED)
+            trees &= low.take(columns, 1).take(rows, 0)  # `cv2.resize` takes twice as long
+            out |= trees
+    gone = out.view(np.uint8)
+    gone *= np.uint8(UNLABELLED)
     labels |= gone
-    confidence &= ~gone
+    confidence &= np.invert(gone, out=gone)
 
 
 def contrast(image: UInt8Array) -> Float32Array:

@@ -136,6 +136,8 @@ class SceneFilter:
         if self._place is not None and stamp_ns is not None:
             longitude, latitude = self._place
             sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
+        if hidden is None:
+            return SceneView(None, once(picture, (judge, sun_deg), lambda: judge(picture, None, sun_deg)))
         return SceneView(hidden, judge(picture, hidden, sun_deg))
 
     def _masked(self, looking: Looking | None) -> str:
