@@ -54,23 +54,11 @@ def expected_surface(
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
     plumb = math.cos(math.radians(pitch)) if abs(roll) <= config.surface.most_roll_deg else 0.0
-    _expect(
-        ground,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
-        labels is not None,
-        (cover * plumb).astype(np.float32),
-        _SurfaceRules(
-            np.float32(camera.fy),
-            np.float32(angle_sigma),
-            np.float32(dem_sigma),
-            np.float32(config.surface.jump),
-            np.float32(config.cover.doubt),
-            np.float32(config.surface.pixel_doubt),
-            np.float32(config.surface.least_sigma),
-        ),
-        surface,
-        sigma,
-    )
+    own, doubt = config.surface, config.cover.doubt
+    rules = camera.fy, angle_sigma, dem_sigma, own.jump, doubt, own.pixel_doubt, own.least_sigma
+    ids = np.zeros((1, 1), np.uint8) if labels is None else labels
+    cover = (cover * plumb).astype(np.float32)
+    _expect(ground, ids, labels is not None, cover, _SurfaceRules(*map(np.float32, rules)), surface, sigma)
     return surface, sigma
 
 

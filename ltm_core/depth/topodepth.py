@@ -166,6 +166,11 @@ class Fusion:
     def __post_init__(self) -> None:
         self._judged  # noqa: B018
 
+    @property
+    def settled(self) -> bool:
+        """Return whether `outcome` is known without another fit."""
+        return self._judged.refused is not None or "_fitted" in self.__dict__
+
     @cached_property
     def outcome(self) -> FusionOutcome:
         """Return the verdict, the fit and what the network measures, without fusing pixels if possible."""

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.topodepth import Fusion, FusionVerdict
+from ltm_core.depth.topodepth import FusedDepth, Fusion, FusionOutcome, FusionVerdict
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.kernels import compile_kernels
@@ -44,6 +44,9 @@ from ltm_ros.runtime.topics import (
     POSED_IMAGE,
     POSED_POSE,
 )
+
+STATED_EVERY_NS = 60 * 10**9
+"""Maximum age of the network's verdict in the status, in the time of the frames."""
 
 
 class TopoDepthConfig(JoinConfig, FusingConfig):
@@ -85,6 +88,7 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
+        self._stated_ns = -STATED_EVERY_NS
         compile_kernels("topodepth", site)
 
     @property
@@ -124,26 +128,32 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         self.outlet.acknowledge(FINISHED, stamp)
 
     def _publish(self, fusion: Fusion, stamp: int, seen: SceneView) -> None:
-        """Publish what has subscribers. Pixels are fused only for subscribers of `fused/*`."""
-        frame, outcome = self._frame_id, fusion.outcome
-        self.health.note(f"verdict.{outcome.verdict.value}")
-        if outcome.verdict is not FusionVerdict.OK:
-            self.health.gauge("last_verdict", f"{outcome.verdict.value}: {outcome.reason}")
-        self.health.gauge("verdict", outcome.verdict.value)
-        self.health.gauge("inlier_ratio", f"{outcome.inlier_ratio:.3f}")
-        wrong, name = outcome.verdict is not FusionVerdict.OK, f"{self.config.camera}/fused"
-        self.outlet.provide(
-            FUSED_INFO, stamp, lambda: status_to_msg(name, stamp, fusion.fused.info(), outcome.reason, wrong)
-        )
-        metres = outcome.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
-        if metres is not None:
+        """Publish what has subscribers. Only for them is the network fitted, and are pixels fused; for the status the
+        network is fitted from time to time."""
+        frame = self._frame_id
+        self.outlet.provide(FUSED_INFO, stamp, lambda: self._info(fusion.fused, stamp))
+        if self.outlet.wanted(NETWORK_DEPTH) and (metres := fusion.outcome.network_depth()) is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = cache(partial(outcome.measured, seen.doubtful))
+        measured = cache(lambda: fusion.outcome.measured(seen.doubtful))
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
         self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
         self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fusion.fused.sigma, stamp, frame))
         self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fusion.fused.source, "mono8", stamp, frame))
         self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fusion.fused.depth, stamp, frame))
+        if fusion.settled or not 0 <= stamp - self._stated_ns < STATED_EVERY_NS:
+            self._state(fusion.outcome)
+            self._stated_ns = stamp if fusion.outcome.verdict is FusionVerdict.OK else -STATED_EVERY_NS
+
+    def _info(self, fused: FusedDepth, stamp: int) -> Any:
+        wrong = fused.verdict is not FusionVerdict.OK
+        return status_to_msg(f"{self.config.camera}/fused", stamp, fused.info(), fused.reason, wrong)
+
+    def _state(self, outcome: FusionOutcome) -> None:
+        self.health.note(f"verdict.{outcome.verdict.value}")
+        if outcome.verdict is not FusionVerdict.OK:
+            self.health.gauge("last_verdict", f"{outcome.verdict.value}: {outcome.reason}")
+        self.health.gauge("verdict", outcome.verdict.value)
+        self.health.gauge("inlier_ratio", f"{outcome.inlier_ratio:.3f}")
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)

@@ -25,6 +25,7 @@ from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values
 from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
+from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -129,21 +130,39 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
 
-def test_pixels_are_fused_only_for_subscribers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    node, fused = Node(tmp_path, monkeypatch), []
-    given = topodepth.fuse_pixels
-    monkeypatch.setattr(topodepth, "fuse_pixels", lambda *args: fused.append(given(*args)))
-    heard = MEASURED_DEPTH, MEASURED_SIGMA
+def test_the_network_is_fitted_and_pixels_are_fused_only_for_subscribers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, done = Node(tmp_path, monkeypatch), []
+    heard: tuple[Topic, ...] = ()
+    for name in ("fitted", "fuse_pixels"):
+
+        def counted(*args: Any, name: str = name, given: Any = getattr(topodepth, name)) -> Any:
+            done.append(name)
+            return given(*args)
+
+        monkeypatch.setattr(topodepth, name, counted)
+    monkeypatch.setattr(node.kept, "wanted", lambda topic: topic in heard)
     monkeypatch.setattr(
         node.kept, "provide", lambda topic, _, make: topic in heard and node.kept.publish(topic, make())
     )
     node.feed()
-    assert np.isfinite(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).any()
     assert node.health.summary()["verdict"] == "ok"
-    assert not fused
+    assert done == ["fitted"], "for the status"
+    node.feed(stamp=STAMP + 10**9)
+    assert done == ["fitted"]
+    heard = MEASURED_DEPTH, MEASURED_SIGMA
+    node.feed(stamp=STAMP + 2 * 10**9)
+    assert done == ["fitted"] * 2
+    assert np.isfinite(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).any()
     heard = FUSED_DEPTH, FUSED_INFO
-    node.feed(stamp=STAMP + 1)
-    assert len(fused) == 1
+    node.feed(stamp=STAMP + 3 * 10**9)
+    assert done == [*["fitted"] * 3, "fuse_pixels"]
+    heard = ()
+    node.feed(stamp=STAMP + 4 * 10**9, pitch=0.8)
+    assert node.health.summary()["verdict"] == "pose_suspected"
+    node.feed(stamp=STAMP + 5 * 10**9)
+    assert node.health.summary()["verdict"] == "ok"
 
 
 def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
