@@ -70,9 +70,8 @@ def check_pose(
     found = _check_edges(rgb, rows, cols, camera, allowed, config) if len(rows) >= config.least_edges else None
     reason = "the photo's edges fit the terrain's silhouettes"
     if labels is not None and classes is not None:
-        sigmas = angle_sigma, dem_sigma
         limits = classes.crest, nearest, math.radians(config.reach_deg), config, label_cell
-        skyline = check_skyline(labels, classes.sky, ground, camera, *sigmas, *limits)
+        skyline = check_skyline(labels, classes.sky, ground, camera, angle_sigma, dem_sigma, *limits)
         columns = 0 if skyline is None else skyline.columns
         # All of a coarse network's edges may lie off by the same half of a cell.
         coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
