@@ -54,14 +54,12 @@ class TopoDepthConfig(JoinConfig, FusingConfig):
 
     label_wait: float = Field(5.0, ge=0)
     """Seconds for which a frame waits for its labels before it is fused without them; on a tower's two cores they may
-    be several seconds late.
-    """
+    be several seconds late."""
     max_waiting: int = Field(4, ge=1)
     """Maximum number of frames that wait for labels."""
     surfaces: str = ""
     """Folder of the confirmed surfaces that `depth` traces to; empty: it traces to the site's rasters. The graph sets
-    it.
-    """
+    it."""
 
 
 class TopoDepthHandler(Handler[TopoDepthConfig]):

@@ -26,8 +26,7 @@ class TurnTaker(Protocol):
 
     def turn(self, activity: Activity) -> bool:
         """Process one frame at most; return whether there may be more. `activity`: the thread's activity, for the
-        heartbeat.
-        """
+        heartbeat."""
         ...
 
 
@@ -35,8 +34,7 @@ class FrameScheduler:
     """Gives turns to woken takers, in that order, on `workers` threads.
 
     A taker that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
-    equally many turns. An exception from a turn is a bug and ends the process with its traceback.
-    """
+    equally many turns. An exception from a turn is a bug and ends the process with its traceback."""
 
     def __init__(self, workers: int, heartbeat: Heartbeat) -> None:
         self._changed = threading.Condition()
@@ -118,8 +116,7 @@ class CameraPipeline:
     The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`), and
     the job's handler is recreated; if that fails, the job is skipped and tried again later.
 
-    Args: say: takes a job's name and a line for its log.
-    """
+    Args: say: takes a job's name and a line for its log."""
 
     def __init__(self, say: Callable[[str, str], None]) -> None:
         self.pipeline = Pipeline(self._run)

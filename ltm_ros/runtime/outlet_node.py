@@ -41,8 +41,7 @@ def _qos(topic: Topic) -> QoSProfile:
 class OutletNode(Node):  # type: ignore[misc]
     """A node that connects a handler to DDS (`Outlet`); subclasses run the handler.
 
-    `given`: arguments of rclpy's Node that replace the command line.
-    """
+    `given`: arguments of rclpy's Node that replace the command line."""
 
     def __init__(self, node_type: NodeType[ConfigT], given: Mapping[str, Any] | None = None) -> None:
         super().__init__(
@@ -198,8 +197,7 @@ class OutletNode(Node):  # type: ignore[misc]
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
     """Read the node's parameters as typed configuration, and describe them; they are read-only from then on. Raises
-    ConfigError, e.g. for unknown ones.
-    """
+    ConfigError, e.g. for unknown ones."""
     given = {
         name: parameter.value
         for name, parameter in node.get_parameters_by_prefix("").items()
