@@ -60,11 +60,11 @@ COLOUR_ENCODINGS = tuple(_TO_RGB)
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
 
-def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
+def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
     """Return an array as an Image.
 
-    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. `out`: a
-    message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError."""
+    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. Raises
+    ImageError."""
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
     expected_ndim = 2 if spec.channels == 1 else 3
     if (
@@ -77,19 +77,15 @@ def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: st
         raise ImageError(
             f"an image to write as {encoding} must be {wanted} {spec.dtype}, got {image.shape} {image.dtype}"
         )
-    msg = Image() if out is None else out
-    msg.header = make_header(stamp_ns, frame_id)
+    msg = Image(header=make_header(stamp_ns, frame_id))
     msg.height, msg.width = image.shape[:2]
     msg.encoding = encoding
     msg.is_bigendian = 0
     msg.step = image.shape[1] * spec.channels * spec.dtype.itemsize
-    if len(msg.data) != image.nbytes:
-        buffer = byte_array("B")
-        # frombytes takes any contiguous buffer of bytes and copies once; bytes() would copy twice.
-        buffer.frombytes(np.ascontiguousarray(image).data.cast("B"))
-        msg.data = buffer
-    else:
-        np.frombuffer(msg.data, spec.dtype).reshape(image.shape)[...] = image
+    buffer = byte_array("B")
+    # frombytes takes any contiguous buffer of bytes and copies once; bytes() would copy twice.
+    buffer.frombytes(np.ascontiguousarray(image).data.cast("B"))
+    msg.data = buffer
     return msg
 
 
@@ -120,7 +116,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. 16-bit samples keep their high
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; rgb8 is a read-only view. 16-bit samples keep their high
     byte.
 
     Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have."""
@@ -128,6 +124,7 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     if code is None:
+        pixels.flags.writeable = False  # all nodes of a process see the same pixels
         return pixels
     try:
         return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
@@ -138,9 +135,9 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
         ) from error
 
 
-def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
+def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str) -> Image:
     """Return a depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
-    return image_to_msg(depth, "32FC1", stamp_ns, frame_id, out)
+    return image_to_msg(depth, "32FC1", stamp_ns, frame_id)
 
 
 def msg_to_depth(msg: Any) -> Float32Array:

@@ -16,9 +16,7 @@ from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
-from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.occlusion_prior import OcclusionPrior
 from ltm_core.depth.scale_fit import ScaleFit, fit_scale
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -56,23 +54,11 @@ def expected_surface(
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
     plumb = math.cos(math.radians(pitch)) if abs(roll) <= config.surface.most_roll_deg else 0.0
-    _expect(
-        ground,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
-        labels is not None,
-        (cover * plumb).astype(np.float32),
-        _SurfaceRules(
-            np.float32(camera.fy),
-            np.float32(angle_sigma),
-            np.float32(dem_sigma),
-            np.float32(config.surface.jump),
-            np.float32(config.cover.doubt),
-            np.float32(config.surface.pixel_doubt),
-            np.float32(config.surface.least_sigma),
-        ),
-        surface,
-        sigma,
-    )
+    own, doubt = config.surface, config.cover.doubt
+    rules = camera.fy, angle_sigma, dem_sigma, own.jump, doubt, own.pixel_doubt, own.least_sigma
+    ids = np.zeros((1, 1), np.uint8) if labels is None else labels
+    cover = (cover * plumb).astype(np.float32)
+    _expect(ground, ids, labels is not None, cover, _SurfaceRules(*map(np.float32, rules)), surface, sigma)
     return surface, sigma
 
 
@@ -172,59 +158,19 @@ class FusionSettings:
     label_columns: int = 0
 
 
-class Expectation(NamedTuple):
-    """Expectation of a photo's pixels before fusion: depth and sigma (H, W) from the terrain; the network's fit, its
-    view of the photo, and the occlusion prior, None without a network."""
-
-    depth: Float32Array
-    sigma: Float32Array
-    fit: ScaleFit | None
-    view: NetworkView | None
-    standing: OcclusionPrior | None
-
-
-def expect(
-    traced: RangeImage | DepthImage,
-    network: NetworkDepth | None,
-    rgb: UInt8Array,
-    labels: UInt8Array | None,
-    classes: ClassPriors,
-    settings: FusionSettings,
-    config: FusionConfig,
-) -> Expectation:
-    """Return the inputs of the decisions of `fuse`; arguments as there."""
-    if network is None:
-        return Expectation(*_surface(traced, labels, classes, settings, config), None, None, None)
-    expected, sigma, fit = fitted(traced, network, labels, classes, settings, config)
-    if fit.trouble:
-        return Expectation(expected, sigma, fit, None, None)
-    view = NetworkView.of(fit, rgb, config)
-    standing = OcclusionPrior.of(traced.depth(), labels, classes, traced.camera, traced.pose, view.shape, config)
-    return Expectation(expected, sigma, fit, view, standing)
-
-
-def _surface(
-    traced: RangeImage | DepthImage,
-    labels: UInt8Array | None,
-    classes: ClassPriors,
-    settings: FusionSettings,
-    config: FusionConfig,
-) -> tuple[Float32Array, Float32Array]:
-    """Return what the terrain lets expect: bare ground, with the height of what grows there."""
-    sigmas = settings.angle_sigma, settings.dem_sigma
-    return expected_surface(traced.depth(), labels, classes.cover, traced.camera, traced.pose, *sigmas, config)
-
-
 def fitted(
     traced: RangeImage | DepthImage,
-    network: NetworkDepth,
+    network: NetworkDepth | None,
     labels: UInt8Array | None,
     classes: ClassPriors,
     settings: FusionSettings,
     config: FusionConfig,
-) -> tuple[Float32Array, Float32Array, ScaleFit]:
-    """Return the network's scale from trustworthy ground (pixel sampling and RANSAC regression) and its errors there,
-    with depth and sigma of the expected surface."""
-    expected, sigma = _surface(traced, labels, classes, settings, config)
-    samples = ground_samples(expected, sigma, labels, classes.ground, traced.camera.fy, config)
-    return expected, sigma, fit_scale(network, samples, (expected.shape[0], expected.shape[1]), config)
+) -> tuple[Float32Array, Float32Array, ScaleFit | None]:
+    """Return depth and sigma (H, W) of the surface that the terrain and the height of what grows there predict, and the
+    network's scale from trustworthy ground (pixel sampling and RANSAC regression) with its errors there."""
+    sigmas = settings.angle_sigma, settings.dem_sigma
+    depth, sigma = expected_surface(traced.depth(), labels, classes.cover, traced.camera, traced.pose, *sigmas, config)
+    if network is None:
+        return depth, sigma, None
+    samples = ground_samples(depth, sigma, labels, classes.ground, traced.camera.fy, config)
+    return depth, sigma, fit_scale(network, samples, (depth.shape[0], depth.shape[1]), config)

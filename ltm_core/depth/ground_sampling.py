@@ -105,14 +105,13 @@ def ground_samples(
     rules = config.sampling
     jump, clear = np.float32(config.surface.jump), rules.clear
     steep = np.float32(2.0 / (focal * np.tan(np.radians(rules.grazing_deg))))  # relative change of depth over two rows
-    v = np.arange(clear, surface.shape[0] - clear, rules.step)[:, None]
-    u = np.arange(clear, surface.shape[1] - clear, rules.step)[None]
-    d = surface[v, u]
-    good = (d < np.float32(1e9)) & (d > 0) & (sigma[v, u] < np.float32(rules.unsure) * d)
+    places = np.s_[clear : surface.shape[0] - clear : rules.step, clear : surface.shape[1] - clear : rules.step]
+    d = surface[places]
+    good = (d < np.float32(1e9)) & (d > 0) & (sigma[places] < np.float32(rules.unsure) * d)
     if labels is not None:
-        good &= ground[labels[v, u]]
+        good &= ground[labels[places]]
     row, col = np.nonzero(good)
-    rows, cols, depth = v[row, 0], u[0, col], d[row, col]
+    rows, cols, depth = row * rules.step + clear, col * rules.step + clear, d[good]
     good = np.ones(len(depth), np.bool_)
     for down, right in ((clear, 0), (-clear, 0), (0, -clear), (0, clear)):
         beside = surface[rows + down, cols + right]

@@ -17,7 +17,6 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.labels import UNLABELLED
@@ -55,15 +54,15 @@ def check_pose(
     labels: UInt8Array | None = None,
     classes: ClassPriors | None = None,
     label_cell: float = 1.0,
-    edges: DepthDiscontinuities | None = None,
+    jump: float = SurfaceConfig().jump,
+    hidden: BoolArray | None = None,
 ) -> PoseCheck:
     """Check one photo (H, W, 3) and its labels (H, W), if any, against its traced depth (H, W). `angle_sigma`,
     `dem_sigma`: tolerances in radians and metres. `label_cell`: pixels of the photo per pixel of the labels' network.
-    `edges`: of `ground`, if known."""
+    `jump`: ratio of depths between two surfaces. `hidden`: (H, W), pixels that do not show the terrain."""
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
-    edges = DepthDiscontinuities.of(ground, SurfaceConfig().jump) if edges is None else edges
-    rows, cols = _far_edges(ground, edges, nearest, config.most_edges)
+    rows, cols = _far_edges(ground, jump, nearest, config.most_edges, hidden)
     if labels is not None and classes is not None:
         clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
         rows, cols = rows[clear_of_trees], cols[clear_of_trees]
@@ -71,20 +70,8 @@ def check_pose(
     found = _check_edges(rgb, rows, cols, camera, allowed, config) if len(rows) >= config.least_edges else None
     reason = "the photo's edges fit the terrain's silhouettes"
     if labels is not None and classes is not None:
-        reach = math.radians(config.reach_deg)
-        skyline = check_skyline(
-            labels,
-            classes.sky,
-            ground,
-            camera,
-            angle_sigma,
-            dem_sigma,
-            classes.crest,
-            nearest,
-            reach,
-            config,
-            label_cell,
-        )
+        limits = classes.crest, nearest, math.radians(config.reach_deg), config, label_cell
+        skyline = check_skyline(labels, classes.sky, ground, camera, angle_sigma, dem_sigma, *limits)
         columns = 0 if skyline is None else skyline.columns
         # All of a coarse network's edges may lie off by the same half of a cell.
         coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
@@ -140,15 +127,17 @@ def _check_edges(
 
 
 def _far_edges(
-    ground: Float32Array, edges: DepthDiscontinuities, nearest: float, most: int
+    ground: Float32Array, jump: float, nearest: float, most: int, hidden: BoolArray | None
 ) -> tuple[Int32Array, Int32Array]:
-    """Return the pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of
-    ground beyond `nearest` metres; where known ground merely ends there is no edge to be seen."""
-    rows, cols = edges.rows, edges.cols
-    here, above = ground[rows, cols], ground[rows - 1, cols]
-    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(edges.jump**2) * here)
-    order = np.argsort(rows[kept], kind="stable")  # from the topmost down
-    rows, cols = rows[kept][order], cols[kept][order]
+    """Return the pixels (rows, cols), from the topmost down, above which is sky or ground farther by twice a jump, in
+    every other row and column, of ground beyond `nearest` metres; where known ground merely ends there is no edge to be
+    seen."""
+    here, above = ground[1::2, ::2], ground[: len(ground) // 2 * 2 : 2, ::2]
+    kept = (here > nearest) & (here < np.float32(1e9)) & (above > np.float32(jump**2) * here)
+    if hidden is not None:
+        kept &= ~(hidden[1::2, ::2] | hidden[: len(ground) // 2 * 2 : 2, ::2])
+    rows, cols = (2 * of.astype(np.int32) for of in np.divmod(np.flatnonzero(kept), kept.shape[1]))
+    rows += 1
     if len(rows) > most:
         some = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
         rows, cols = rows[some], cols[some]

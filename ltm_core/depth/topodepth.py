@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum, StrEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
@@ -16,13 +17,14 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.expected_surface import FusionSettings, expect, fitted
+from ltm_core.depth.expected_surface import FusionSettings, fitted
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
+from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities, OcclusionPrior
 from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.scale_fit import ScaleFit
@@ -66,33 +68,33 @@ class FusionVerdict(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class FusedDepth:
-    """Fused depth of one photo.
+class FusionOutcome:
+    """Result of fitting one photo's network depth to the terrain: `verdict`, and its `reason` unless ok; `pose`; `fit`
+    to trusted ground, None without one; `config`; `hidden`: (H, W) bool, without depth because structures hide the
+    terrain, None: nowhere."""
 
-    `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
-    `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, with sky by the
-    labels where it is unknown. `inlier_ratio`, `fit`: of the network's fit to trusted ground. `verdict`, and its
-    `reason` unless ok. `hidden`: (H, W) bool, without depth because structures hide the terrain; None: nowhere.
-    """
-
-    depth: Float32Array
-    sigma: Float32Array
-    source: UInt8Array
-    ground: Float32Array
-    inlier_ratio: float
     verdict: FusionVerdict
     reason: str
     pose: PoseCheck
+    fit: ScaleFit | None = field(repr=False)
     config: FusionConfig = field(repr=False)
-    fit: ScaleFit | None = field(default=None, repr=False)
-    hidden: BoolArray | None = field(default=None, repr=False)
+    hidden: BoolArray | None = field(repr=False)
+
+    @property
+    def inlier_ratio(self) -> float:
+        """Return the share of trusted ground that fits the network's line; 0 without a fit."""
+        return 0.0 if self.fit is None else self.fit.inlier_ratio
 
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
         """Return the network's measurement alone: empty if the network or the pose is unreliable; without pixels that
         do not show the terrain or show too little (`doubtful`, bool of any size, edge to edge)."""
         if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
-        return _measured(self.fit, self.config, self.hidden, doubtful)
+        found = NetworkMeasurement.of(self.fit, self.config)
+        for unseen in (self.hidden, doubtful):
+            if unseen is not None:
+                found = found.without(hidden_at(unseen, *found.depth.shape))
+        return found
 
     def network_depth(self) -> Float32Array | None:
         """Return the network's depth (h, w) in metres at its own size, NaN where the terrain is hidden; None if it does
@@ -104,6 +106,21 @@ class FusedDepth:
         if self.hidden is not None:
             metres[hidden_at(self.hidden, *metres.shape)] = np.nan
         return np.asarray(metres, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class FusedDepth(FusionOutcome):
+    """Fused depth of one photo.
+
+    `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
+    `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, with sky by the
+    labels where it is unknown.
+    """
+
+    depth: Float32Array
+    sigma: Float32Array
+    source: UInt8Array
+    ground: Float32Array
 
     def info(self) -> dict[str, Any]:
         """Return the JSON-ready content of `fused/info`."""
@@ -123,6 +140,98 @@ class FusedDepth:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Fusion:
+    """Fusion of one photo's depths. Raises ImageError if sizes differ.
+
+    The pose is checked at once; the network is fitted, and pixels are fused, when that is first requested.
+
+    `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
+    its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
+    `config`: constants fitted with the network. `hidden`: (H, W) bool, pixels that show something else than the
+    terrain. `unusable`: why the photo is not used; empty: it is.
+    """
+
+    traced: RangeImage | DepthImage
+    network: NetworkDepth | None
+    rgb: UInt8Array
+    labels: UInt8Array | None
+    classes: ClassPriors
+    settings: FusionSettings = field(default_factory=FusionSettings)
+    surface: RangeImage | DepthImage | None = None
+    config: FusionConfig = field(default_factory=FusionConfig)
+    hidden: BoolArray | None = None
+    unusable: str = ""
+
+    def __post_init__(self) -> None:
+        self._judged  # noqa: B018
+
+    @property
+    def settled(self) -> bool:
+        """Return whether `outcome` is known without another fit."""
+        return self._judged.refused is not None or "_fitted" in self.__dict__
+
+    @cached_property
+    def outcome(self) -> FusionOutcome:
+        """Return the verdict, the fit and what the network measures, without fusing pixels if possible."""
+        judged = self._judged
+        if judged.refused is None:
+            verdict, reason = self._verdict(judged.ground)
+            if verdict is FusionVerdict.MOSTLY_UNKNOWN:
+                return self.fused  # the network may know some of it
+            return FusionOutcome(verdict, reason, judged.check, self._fitted[2], self.config, self.hidden)
+        return FusionOutcome(*judged.refused, judged.check, None, self.config, self.hidden)
+
+    @cached_property
+    def fused(self) -> FusedDepth:
+        """Return the fused depth of every pixel."""
+        judged, hidden, classes, config = self._judged, self.hidden, self.classes, self.config
+        check, ground, labels = judged.check, judged.ground, judged.labels
+        if judged.refused is not None:
+            return _traced_alone(self.traced.depth(), *judged.refused, check, hidden)
+        expected, sigma, fit = self._fitted
+        view = standing = None
+        if fit is not None and not fit.trouble:
+            view = NetworkView.of(fit, self.rgb, config)
+            pose, camera = judged.seen.pose, judged.seen.camera
+            standing = OcclusionPrior.of(judged.seen.depth(), labels, classes, camera, pose, view.shape, config)
+        # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
+        camera, edges = self.traced.camera, DepthDiscontinuities.of(ground, config.surface.jump)
+        edges = edges if hidden is None else edges_seen(edges, hidden)
+        refine_occlusion_boundaries(self.rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
+        over = None if self.surface is None else self.surface.depth()
+        if over is not None and labels is not None:
+            over = with_labelled_sky(over, labels, classes.sky)
+        source = np.empty(ground.shape, np.uint8)
+        fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
+        # Where the network alone speaks of land beyond the raster, nothing is known.
+        clear_unenclosed(ground, expected, sigma, source)
+        verdict = self._verdict(expected)
+        ground = _hide(hidden, expected, sigma, source, ground)
+        return FusedDepth(*verdict, check, fit, config, hidden, expected, sigma, source, ground)
+
+    @cached_property
+    def _judged(self) -> _JudgedPhoto:
+        return _judge(self)
+
+    @cached_property
+    def _fitted(self) -> tuple[Float32Array, Float32Array, ScaleFit | None]:
+        """Depth and sigma of the expected surface, which `fused` changes, and the network's fit."""
+        judged = self._judged
+        return fitted(judged.seen, self.network, judged.labels, self.classes, self.settings, self.config)
+
+    def _verdict(self, depth: Float32Array) -> tuple[FusionVerdict, str]:
+        """Judge a photo of which this depth is known."""
+        fit, hidden = self._fitted[2], self.hidden
+        if fit is not None and fit.trouble:
+            return FusionVerdict.NETWORK_UNUSABLE, fit.trouble
+        # Hidden pixels are no unknown ground.
+        unknown = unknown_share(depth if hidden is None else np.where(hidden, np.float32(np.inf), depth))
+        if unknown.whole > MOST_UNKNOWN:
+            return FusionVerdict.MOSTLY_UNKNOWN, unknown.reason
+        return FusionVerdict.OK, ""
+
+
 def fuse(
     traced: RangeImage | DepthImage,
     network: NetworkDepth | None,
@@ -135,74 +244,10 @@ def fuse(
     hidden: BoolArray | None = None,
     unusable: str = "",
 ) -> FusedDepth:
-    """Fuse one photo's depths. Raises ImageError if sizes differ.
-
-    `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
-    its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
-    `config`: constants fitted with the network; None: the defaults. `hidden`: (H, W) bool, pixels that show something
-    else than the terrain. `unusable`: why the photo is not used; empty: it is.
-    """
-    settings = FusionSettings() if settings is None else settings
-    config = FusionConfig() if config is None else config
-    judged = _judge(traced, rgb, labels, classes, settings, surface, config, hidden, unusable)
-    check, ground, labels = judged.check, judged.ground, judged.labels
-    if judged.refused is not None:
-        return _traced_alone(traced.depth(), *judged.refused, check, hidden)
-    expected, sigma, fit, view, standing = expect(judged.seen, network, rgb, labels, classes, settings, config)
-    # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
-    refine_occlusion_boundaries(
-        rgb, ground, expected, sigma, labels, classes, traced.camera, config, view, judged.edges
-    )
-    over = None if surface is None else surface.depth()
-    if over is not None and labels is not None:
-        over = with_labelled_sky(over, labels, classes.sky)
-    source = np.empty(ground.shape, np.uint8)
-    fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
-    # Where the network alone speaks of land beyond the raster, nothing is known.
-    clear_unenclosed(ground, expected, sigma, source)
-    verdict, reason, ratio = FusionVerdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
-    if hidden is not None:
-        expected[hidden] = np.inf  # no unknown ground: it is asked what of it the terrain leaves unexplained
-    unknown = unknown_share(expected)
-    if unknown.whole > MOST_UNKNOWN:
-        verdict, reason = FusionVerdict.MOSTLY_UNKNOWN, unknown.reason
-    if fit is not None and fit.trouble:
-        verdict, reason = FusionVerdict.NETWORK_UNUSABLE, fit.trouble
-    ground = _hide(hidden, expected, sigma, source, ground)
-    return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit, hidden)
-
-
-def measure(
-    traced: RangeImage | DepthImage,
-    network: NetworkDepth | None,
-    rgb: UInt8Array,
-    labels: UInt8Array | None,
-    classes: ClassPriors,
-    settings: FusionSettings | None = None,
-    config: FusionConfig | None = None,
-    hidden: BoolArray | None = None,
-    unusable: str = "",
-    doubtful: BoolArray | None = None,
-) -> NetworkMeasurement:
-    """Return the network's measurement of a photo alone: `fuse(...).measured(doubtful)` without the fused depth.
-    Arguments and errors as there."""
-    settings = FusionSettings() if settings is None else settings
-    config = FusionConfig() if config is None else config
-    judged = _judge(traced, rgb, labels, classes, settings, None, config, hidden, unusable)
-    if network is None or judged.refused is not None:
-        return NetworkMeasurement.none()
-    _, _, fit = fitted(judged.seen, network, judged.labels, classes, settings, config)
-    return NetworkMeasurement.none() if fit.trouble else _measured(fit, config, hidden, doubtful)
-
-
-def _measured(
-    fit: ScaleFit, config: FusionConfig, hidden: BoolArray | None, doubtful: BoolArray | None
-) -> NetworkMeasurement:
-    found = NetworkMeasurement.of(fit, config)
-    for unseen in (hidden, doubtful):
-        if unseen is not None:
-            found = found.without(hidden_at(unseen, *found.depth.shape))
-    return found
+    """Fuse one photo's depths; arguments and errors as of `Fusion`, with the default of `settings` and `config` for
+    None."""
+    given = settings or FusionSettings(), surface, config or FusionConfig(), hidden, unusable
+    return Fusion(traced, network, rgb, labels, classes, *given).fused
 
 
 class _JudgedPhoto(NamedTuple):
@@ -212,23 +257,13 @@ class _JudgedPhoto(NamedTuple):
     ground: Float32Array
     seen: DepthImage
     labels: UInt8Array | None
-    edges: DepthDiscontinuities | None
     check: PoseCheck
     refused: tuple[FusionVerdict, str] | None
 
 
-def _judge(
-    traced: RangeImage | DepthImage,
-    rgb: UInt8Array,
-    labels: UInt8Array | None,
-    classes: ClassPriors,
-    settings: FusionSettings,
-    surface: RangeImage | DepthImage | None,
-    config: FusionConfig,
-    hidden: BoolArray | None,
-    unusable: str,
-) -> _JudgedPhoto:
-    """Arguments and errors as of `fuse`."""
+def _judge(photo: Fusion) -> _JudgedPhoto:
+    traced, rgb, labels, classes, settings = photo.traced, photo.rgb, photo.labels, photo.classes, photo.settings
+    surface, config, hidden, unusable = photo.surface, photo.config, photo.hidden, photo.unusable
     as_traced = traced.depth()
     size = as_traced.shape
     for what, shape in (
@@ -242,20 +277,17 @@ def _judge(
     camera, ground = traced.camera, as_traced
     told = DepthImage(ground, camera, traced.pose)
     if unusable:
-        return _JudgedPhoto(ground, told, labels, None, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
+        return _JudgedPhoto(ground, told, labels, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
     if labels is not None and hidden is not None:
         labels = labels_behind(hidden, labels, ground, classes.sky)
     if labels is not None:
         ground = with_labelled_sky(ground, labels, classes.sky)
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
-    edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    if hidden is not None:
-        edges = edges_seen(edges, hidden)
     sigmas = settings.angle_sigma, settings.dem_sigma
-    check = PoseCheck.none()
+    check, jump = PoseCheck.none(), config.surface.jump
     if config.pose_check.enabled:
-        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
+        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, jump, hidden)
     refused: tuple[FusionVerdict, str] | None = None
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
@@ -263,7 +295,7 @@ def _judge(
     elif check.suspected:
         refused = FusionVerdict.POSE_SUSPECTED, check.reason
     seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
-    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, edges, check, refused)
+    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, check, refused)
 
 
 def _traced_alone(
@@ -276,7 +308,7 @@ def _traced_alone(
     sigma = np.full(traced.shape, np.nan, np.float32)
     depth = traced if hidden is None else traced.copy()
     ground = _hide(hidden, depth, sigma, source, traced)
-    return FusedDepth(depth, sigma, source, ground, 0.0, verdict, reason, check, FusionConfig(), None, hidden)
+    return FusedDepth(verdict, reason, check, None, FusionConfig(), hidden, depth, sigma, source, ground)
 
 
 def _hide(

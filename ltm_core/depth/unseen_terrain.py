@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.vision.labels import UNLABELLED
+
+if TYPE_CHECKING:  # `ltm trace` starts without fusion
+    from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
@@ -23,7 +26,7 @@ def edges_seen(edges: DepthDiscontinuities, hidden: BoolArray) -> DepthDiscontin
     """Return edges without those that hidden pixels (H, W) cover or that border the hidden area."""
     above = np.maximum(edges.rows - 1, 0)
     seen = ~(hidden[edges.rows, edges.cols] | hidden[above, edges.cols])
-    return DepthDiscontinuities(edges.rows[seen], edges.cols[seen], edges.jump)
+    return replace(edges, rows=edges.rows[seen], cols=edges.cols[seen])
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
@@ -106,6 +109,8 @@ def unknown_share(depth: Float32Array) -> UnknownShare:
     is used."""
     part = depth[::_EVERY, ::_EVERY]
     unknown, known = np.isnan(part), np.isfinite(part)
+    if not unknown.any():
+        return UnknownShare(0.0, 0.0, 0.0, 0.0)
     above = np.logical_or.accumulate(known, axis=0)
     below = np.logical_or.accumulate(known[::-1], axis=0)[::-1]
     return UnknownShare(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -67,14 +68,21 @@ class RangeImage:
         return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
 
     def points(self) -> Float32Array:
-        """Return the map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
+        """Return the map coordinates of what each pixel sees, (H, W, 3) metres, read-only; NaN where the range is not
+        finite."""
+        return self._points
+
+    @cached_property
+    def _points(self) -> Float32Array:
         directions = self.camera.rays() @ self.pose.rotation.T
         slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
         points = directions * slant[..., None]
         if self.bend:
             points[..., 2] += self.bend * (points[..., 0] ** 2 + points[..., 1] ** 2)
         points += self.pose.position
-        return points.astype(np.float32)
+        found = points.astype(np.float32)
+        found.flags.writeable = False
+        return found
 
     def cells(self) -> Int32Array:
         """Return the DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's

@@ -128,7 +128,8 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
     legend; at every n-th pixel if wider than 2200 pixels."""
     step = -(-traced.camera.width // _WIDEST_TRACE)
     ranges = traced.range[::step, ::step]
-    traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
+    if step > 1:
+        traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
     if photo is None:
         base, opacity = shaded_view(traced, dem), 0.6
     else:

@@ -14,11 +14,10 @@ from ltm_core.base.strict_model import DescribedModel
 from ltm_core.base.types import Columns, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-from ltm_core.depth.network_measurement import NetworkMeasurement
-from ltm_core.depth.topodepth import FusedDepth, fuse, measure
+from ltm_core.depth.monocular import DepthNetwork
+from ltm_core.depth.topodepth import Fusion
 from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
-from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.geometry.range_image import DepthImage
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
 from ltm_core.raster.dem import Dem
@@ -48,10 +47,10 @@ class FusingConfig(DescribedModel):
 
 @dataclass(frozen=True, eq=False)
 class FusedFrame:
-    """Fused frame. `view`: scene view of the photo. `trouble`: the error of the network, if it failed; the terrain's
-    depth is then used alone."""
+    """Fusion of a frame. `view`: scene view of the photo. `trouble`: the error of the network, if it failed; the
+    terrain's depth is then used alone."""
 
-    fused: FusedDepth
+    fusion: Fusion
     view: SceneView
     trouble: str = ""
 
@@ -88,42 +87,21 @@ class FusingStep:
 
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
-        seen, photo, network, trouble = self._look(frame, view)
-        ground, surface = self._terrain(depth, frame)
-        known = self._classes, self._settings(covariance), surface, self.network.fusion, seen.hidden, seen.unusable
-        return FusedFrame(fuse(ground, network, photo, labels, *known), seen, trouble)
-
-    def measure(
-        self,
-        depth: Float32Array,
-        frame: PosedImage,
-        labels: UInt8Array | None,
-        covariance: Float64Array | None,
-        view: SceneView | None = None,
-    ) -> tuple[NetworkMeasurement, str]:
-        """Return the network's measurement of a frame that `fuse` would fuse, in less time, and the error of the
-        network, if it failed; arguments and errors as there."""
-        seen, photo, network, trouble = self._look(frame, view)
-        ground, _ = self._terrain(depth, frame)
-        known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
-        return measure(ground, network, photo, labels, *known, seen.doubtful), trouble
-
-    def _terrain(self, depth: Float32Array, frame: PosedImage) -> tuple[RangeImage | DepthImage, DepthImage | None]:
-        """Bare earth, and what stands on it, where depth is traced to that."""
-        traced = DepthImage(depth, frame.camera, frame.pose)
-        return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
-
-    def _look(
-        self, frame: PosedImage, view: SceneView | None
-    ) -> tuple[SceneView, UInt8Array, NetworkDepth | None, str]:
-        """Return the scene view, the photo of the scene alone, and the network's depth, or why the network failed."""
         looking = Looking.of(frame.camera, frame.pose)
         seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
         photo = seen.scene(frame.image)
+        network, trouble = None, ""
         try:
-            return seen, photo, self.network.predict(photo, frame.camera) if seen.reason is None else None, ""
+            network = self.network.predict(photo, frame.camera) if seen.reason is None else None
         except ModelError as error:
-            return seen, photo, None, str(error)
+            trouble = str(error)
+        traced = DepthImage(depth, frame.camera, frame.pose)
+        known = labels, self._classes, self._settings(covariance)
+        scene = self.network.fusion, seen.hidden, seen.unusable
+        if self._ground is None:
+            return FusedFrame(Fusion(traced, network, photo, *known, None, *scene), seen, trouble)
+        ground = self._ground.trace(frame.camera, frame.pose)
+        return FusedFrame(Fusion(ground, network, photo, *known, traced, *scene), seen, trouble)
 
     def _settings(self, covariance: Float64Array | None) -> FusionSettings:
         """Return the settings with the sigma of the camera's direction from its pose's covariance, if given."""
@@ -220,8 +198,9 @@ class FrameAtWork:
         """Return the measurement of steps that fuse. `covariance`: (6, 6) of the frame's pose; None: unknown."""
         assert self._steps.fusing is not None  # nosec B101 # tells the type checker what holds
         found, view = self._labelled
-        measured, trouble = self._steps.fusing.measure(self._depth, self._frame, found.labels, covariance, view)
-        return MeasuredFrame(measured.depth, measured.sigma, found.labels, trouble)
+        fused = self._steps.fusing.fuse(self._depth, self._frame, found.labels, covariance, view)
+        measured = fused.fusion.outcome.measured(view.doubtful)
+        return MeasuredFrame(measured.depth, measured.sigma, found.labels, fused.trouble)
 
     @cached_property
     def _labelled(self) -> tuple[Segmentation, SceneView]:

@@ -24,6 +24,7 @@ a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give t
 from __future__ import annotations
 
 import threading
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
@@ -85,14 +86,16 @@ class BoundedCache(Generic[_Value]):
             self._values.move_to_end(key)
             return self._values[key]
 
-    def put(self, key: Hashable, value: _Value) -> None:
-        """Keep or replace a value; one that alone exceeds the bound is not kept."""
+    def put(self, key: Hashable, value: _Value, usual: int | None = None) -> None:
+        """Keep or replace a value; one that alone exceeds the bound is not kept. `usual`: bytes above which no other is
+        kept beside it; None: the bound."""
+        most = self._most if usual is None else min(self._most, max(usual, self._size_of(value)))
         with self._lock:
             if key in self._values:
                 self._held -= self._size_of(self._values.pop(key))
             self._values[key] = value
             self._held += self._size_of(value)
-            while self._held > self._most:
+            while self._held > most:
                 _, oldest = self._values.popitem(last=False)
                 self._held -= self._size_of(oldest)
 
@@ -104,6 +107,9 @@ _FEWEST_RAYS = 2048
 """Minimum number of rays for a thread."""
 PROFILE_BYTES = 64 * 2**20
 FRAME_BYTES = 48 * 2**20
+_OF_ALL = 4
+"""Number of tracers of a process that may fill their caches. If there are more, each has a share of that; the last
+profile and the last frame of each stay."""
 
 Way = Literal["auto", "profile", "pyramid"]
 Profile = tuple[Wedges, ...]
@@ -133,6 +139,7 @@ class TerrainTracer:
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
         self._lock = threading.Lock()
+        _tracers.add(self)
 
     @property
     def statistics(self) -> TracerStatistics:
@@ -153,7 +160,7 @@ class TerrainTracer:
             profile_hit, ranges = self._trace_image(camera, pose, way)
             ranges.flags.writeable = False
             if way == "auto":
-                self._frames.put(seen, ranges)
+                self._frames.put(seen, ranges, _share(FRAME_BYTES))
         else:
             profile_hit = False
         with self._lock:
@@ -186,7 +193,7 @@ class TerrainTracer:
             sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
         whole = kept is not None and all(a is b for a, b in zip(kept, profile, strict=True))
         if not whole:
-            self._profiles.put(place, tuple(profile))
+            self._profiles.put(place, tuple(profile), _share(PROFILE_BYTES))
         return whole, ranges
 
     def _stands_over_known_ground(self, position: Float64Array) -> bool:
@@ -251,3 +258,10 @@ class TerrainTracer:
                 known = not np.isnan(dem.elevation_at(position[0], position[1]))
                 return None if known or np.isnan(filled).any() else float(filled.max())
         return None
+
+
+_tracers: weakref.WeakSet[TerrainTracer] = weakref.WeakSet()
+
+
+def _share(most_bytes: int) -> int:
+    return _OF_ALL * most_bytes // max(_OF_ALL, len(_tracers))

@@ -66,15 +66,19 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
     """Set labels (H, W) that the rules withdraw to 255, and their confidence to 0, in place; `image` (H, W, 3)."""
     if not rules.any:
         return
+    height, width = labels.shape
     out = confidence < np.uint8(round(255 * rules.confidence))
     if rules.tree_contrast > 0:
         trees = labels == Label.TREE
         if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
-            low = (contrast(image) < rules.tree_contrast).astype(np.uint8)
-            height, width = labels.shape
-            out |= trees & (cv2.resize(low, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
-    labels[out] = UNLABELLED
-    confidence[out] = 0
+            low = contrast(image) < rules.tree_contrast
+            rows, columns = (np.arange(n) * of // n for n, of in zip((height, width), low.shape, strict=True))
+            trees &= low.take(columns, 1).take(rows, 0)  # `cv2.resize` takes twice as long
+            out |= trees
+    gone = out.view(np.uint8)
+    gone *= np.uint8(UNLABELLED)
+    labels |= gone
+    confidence &= np.invert(gone, out=gone)
 
 
 def contrast(image: UInt8Array) -> Float32Array:

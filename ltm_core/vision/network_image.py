@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import weakref
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -112,6 +113,39 @@ class FittedImage:
         return np.asarray(parts, np.float32)
 
 
+MadeT = TypeVar("MadeT")
+_made: dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]] = {}
+
+
+def once(photo: UInt8Array, what: Hashable, make: Callable[[], MadeT]) -> MadeT:
+    """Return what `make` makes of a photo; for a read-only photo it is made once while the photo's memory exists, since
+    several nodes of a process get the same image."""
+    owner: Any = photo
+    while isinstance(owner, np.ndarray) and owner.base is not None:
+        owner = owner.base
+    owner = owner.obj if isinstance(owner, memoryview) else owner
+    place = id(owner)
+    try:
+        alive = None if photo.flags.writeable else weakref.ref(owner, lambda _: _made.pop(place, None))
+    except TypeError:  # bytes, for example
+        alive = None
+    if alive is None:
+        return make()
+    _, made = _made.setdefault(place, (alive, {}))
+    key = photo.ctypes.data, photo.shape, photo.strides, what
+    if key not in made:
+        made[key] = make()
+    return made[key]  # type: ignore[no-any-return]
+
+
+def shrunk(photo: UInt8Array, width: int, height: int) -> UInt8Array:
+    """Return a photo (H, W, 3) reduced by area to another size, which must not be changed."""
+    import cv2
+
+    how = cv2.INTER_AREA
+    return once(photo, (width, height), lambda: np.asarray(cv2.resize(photo, (width, height), interpolation=how)))
+
+
 def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
     """Bring a photo (H, W, 3) uint8 RGB to the network's size as `spec.fit` says. Shrinks by area (no aliasing),
     enlarges bilinearly."""
@@ -128,7 +162,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
         cols, rows = (max(1, round(side * ratio)) for side in (width, height))
     if (width, height) != (cols, rows):
         shrinks = cols <= width and rows <= height
-        image = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+        image = shrunk(image, cols, rows) if shrinks else cv2.resize(image, (cols, rows))
     if (cols, rows) != (wide, tall):
         mean = spec.mean if spec.channels == "rgb" else spec.mean[::-1]
         empty = np.clip(np.rint(np.array(mean) / spec.scale), 0, 255)

@@ -15,6 +15,7 @@ from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.mask_config import MaskConfig
 from ltm_core.vision.masks import CameraMask, Looking, MakeMask, ViewMasks, packed, read_mask
+from ltm_core.vision.network_image import once
 from ltm_core.vision.overlays import fill_hidden, find_overlay
 from ltm_core.vision.usable import Unusable, Usability, judge
 
@@ -127,7 +128,7 @@ class SceneFilter:
         """Return the scene view of an image (h, w, 3) RGB at any size, of which `masked` (h, w) is masked; `stamp_ns`
         and errors as `look`."""
         _check(picture)
-        overlay = find_overlay(picture)
+        overlay = once(picture, find_overlay, lambda: find_overlay(picture))
         hidden = masked if overlay is None else overlay if masked is None else masked | overlay
         if not self._judged:
             return SceneView(hidden)
@@ -135,6 +136,8 @@ class SceneFilter:
         if self._place is not None and stamp_ns is not None:
             longitude, latitude = self._place
             sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
+        if hidden is None:
+            return SceneView(None, once(picture, (judge, sun_deg), lambda: judge(picture, None, sun_deg)))
         return SceneView(hidden, judge(picture, hidden, sun_deg))
 
     def _masked(self, looking: Looking | None) -> str:

@@ -162,15 +162,8 @@ def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tu
     col_right, col_weight = _neighbours(cols, width)
     winner = np.empty((height, width), dtype=np.uint8)
     confidence = np.empty((height, width), dtype=np.uint8)
-    _interpolate(
-        np.ascontiguousarray(probabilities, dtype=np.float32),
-        row_below,
-        row_weight,
-        col_right,
-        col_weight,
-        winner,
-        confidence,
-    )
+    planes = np.ascontiguousarray(probabilities, dtype=np.float32)
+    _interpolate(planes, row_below, row_weight, col_right, col_weight, winner, confidence)
     return winner, confidence
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.vision.network_image import shrunk
 
 WORKING_WIDTH = 480
 ROWS, COLUMNS = 9, 12
@@ -96,7 +97,7 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
         raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     height, width = picture.shape[:2]
     size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    small = shrunk(picture, *size)
     levels = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
     grey = levels.astype(np.float32)
     fine = cv2.absdiff(grey, cv2.GaussianBlur(grey, (7, 7), 1.0))

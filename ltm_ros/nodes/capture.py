@@ -1,6 +1,5 @@
 """capture: join a camera's images, calibrations and poses, check them, and admit frames to the camera's nodes under one
-stamp, as many as these can process.
-"""
+stamp, as many as these can process."""
 
 from __future__ import annotations
 
@@ -53,12 +52,10 @@ class CaptureConfig(NodeConfig, FrameJoinConfig):
     """Maximum number of frames in flight in the camera's nodes: one is labelled while another is fused."""
     finish_within: float = Field(10.0, gt=0)
     """Seconds without a finished frame after which a node with frames is no longer waited for, until it
-    finishes one.
-    """
+    finishes one."""
     shed: bool = True
     """Whether older queued frames are dropped while the maximum is in flight, so that only the newest waits. False, as
-    in a replay: all wait in order, up to `waiting_bytes` of the site's limits.
-    """
+    in a replay: all wait in order, up to `waiting_bytes` of the site's limits."""
 
 
 def _view_of(frame: JoinedFrame) -> Hashable:
@@ -75,8 +72,7 @@ def _is_raw(image: Any) -> bool:
 
 class CaptureHandler(Handler[CaptureConfig]):
     """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
-    room for it (`Admission`).
-    """
+    room for it (`Admission`)."""
 
     publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, POSED_FIX)
 
@@ -255,8 +251,7 @@ class CaptureHandler(Handler[CaptureConfig]):
 
     def _fits(self, image: Any, camera: Camera) -> bool:
         """Return whether the image has a valid size, before it is decoded. Raises ImageError if the calibration has
-        another.
-        """
+        another."""
         width, height = compressed_size(image)
         if self._too_many_pixels("image", width, height):
             return False

@@ -63,8 +63,7 @@ BURN_SOURCE = "fuel_map/burn"
 class FuelMapHandler(Handler[FuelMapConfig]):
     """Publishes changes and the whole map (latched) after they are stored.
 
-    Live, at each `tick`, twice a second; in an offline replay, after each frame.
-    """
+    Live, at each `tick`, twice a second; in an offline replay, after each frame."""
 
     publications = (*FuelPublisher.publications, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
 

@@ -162,8 +162,7 @@ class LocateHandler(Handler[LocateConfig]):
 
     def _pose_at(self, name: str, stamp: int) -> tuple[Pose, Float64Array, int]:
         """Return the pose of a stamp, or the last before it; for stamp 0, the newest. Raises MessageError
-        without one.
-        """
+        without one."""
         poses = self._poses[name]
         if not poses:
             raise MessageError(f"a region of {name}, whose pose has not been received: {POSED_POSE.name}")

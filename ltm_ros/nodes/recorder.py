@@ -37,12 +37,10 @@ class RecorderConfig(NodeConfig):
     """Folder to write; if it exists, `<bag>_1` and so on is used."""
     topics: list[str] = Field(default_factory=list)
     """Absolute topic names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and
-    diagnostics.
-    """
+    diagnostics."""
     max_bytes: int = Field(-1, ge=-1)
     """Maximum bytes of all recordings named `bag`; the oldest files are deleted first. -1: 16 GB, or half of the disk
-    if that is less; 0: unlimited.
-    """
+    if that is less; 0: unlimited."""
     min_free_bytes: int = Field(-1, ge=-1)
     """Free bytes of the disk below which recording stops. -1: 2 GB, or a tenth of the disk if that is less."""
     file_bytes: int = Field(256 << 20, ge=1)

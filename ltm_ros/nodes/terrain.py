@@ -60,8 +60,7 @@ class TerrainNodeConfig(JoinConfig):
     """Seconds for which a frame's pose waits for its measured depth, which may have waited in `topodepth` before."""
     folder: str = ""
     """Folder in which the surface is kept between runs and written on request, relative to the site file. Empty: not
-    kept. Never set by a message.
-    """
+    kept. Never set by a message."""
     commit_every: float = Field(10.0, gt=0)
     """Seconds of frames that a power cut may lose."""
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
@@ -72,8 +71,7 @@ class TerrainNodeConfig(JoinConfig):
     """Folder for the confirmed surfaces that depth is traced to; empty: none. The graph sets it."""
     depth_from_elsewhere: bool = False
     """Whether `measured/depth` and `measured/sigma` come from outside this graph, such as a range finder,
-    at any size.
-    """
+    at any size."""
 
 
 class TerrainHandler(Handler[TerrainNodeConfig]):
@@ -263,8 +261,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
     def _settle(self, last: bool = False) -> None:
         """Compute the changes of the frames since the last call; changes are stored before they are published.
 
-        `last`: write everything, because no more frames come. Raises StoreError.
-        """
+        `last`: write everything, because no more frames come. Raises StoreError."""
         if self._undecided:
             self._undecided, self._dirty = 0, True
             self._untold = self._untold.joined(self._map.decide())

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
+from ltm_core.depth.topodepth import FusedDepth, Fusion, FusionOutcome, FusionVerdict
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.kernels import compile_kernels
@@ -45,20 +45,21 @@ from ltm_ros.runtime.topics import (
     POSED_POSE,
 )
 
+STATED_EVERY_NS = 60 * 10**9
+"""Maximum age of the network's verdict in the status, in the time of the frames."""
+
 
 class TopoDepthConfig(JoinConfig, FusingConfig):
     """Parameters of the node: joining and fusion."""
 
     label_wait: float = Field(5.0, ge=0)
     """Seconds for which a frame waits for its labels before it is fused without them; on a tower's two cores they may
-    be several seconds late.
-    """
+    be several seconds late."""
     max_waiting: int = Field(4, ge=1)
     """Maximum number of frames that wait for labels."""
     surfaces: str = ""
     """Folder of the confirmed surfaces that `depth` traces to; empty: it traces to the site's rasters. The graph sets
-    it.
-    """
+    it."""
 
 
 class TopoDepthHandler(Handler[TopoDepthConfig]):
@@ -85,6 +86,7 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
+        self._stated_ns = -STATED_EVERY_NS
         compile_kernels("topodepth", site)
 
     @property
@@ -120,27 +122,36 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         )
         if found.trouble:
             self.health.drop("network", found.trouble)
-        self._publish(found.fused, stamp, found.view)
+        self._publish(found.fusion, stamp, found.view)
         self.outlet.acknowledge(FINISHED, stamp)
 
-    def _publish(self, fused: FusedDepth, stamp: int, seen: SceneView) -> None:
+    def _publish(self, fusion: Fusion, stamp: int, seen: SceneView) -> None:
+        """Publish what has subscribers. Only for them is the network fitted, and are pixels fused; for the status the
+        network is fitted from time to time."""
         frame = self._frame_id
-        self.health.note(f"verdict.{fused.verdict.value}")
-        if fused.verdict is not FusionVerdict.OK:
-            self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
-        self.health.gauge("verdict", fused.verdict.value)
-        self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
-        wrong, name = fused.verdict is not FusionVerdict.OK, f"{self.config.camera}/fused"
-        self.outlet.publish(FUSED_INFO, status_to_msg(name, stamp, fused.info(), fused.reason, wrong))
-        metres = fused.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
-        if metres is not None:
+        self.outlet.provide(FUSED_INFO, stamp, lambda: self._info(fusion.fused, stamp))
+        if self.outlet.wanted(NETWORK_DEPTH) and (metres := fusion.outcome.network_depth()) is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = cache(partial(fused.measured, seen.doubtful))
+        measured = cache(lambda: fusion.outcome.measured(seen.doubtful))
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
         self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
-        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused.sigma, stamp, frame))
-        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fused.source, "mono8", stamp, frame))
-        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused.depth, stamp, frame))
+        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fusion.fused.sigma, stamp, frame))
+        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fusion.fused.source, "mono8", stamp, frame))
+        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fusion.fused.depth, stamp, frame))
+        if fusion.settled or not 0 <= stamp - self._stated_ns < STATED_EVERY_NS:
+            self._state(fusion.outcome)
+            self._stated_ns = stamp if fusion.outcome.verdict is FusionVerdict.OK else -STATED_EVERY_NS
+
+    def _info(self, fused: FusedDepth, stamp: int) -> Any:
+        wrong = fused.verdict is not FusionVerdict.OK
+        return status_to_msg(f"{self.config.camera}/fused", stamp, fused.info(), fused.reason, wrong)
+
+    def _state(self, outcome: FusionOutcome) -> None:
+        self.health.note(f"verdict.{outcome.verdict.value}")
+        if outcome.verdict is not FusionVerdict.OK:
+            self.health.gauge("last_verdict", f"{outcome.verdict.value}: {outcome.reason}")
+        self.health.gauge("verdict", outcome.verdict.value)
+        self.health.gauge("inlier_ratio", f"{outcome.inlier_ratio:.3f}")
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)

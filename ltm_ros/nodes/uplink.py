@@ -90,8 +90,7 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
 def sector(message: Any) -> int:
     """Return which of `SECTORS` directions the votes show, by the mean of their bearings; -1 without bearings.
 
-    Raises MessageError if the message is not a table of points.
-    """
+    Raises MessageError if the message is not a table of points."""
     bearings = msg_to_columns(message).get("bearing_deg")
     if bearings is None or not len(bearings):
         return -1

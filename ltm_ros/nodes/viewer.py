@@ -51,8 +51,7 @@ from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 def free_path(path: Path) -> Path:
     """Return `path`, or the first of `name_1`, `name_2`, ... (before a file's suffix) that does not exist.
 
-    An empty folder counts as not existing.
-    """
+    An empty folder counts as not existing."""
     candidate, n = path, 0
     while candidate.is_file() or (candidate.is_dir() and any(candidate.iterdir())):
         n += 1

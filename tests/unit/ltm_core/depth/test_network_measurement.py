@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scenes.depth_scene import depth_scene
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.topodepth import FusedDepth, fuse, measure
+from ltm_core.depth.topodepth import FusedDepth, Fusion, fuse
 from ltm_core.vision.labels import Label, LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -90,9 +92,8 @@ def test_without_fusing_it_is_the_same_to_the_bit() -> None:
         (scene.traced, None, scene.labels, None, ""),
         (scene.turned(2.0), given, scene.labels, None, ""),
     ):
-        fused = fuse(traced, network, scene.photo, labels, CLASSES, hidden=mask, unusable=unusable).measured(doubtful)
-        alone = measure(
-            traced, network, scene.photo, labels, CLASSES, hidden=mask, unusable=unusable, doubtful=doubtful
-        )
-        np.testing.assert_array_equal(alone.depth, fused.depth)
-        np.testing.assert_array_equal(alone.sigma, fused.sigma)
+        photo = Fusion(traced, network, scene.photo, labels, CLASSES, hidden=mask, unusable=unusable)
+        alone, fused = photo.outcome, photo.fused
+        assert (alone.verdict, alone.reason) == (fused.verdict, fused.reason)
+        for value, other in zip(*(astuple(made.measured(doubtful)) for made in (alone, fused)), strict=True):
+            np.testing.assert_array_equal(value, other)

@@ -31,6 +31,19 @@ def test_the_least_recently_used_goes_first() -> None:
     assert cache.held_bytes == 0
 
 
+def test_many_tracers_of_a_process_share_their_memory_and_each_keeps_its_last_frame() -> None:
+    dem, poses = rough_terrain(14), [Pose.from_angles(POSITION, azimuth, -20, 0) for azimuth in (10, 40)]
+    many = [TerrainTracer(dem) for _ in range(3_000)]
+    for tracer in many[:2]:
+        for pose in poses:
+            last = tracer.trace(CAMERA, pose).range
+        assert tracer.statistics.frame_bytes == last.nbytes
+        assert tracer.trace(CAMERA, poses[-1]).range is last
+    del many
+    alone = TerrainTracer(dem)
+    assert sum(alone.trace(CAMERA, pose).range.nbytes for pose in poses) == alone.statistics.frame_bytes
+
+
 def test_a_fixed_camera_is_traced_once() -> None:
     tracer = TerrainTracer(rough_terrain(14))
     pose = Pose.from_angles(POSITION, 10, -20, 0)

@@ -340,7 +340,7 @@ def test_an_added_depth_network_is_fused_in_the_live_step(tmp_path: Path, shared
     labels = np.where(rows < 40, Label.SKY, Label.GRASS).astype(np.uint8)
     found = step.fuse(traced, frame, labels, None)
     assert not found.trouble
-    assert found.fused.depth.shape == traced.shape
+    assert found.fusion.fused.depth.shape == traced.shape
 
 
 def _depth_graph(path: Path, camera: tuple[str, list[int]] | None = None, **changes: Any) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy.typing as npt
 import pytest
 import yaml
 
+from ltm_core.base.types import UInt8Array
 from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
+from ltm_core.vision.network_image import shrunk
 from ltm_core.vision.onnx_model import OnnxModel, SharedRuns
 
 
@@ -108,3 +111,29 @@ def test_labels_and_depth_of_one_file_are_the_same_alone_and_shared(
     np.testing.assert_array_equal(first.run(tensor), alone[0])
     np.testing.assert_array_equal(second.run(tensor.copy()), alone[1])
     assert runs == [["logits", "inverse_depth"]]
+
+
+def test_nodes_that_get_one_image_reduce_it_once_while_it_exists() -> None:
+    memory = array("B", bytes(range(48)))
+
+    def photo() -> UInt8Array:
+        pixels = np.frombuffer(memory, np.uint8).reshape(4, 4, 3)
+        pixels.flags.writeable = False
+        return pixels
+
+    first = shrunk(photo(), 2, 2)
+    np.testing.assert_array_equal(first[0, 0], (8, 9, 10))  # means of 0, 3, 12, 15 and so on, rounded
+    assert shrunk(photo(), 2, 2) is first
+    assert shrunk(photo(), 1, 1) is not first
+    assert shrunk(photo()[::-1], 2, 2) is not first
+    memory = array("B", bytes(48))
+    assert not shrunk(photo(), 2, 2).any()
+
+
+def test_an_image_that_may_change_is_reduced_each_time() -> None:
+    pixels = np.zeros((4, 4, 3), np.uint8)
+    shrunk(pixels, 2, 2)
+    pixels += 7
+    np.testing.assert_array_equal(shrunk(pixels, 2, 2), 7)
+    fixed = np.frombuffer(bytes(48), np.uint8).reshape(4, 4, 3)  # of memory whose end cannot be noticed
+    assert shrunk(fixed, 2, 2) is not shrunk(fixed, 2, 2)

@@ -14,6 +14,7 @@ from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.depth import topodepth
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
@@ -24,6 +25,7 @@ from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values
 from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
+from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -126,6 +128,41 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert float(info["inlier_ratio"]) > 0.5
     assert node.health.summary()["verdict"] == "ok"
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
+
+
+def test_the_network_is_fitted_and_pixels_are_fused_only_for_subscribers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, done = Node(tmp_path, monkeypatch), []
+    heard: tuple[Topic, ...] = ()
+    for name in ("fitted", "fuse_pixels"):
+
+        def counted(*args: Any, name: str = name, given: Any = getattr(topodepth, name)) -> Any:
+            done.append(name)
+            return given(*args)
+
+        monkeypatch.setattr(topodepth, name, counted)
+    monkeypatch.setattr(node.kept, "wanted", lambda topic: topic in heard)
+    monkeypatch.setattr(
+        node.kept, "provide", lambda topic, _, make: topic in heard and node.kept.publish(topic, make())
+    )
+    node.feed()
+    assert node.health.summary()["verdict"] == "ok"
+    assert done == ["fitted"], "for the status"
+    node.feed(stamp=STAMP + 10**9)
+    assert done == ["fitted"]
+    heard = MEASURED_DEPTH, MEASURED_SIGMA
+    node.feed(stamp=STAMP + 2 * 10**9)
+    assert done == ["fitted"] * 2
+    assert np.isfinite(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).any()
+    heard = FUSED_DEPTH, FUSED_INFO
+    node.feed(stamp=STAMP + 3 * 10**9)
+    assert done == [*["fitted"] * 3, "fuse_pixels"]
+    heard = ()
+    node.feed(stamp=STAMP + 4 * 10**9, pitch=0.8)
+    assert node.health.summary()["verdict"] == "pose_suspected"
+    node.feed(stamp=STAMP + 5 * 10**9)
+    assert node.health.summary()["verdict"] == "ok"
 
 
 def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
