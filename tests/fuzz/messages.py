@@ -315,10 +315,7 @@ def _segmentation(small: SmallSite, folder: Path) -> Handler[Any]:
 
 def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
     config = TopoDepthConfig(
-        site=str(small.path),
-        camera="tower",
-        model=str(folder / "depth.yaml"),
-        surfaces=str(folder / "surfaces"),
+        site=str(small.path), camera="tower", model=str(folder / "depth.yaml"), surfaces=str(folder / "surfaces")
     )
     return TopoDepthHandler(config, _outlet(), Health())
 
@@ -441,8 +438,7 @@ MESSAGES = (
     Play(
         "depth",
         _play(
-            _depth,
-            {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"},
+            _depth, {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"}
         ),
     ).target(1.5),
     Play(

@@ -12,9 +12,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.json_topics import label_set_to_msg, msg_to_model
 
 LABELS = LabelSet(
-    names=("sky", "grass", "tree"),
-    colors=((70, 130, 180), (1, 2, 3), (0, 255, 9)),
-    ground_cover=(False, True, True),
+    names=("sky", "grass", "tree"), colors=((70, 130, 180), (1, 2, 3), (0, 255, 9)), ground_cover=(False, True, True)
 )
 
 

@@ -72,10 +72,7 @@ def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
     arcs = add_layer(tmp_path / "e.gpkg", "a", [b"\x01\x08\x00\x00\x00" + bytes(20)])
     (tmp_path / "b.gpkg").write_bytes(b"no database")
     for barrier, message in (
-        (
-            BarrierConfig(path=path, layer="rivers", kind="water"),
-            r"a.gpkg: no layer .rivers.; it has the layers lakes",
-        ),
+        (BarrierConfig(path=path, layer="rivers", kind="water"), r"a.gpkg: no layer .rivers.; it has the layers lakes"),
         (BarrierConfig(path=add_layer(tmp_path / "d.gpkg", "a", [], -1), kind="road"), r"d.gpkg: .* no known CRS"),
         (BarrierConfig(path=arcs, kind="road"), r"e.gpkg: .*geometry type 8"),
         (BarrierConfig(path=tmp_path / "b.gpkg", kind="water"), r"b.gpkg: cannot be read as a GeoPackage"),

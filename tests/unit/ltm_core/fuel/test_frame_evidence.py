@@ -4,18 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.evidence_scene import (
-    GRID,
-    HOUR,
-    INDEPENDENT,
-    LABELS,
-    NOW,
-    PRIOR,
-    TRUSTED,
-    fuel_map,
-    visibility,
-    votes,
-)
+from scenes.evidence_scene import GRID, HOUR, INDEPENDENT, LABELS, NOW, PRIOR, TRUSTED, fuel_map, visibility, votes
 
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.frame_evidence import frame_evidence

@@ -76,12 +76,7 @@ def windows(shape: tuple[int, int], reach: int) -> Iterator[tuple[slice, slice, 
     for _ in range(40):
         row, col = rng.integers(0, shape[0] - 3), rng.integers(0, shape[1] - 3)
         top, left = max(row - reach, 0), max(col - reach, 0)
-        yield (
-            slice(row, row + 3),
-            slice(col, col + 3),
-            slice(top, row + 3 + reach),
-            slice(left, col + 3 + reach),
-        )
+        yield (slice(row, row + 3), slice(col, col + 3), slice(top, row + 3 + reach), slice(left, col + 3 + reach))
 
 
 def test_seen_through_any_window_it_is_the_same() -> None:

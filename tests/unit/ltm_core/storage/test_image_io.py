@@ -253,8 +253,7 @@ def test_a_stereo_pair_gives_its_first_image() -> None:
 
 
 @pytest.mark.parametrize(
-    ("form", "turn"),
-    [*(("JPEG", turn) for turn in range(1, 9)), ("PNG", 6), ("TIFF", 7), ("WEBP", 3), ("AVIF", 8)],
+    ("form", "turn"), [*(("JPEG", turn) for turn in range(1, 9)), ("PNG", 6), ("TIFF", 7), ("WEBP", 3), ("AVIF", 8)]
 )
 def test_photos_are_read_upright(tmp_path: Path, form: str, turn: int) -> None:
     exif = Image.Exif()

@@ -81,10 +81,7 @@ def test_finds_the_position_too() -> None:
     assert turn_between(result.pose, POSE) < 1e-4
 
 
-@pytest.mark.parametrize(
-    "start",
-    [(-80.0, 75.0, 60.0), (-1500.0, 4700.0, 300.0)],
-)
+@pytest.mark.parametrize("start", [(-80.0, 75.0, 60.0), (-1500.0, 4700.0, 300.0)])
 def test_a_free_position_is_found_from_far_away(start: tuple[float, float, float]) -> None:
     points = moved(scattered(9, noise=0.5), {4: (200.0, -80.0)})
     camera = replace(CAMERA, fx=1500.0, fy=1500.0)
