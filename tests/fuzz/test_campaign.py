@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import re
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 
 from fuzz import campaign as suite
 from fuzz import targets
-from fuzz.mutations import MOST_TEXT, repeated_line
 from fuzz.self_test import SELF_TEST
 
 CASES = 100
@@ -75,18 +73,3 @@ def test_what_counts_as_a_fault(order: str, found: str, tmp_path: Path, monkeypa
         monkeypatch.undo()
         file.write_bytes(b"whole")
         assert suite.fault_of(worker.run(file)) == ""  # by a new process, where the old one has died
-
-
-def test_a_case_is_the_same_for_its_number() -> None:
-    for target in targets.TARGETS[:12]:
-        seeds = [b"a: 1\nb: [2, 3]\n", b"c: {d: e}\n"]
-        cases = [target.case(number, seeds) for number in range(40)]
-        assert cases == [target.case(number, seeds) for number in range(40)]
-        assert len(set(cases)) > 20
-
-
-def test_a_text_of_one_long_line_is_not_repeated_without_bound() -> None:
-    rng, text = random.Random(3), "[" + "7" * 100_000 + "]"
-    for _ in range(8):
-        text = repeated_line(rng, text)
-    assert 50 * 100_000 < len(text) <= MOST_TEXT

@@ -162,13 +162,6 @@ def test_every_message_decodes_field_by_field(bag: Path, read: Any) -> None:
         assert same(a, b), f"{topic} at {time}: {a} is not {b}"
 
 
-def test_what_is_read_is_what_was_written(bag: Path) -> None:
-    reader = BagReader(bag)
-    written = every_message()
-    for message in reader.messages():
-        assert same(flat(written[message.topic]), flat(reader.decode(message))), message.topic
-
-
 def test_rosbags_takes_the_metadata_as_version_9(bag: Path) -> None:
     with Reader(bag) as reader:
         assert reader.message_count == 2 * len(every_message())

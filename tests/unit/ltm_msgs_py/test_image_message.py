@@ -20,7 +20,6 @@ from ltm_msgs_py.image import (
     compressed_to_msg,
     compressed_to_rgb,
     decode_rgb,
-    depth_to_msg,
     encode_rgb,
     image_to_msg,
     msg_to_array,
@@ -46,17 +45,6 @@ def raw_message(data: bytes, encoding: str, height: int, width: int, step: int, 
     return msg
 
 
-@pytest.mark.parametrize("encoding", sorted(ENCODINGS))
-def test_every_encoding_round_trips_bit_by_bit(encoding: str) -> None:
-    image = pixels(encoding)
-    msg = image_to_msg(image, encoding, 12_000_000_034, "east_optical")
-    assert (msg.height, msg.width, msg.step) == (H, W, image.strides[0])
-    assert (msg.header.stamp.sec, msg.header.stamp.nanosec, msg.header.frame_id) == (12, 34, "east_optical")
-    back = msg_to_array(msg)
-    assert back.dtype == image.dtype
-    np.testing.assert_array_equal(back, image)
-
-
 def test_strided_images_are_written_in_their_own_order() -> None:
     image = pixels("rgb8")[::-1, ::2]
     np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, "rgb8", 0, "")), image)
@@ -73,13 +61,6 @@ def test_a_message_handed_back_keeps_its_buffer_and_takes_everything_new() -> No
     assert msg.data is buffer
     assert (msg.header.frame_id, msg.header.stamp.sec) == ("b", 2)
     np.testing.assert_array_equal(msg_to_rgb(msg), image)
-
-
-def test_a_message_of_another_size_gets_a_new_buffer() -> None:
-    msg = image_to_msg(pixels("rgb8"), "rgb8", 1, "a")
-    depth = pixels("32FC1")
-    image_to_msg(depth, "32FC1", 1, "a", out=msg)
-    np.testing.assert_array_equal(msg_to_depth(msg), depth)
 
 
 def test_rgb8_and_32fc1_are_read_without_a_copy() -> None:
@@ -166,11 +147,6 @@ def test_depth_in_millimetres_becomes_metres_with_zero_unknown() -> None:
     np.testing.assert_allclose(msg_to_depth(msg), np.float32([[np.nan, 1.5, 65.535]]), rtol=1e-7)
 
 
-def test_depth_keeps_sky_and_unknown() -> None:
-    depth = np.float32([[1.25, np.inf, np.nan]])
-    np.testing.assert_array_equal(msg_to_depth(depth_to_msg(depth, 0, "")), depth)
-
-
 @pytest.mark.parametrize("encoding", ["nv12", "64FC1", "", "32FC1", "rgb8; jpeg"])
 def test_colour_encodings_not_taken_are_named_with_those_that_are(encoding: str) -> None:
     with pytest.raises(ImageError, match="supported: rgb8, bgr8") as caught:
@@ -212,11 +188,6 @@ def test_arrays_that_do_not_fit_their_encoding_are_refused(image: NDArray[Any], 
         image_to_msg(image, encoding, 0, "")
 
 
-def test_an_unknown_encoding_cannot_be_written() -> None:
-    with pytest.raises(ImageError, match="yuv422"):
-        image_to_msg(pixels("rgb8"), "yuv422", 0, "")
-
-
 def smooth() -> UInt8Array:
     v, u = np.mgrid[0:48, 0:80]
     return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
@@ -229,11 +200,6 @@ def test_png_is_exact_and_jpeg_close() -> None:
     jpeg = compressed_to_rgb(compressed_to_msg(encode_rgb(image, "jpeg", 95), "jpeg", 7, "c"))
     assert np.abs(jpeg.astype(int) - image).mean() < 3
     assert png.header.stamp.nanosec == 7
-
-
-def test_compressed_bytes_travel_verbatim() -> None:
-    data = encode_rgb(smooth())
-    assert bytes(compressed_to_msg(data, "jpeg", 0, "").data) == data
 
 
 def test_exif_orientation_does_not_turn_the_pixels() -> None:
@@ -275,13 +241,6 @@ def test_what_is_neither_jpeg_nor_png_is_refused(data: bytes) -> None:
         compressed_to_rgb(msg)
     with pytest.raises(ImageError, match=f"{len(data)} bytes"):
         compressed_to_msg(data, "jpeg", 0, "")
-
-
-def test_jpeg_garbage_with_the_right_ends_is_refused() -> None:
-    msg = CompressedImage(format="jpeg")
-    msg.data = array("B", b"\xff\xd8\xff\xda\x00\x04" + bytes(300) + b"\xff\xd9")
-    with pytest.raises(ImageError, match="308 bytes of jpeg"):
-        compressed_to_rgb(msg)
 
 
 def test_a_png_that_claims_ten_gigapixels_is_refused() -> None:

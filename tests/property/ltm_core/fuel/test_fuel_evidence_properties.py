@@ -138,15 +138,6 @@ def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile:
         np.testing.assert_array_equal(vars(other)[name][elsewhere], vars(one)[name][elsewhere], err_msg=name)
 
 
-@examples(12, in_fuzz=40)
-@given(st.lists(frames(), min_size=1, max_size=6))
-def test_evidence_only_fades(of: list[CellVotes]) -> None:
-    fuel_map = counted(*of)
-    now, *later = (fuel_map.layers(at_ns=fuel_map.newest_ns + days * 86400 * 10**9).evidence for days in (0, 100, 4000))
-    assert (later[0] <= now).all()
-    assert (later[1] <= later[0]).all()
-
-
 def test_counts_of_a_forged_frame_do_not_overflow() -> None:
     rows, cols = (np.array(index, np.int32) for index in zip(*CELLS, strict=True))
     counts = np.full((len(CELLS), len(LABELS)), 2**32 - 1, np.uint32)

@@ -62,11 +62,6 @@ def test_a_layer_in_another_crs(tmp_path: Path) -> None:
     assert [tuple(cell) for cell in np.argwhere(prior.codes == 91).tolist()] == [(2, 2)]
 
 
-def test_paths_are_taken_from_the_site_file(tmp_path: Path) -> None:
-    config = PriorConfig.model_validate({"path": "f.tif", "barriers": [{"path": "r.gpkg", "kind": "road"}]})
-    assert config.below(tmp_path).barriers[0].path == tmp_path / "r.gpkg"
-
-
 def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
     path = add_layer(tmp_path / "a.gpkg", "lakes", [area(box(1, 1, 1, 1))])
     arcs = add_layer(tmp_path / "e.gpkg", "a", [b"\x01\x08\x00\x00\x00" + bytes(20)])

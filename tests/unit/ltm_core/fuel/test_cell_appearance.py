@@ -12,11 +12,9 @@ from scenes.fuel_frames import LABELS
 
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceFile, CellAppearanceModel, what_is_seen
-from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import ReliabilityRecord, stated_errors, write_record
 from ltm_core.fuel.label_measurement import LEAST_CELLS, fit_cell_appearance, seen_cells
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
-from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.evaluation.fuel.cell_appearance_io import LearntLook, learn_cell_appearance
@@ -125,32 +123,6 @@ def test_a_file_and_back(learnt: LearntLook, tmp_path: Path) -> None:
     assert errors.source == "drawn"
     assert errors.correlation == learnt.correlation
     np.testing.assert_allclose(errors.appearance.weights, learnt.appearance.weights, atol=0.006, equal_nan=True)
-
-
-def test_evidence_is_of_the_look_and_of_labels_it_does_not_know(learnt: LearntLook) -> None:
-    other = site(4)
-    votes = other.votes[0]
-    water = votes.counts.copy()
-    water[:50] = 0
-    water[:50, LifeForm.WATER] = 40
-    votes = replace(votes, counts=water)
-    errors = replace(ASSUMED, appearance=learnt.appearance, correlation=learnt.correlation)
-    rules = FusionRules(context=0.0)
-    found = frame_evidence(votes, FORM_IDS, errors, rules)
-    assert (found.amounts[:50].argmax(axis=1) == LifeForm.WATER - 1).all()
-    seen = what_is_seen(found.rows, found.cols, _shares(votes), votes.visibility.bearing, votes.confidence)  # type: ignore[union-attr]
-    expected = learnt.appearance.log_likelihood(seen, np.full(len(votes), 0.1))
-    rest = found.amounts[50:]
-    np.testing.assert_array_equal(rest.argmax(axis=1), expected[50:].argmax(axis=1))
-    assert rest.sum(axis=1) == pytest.approx(rules.frame_cap, rel=1e-3)  # nothing is taken away for doubt: p tells it
-
-
-def _shares(votes: CellVotes) -> np.ndarray:
-    counts = np.zeros((len(votes), FORMS))
-    for label, form in enumerate(FORM_IDS):
-        if form >= 0:
-            counts[:, form] += votes.counts[:, label]
-    return np.asarray(counts / counts.sum(axis=1, keepdims=True))
 
 
 def test_too_little_to_learn_from_and_files_that_do_not_fit() -> None:

@@ -90,13 +90,6 @@ def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> 
     assert (found[1] == 7).all()
 
 
-def test_without_a_prior_every_seen_cell_is_the_climates() -> None:
-    seen = np.array([[LifeForm.SHRUB, LifeForm.TREE, 255]], np.uint8)
-    climate = FuelClimate.named("dry")
-    layers = layers_of_classes(seen, None, climate)
-    assert surface_codes(layers, None, climate, F13).tolist() == [[4, 8, NODATA]]
-
-
 @pytest.mark.parametrize("climate", CLIMATES)
 def test_a_prior_of_fbfm13_becomes_fbfm40(climate: str) -> None:
     prior = prior_of([[*range(1, 14), 91, 98, 20, NODATA]], system=F13)

@@ -125,21 +125,6 @@ def test_bands_of_a_landscape(tmp_path: Path, order: str, where: str) -> None:
             read_landscape(path)
 
 
-def test_unnamed_bands_in_the_usual_order_keep_their_place(tmp_path: Path) -> None:
-    names = ("Elevation", "", "b3", "FBFM40", "", "", "", "CBD")
-    prior = load_prior(PriorConfig(path=write(tmp_path / "a.tif", LANDSCAPE, names)), GRID)
-    assert prior.canopy is not None
-    assert prior.canopy[:, 0].tolist() == [VALUES[n] for n in LANDSCAPE[4:]]
-
-
-def test_a_band_of_a_landscape_may_be_named_alone(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", LANDSCAPE)
-    prior = load_prior(PriorConfig(fbfm40=path, cover=path), GRID)
-    assert prior.codes[0].tolist() == VALUES["fbfm40"]
-    assert prior.canopy is not None
-    assert prior.canopy[0, 0].tolist() == VALUES["cover"]
-
-
 @pytest.mark.parametrize("cover", ["cc_utm_13.tif", "CanopyCover.tif", "cc_40m.tif", "US_140CC.tif"])
 def test_a_folder_of_names_that_hold_other_numbers(tmp_path: Path, cover: str) -> None:
     for name, quantity in (

@@ -33,12 +33,6 @@ def test_as_rasterio_reads_it(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["fuel.tif"]
 
 
-def test_read_back(tmp_path: Path) -> None:
-    classes, geometry = read_fuel_map(write_fuel_map(tmp_path / "fuel.tif", CLASSES, GRID, LABELS))
-    np.testing.assert_array_equal(classes, CLASSES)
-    assert geometry == GRID
-
-
 def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
     path = write_fuel_map(tmp_path / "fuel.tif", CLASSES, GRID, LABELS)
     before = path.read_bytes()
@@ -99,11 +93,6 @@ def test_a_raster_of_another_quantity_is_no_map(tmp_path: Path, count: int, most
         sink.write(np.full((count, 3, 5), most, np.uint8))
     with pytest.raises(RasterError, match=found):
         read_fuel_map(tmp_path / "f.tif")
-
-
-def test_no_raster(tmp_path: Path) -> None:
-    with pytest.raises(RasterError, match="not a raster that GDAL can read"):
-        read_fuel_map(tmp_path / "absent.tif")
 
 
 def test_on_landfires_grid() -> None:

@@ -6,10 +6,6 @@ import functools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from pydantic import ValidationError
 
 from ltm_core.base.types import Float32Array
 from ltm_core.fuel.life_form import PARTS, GroundLimits, GrowthLimits
@@ -109,10 +105,6 @@ def test_what_is_no_plant_votes_anywhere(label: Label) -> None:
     assert same(cast(label, None), cast(label, GrowthLimits(tree_line_m=-100.0)))
 
 
-def test_without_limits_plants_vote_on_walls() -> None:
-    assert same(cast(Label.TREE, None), cast(Label.TREE, GrowthLimits(steepest_deg=None)))
-
-
 def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
     line = 60.0  # the slope passes it at x = 128.7
     limits = GrowthLimits(steepest_deg=None, tree_line_m=line)
@@ -140,16 +132,6 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
     cells = set(zip(few.rows.tolist(), few.cols.tolist(), strict=True))
     kept = [k for k, cell in enumerate(zip(plain.rows.tolist(), plain.cols.tolist(), strict=True)) if cell in cells]
     np.testing.assert_array_equal(few.counts[:, Label.BARE], plain.counts[kept][:, Label.BARE])
-
-
-@settings(max_examples=25, deadline=None)
-@given(arrays(np.uint8, (64, 96), elements=st.sampled_from([0, 1, 2, 3, 4, 6, 255]), fill=st.just(3)))
-def test_no_vote_is_lost_on_gentle_terrain_and_no_label_wins_one(labels: np.ndarray) -> None:
-    plain, votes = cast(labels, None), cast(labels, GrowthLimits())
-    assert same(west_of(plain, FOOT - 30), west_of(votes, FOOT - 30))
-    counted = np.zeros((*FUEL.shape, len(LABELS)), np.int64)
-    counted[plain.rows, plain.cols] = plain.counts
-    assert (votes.counts <= counted[votes.rows, votes.cols]).all()
 
 
 def test_each_part_of_a_cell_is_asked() -> None:
@@ -189,9 +171,3 @@ def test_ground_of_unknown_height_has_no_limit() -> None:
     ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
     assert not ground.learn(np.array([10, 11, FUEL.width + 12])).any()
     assert ground.learn(np.array([3]))[[Label.TREE, Label.WATER]].all()
-
-
-@pytest.mark.parametrize("slope", [0.0, 90.0, -3.0])
-def test_slopes_that_are_none(slope: float) -> None:
-    with pytest.raises(ValidationError):
-        GrowthLimits(steepest_deg=slope)

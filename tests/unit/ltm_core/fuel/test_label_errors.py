@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scenes.evidence_scene import GRID, HOUR, LABELS, NOW, TRUSTED, votes
-from scenes.networks import write_classifier
+from scenes.evidence_scene import HOUR, LABELS, NOW, TRUSTED, votes
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.evidence import EvidenceMap
@@ -76,13 +75,6 @@ def test_a_record_belongs_to_labels_and_not_to_a_name(tmp_path: Path, changes: d
     assert (errors.appearance is None) == (not measured)
 
 
-def test_classes_that_are_not_mapped_are_unlabelled_however_written(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path)
-    plain = NetworkManifest.load(path)
-    spelled = plain.model_copy(update={"mapping": {n: plain.mapping.get(n, "unlabelled") for n in plain.classes}})
-    assert labels_digest(plain) == labels_digest(spelled)
-
-
 def test_the_user_s_record_comes_first_and_a_head_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     shares = {form.name.lower(): {form.name.lower(): 1.0} for form in LifeForm}
@@ -122,13 +114,6 @@ def test_unmeasured_labels_change_no_cell(label: Label, mixed: bool) -> None:
     assert not layers.changed.any()
     np.testing.assert_array_equal(layers.code, codes)
     assert (layers.evidence > 0).all()
-
-
-def test_without_a_prior_unmeasured_labels_are_all_that_is_known() -> None:
-    evidence = EvidenceMap(GRID, None, LABELS)
-    evidence.add(votes(Label.TREE))
-    assert (evidence.layers().life_form == LifeForm.TREE).all()
-    assert not UNMEASURED.open_odds().any()
 
 
 SIDE = 36
@@ -193,13 +178,6 @@ def test_one_view_changes_a_cell_only_if_another_network_confirms_what_it_finds(
     record = record_of(errors, "drawn", site="drawn", live="2026-11-29, 2 views")
     assert record.errors().one_view == confirmed
     assert record.state == "measured on site drawn, live (2026-11-29, 2 views)"
-
-
-def test_a_reference_that_does_not_know_the_land_is_ignored() -> None:
-    truth, codes = landscape(slice(10, 17))
-    known = np.where(codes == CODES[Label.GRASS], LifeForm.TREE, 0).astype(np.uint8)
-    frames = drawn_votes(truth, RIGHT, 5)
-    np.testing.assert_array_equal(measured(frames, codes, known).shares, measured(frames, codes).shares)
 
 
 def test_labels_of_one_kind_say_nothing_after_they_are_measured() -> None:

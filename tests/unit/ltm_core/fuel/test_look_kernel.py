@@ -49,17 +49,6 @@ def test_cells_are_told_as_the_model_tells_them(share: float) -> None:
     np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_no_cells() -> None:
-    none = np.zeros(0, np.int64)
-    own = np.zeros((0, FORMS))
-    form_by_appearance(
-        *(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), np.array([0.1, 0.5])),
-        *(np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_), -4.6, own),
-    )
-    assert log_normalised(own).shape == normalised(own, np.zeros(0)).shape == (0, FORMS)
-    assert shown_forms(own, np.zeros(0), 0.5).shape == (0,)
-
-
 def test_shares_of_logarithms() -> None:
     rng = np.random.default_rng(6)
     logs, divisors = rng.normal(0, 400, (31, 5)), rng.uniform(1, 9, 31)

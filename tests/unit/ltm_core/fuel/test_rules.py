@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import pytest
-from scenes.evidence_scene import ASSUMED, HOUR, INDEPENDENT, LABELS, NOW, TRUSTED, visibility, votes
+from scenes.evidence_scene import ASSUMED, HOUR, LABELS, NOW, visibility, votes
 
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
@@ -126,35 +125,3 @@ def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not
     both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)
     assert not again.any()
     assert both.all()
-
-
-def test_a_cell_that_hardly_looks_changed_goes_with_those_about_it_and_not_alone() -> None:
-    """Of a patch of trees one cell is shown as trees by a few pixels more than as shrubs, from one side, once."""
-    shown = [0] * len(LABELS)
-    shown[Label.TREE] = 40
-    middle = [0] * len(LABELS)
-    middle[Label.TREE], middle[Label.SHRUB] = 22, 18
-    errors = LabelErrors(TRUSTED.shares, INDEPENDENT)
-
-    def changed(fill_rounds: int, around: bool) -> np.ndarray:
-        rules = FusionRules(fill_rounds=fill_rounds, context=0.0)
-        grid_map = EvidenceMap(WIDE, FuelPrior(np.full(WIDE.shape, SHRUB, np.int16), WIDE), LABELS, rules, errors)
-        others = [cell for cell in PATCH if cell != (5, 6)]
-        for hour in (0.0, 2.0):
-            for cells, labels in ((others, shown), ([(5, 6)], middle)):
-                if (cells == others and around) or (cells != others and hour == 0.0):
-                    seen = visibility(len(cells), bearing=0.0)
-                    grid_map.add(votes(labels, NOW + hour * HOUR, "a", cells=cells, visibility=seen, grid=WIDE))  # type: ignore[arg-type]
-        return grid_map.layers().changed
-
-    assert changed(2, around=True)[5, 6]
-    assert changed(2, around=True).sum() == len(PATCH)
-    assert not changed(0, around=True)[5, 6]
-    assert not changed(2, around=False).any()
-
-
-@pytest.mark.parametrize("label", [Label.TREE, Label.GRASS])
-def test_what_is_plain_to_see_is_reported_from_one_side(label: Label) -> None:
-    shown = [0] * len(LABELS)
-    shown[label] = 40
-    assert patch_of((0.0, 0.0), (0.0, 2.0), shown=shown, errors=LabelErrors(TRUSTED.shares, INDEPENDENT)).all()

@@ -49,12 +49,6 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert 0 <= seen.height_sigma[1, 2] < 2
 
 
-def test_a_cell_of_which_little_has_changed_keeps_its_prior() -> None:
-    seen = seen_canopy(terrain(4), FUEL)
-    assert seen is not None
-    assert np.isnan(seen.cover).all()
-
-
 def test_nothing_is_measured_without_trees_on_record_or_without_a_version() -> None:
     whole = terrain(15)
     assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top), FUEL) is None

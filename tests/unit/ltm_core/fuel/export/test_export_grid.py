@@ -9,7 +9,7 @@ from ltm_core.base.types import Float32Array
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import make_landscape
-from ltm_core.fuel.export.landscape import Landscape, terrain_bands
+from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
@@ -70,13 +70,3 @@ def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bo
     if taken:
         np.testing.assert_allclose(landscape.band("elevation"), plane, atol=6)
         assert "elevations of the prior map" in landscape.terrain_note()
-
-
-def test_slope_goes_on_where_a_neighbour_is_unknown() -> None:
-    plane = np.add.outer(-2.0 * np.arange(8.0), 3.0 * np.arange(9.0))
-    plane[3, 4] = plane[4, 6] = np.nan
-    bands = terrain_bands(plane, 1.0)
-    unknown = np.isnan(plane)[1:-1, 1:-1]
-    np.testing.assert_array_equal(bands == NODATA, np.broadcast_to(unknown, bands.shape))
-    assert set(np.unique(bands[1][~unknown]).tolist()) == {74}
-    assert set(np.unique(bands[2][~unknown]).tolist()) == {236}

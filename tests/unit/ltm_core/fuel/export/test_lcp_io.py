@@ -35,17 +35,6 @@ def landscape() -> Landscape:
     return Landscape(bands, GRID)
 
 
-def test_sizes_and_order(tmp_path: Path) -> None:
-    made = landscape()
-    path = write_lcp(tmp_path / "a.lcp", made)
-    content = path.read_bytes()
-    assert len(content) == HEADER_BYTES + 2 * 8 * 13 * 11
-    cells = np.frombuffer(content, "<i2", offset=HEADER_BYTES).reshape(11, 13, 8)
-    np.testing.assert_array_equal(np.moveaxis(cells, -1, 0), made.bands)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.lcp", "a.prj", "a.qml"]
-    assert (tmp_path / "a.prj").read_text().startswith('PROJCS["NAD_1983_')
-
-
 def test_header_fields() -> None:
     header = lcp_header(landscape(), "of cameras")
     assert len(header) == HEADER_BYTES
