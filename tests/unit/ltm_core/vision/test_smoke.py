@@ -84,12 +84,6 @@ def test_another_light_another_view_and_the_shade_of_a_cloud_are_no_smoke() -> N
     assert after([land(), shade], land()) is None
 
 
-def test_what_loses_its_pattern_and_is_dark_is_no_smoke() -> None:
-    picture = land()
-    picture[120:180, 60:160] = 60
-    assert after([land()], picture) is None
-
-
 def test_a_felled_stand_is_land_again_once_it_was_seen_and_moving_smoke_stays_smoke() -> None:
     felled = land()
     felled[110:170, 60:160] = np.clip(land(seed=5)[110:170, 60:160].astype(int) + 60, 0, 255).astype(np.uint8)

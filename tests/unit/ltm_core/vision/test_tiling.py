@@ -29,13 +29,6 @@ def test_tiles_cover_the_skyline(zoom: float) -> None:
     assert len(corners) < 4 * zoom**2
 
 
-def test_a_photo_without_skyline_is_looked_at_once() -> None:
-    probabilities = np.zeros((2, *SIZE), np.float32)
-    probabilities[1] = 1.0
-    image = np.zeros((72, 120, 3), np.uint8)
-    assert with_distant_tiles(image, probabilities, 0, 2.0, lambda _: pytest.fail("looked")) is probabilities
-
-
 def test_tiles_that_agree_change_nothing() -> None:
     """A `look` that answers with the truth of its own part gives back the truth, enlarged."""
     truth = np.zeros((2, 144, 240), np.float32)

@@ -11,7 +11,6 @@ import yaml
 from scenes.small_site import TOWER, write_small_site
 
 from ltm_core.base.errors import ConfigError, SiteVerdict
-from ltm_core.geometry.pose import Pose
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
@@ -46,13 +45,6 @@ def test_the_angle_between_a_picture_and_a_view() -> None:
     assert Looking(359.8, 59.0, 41.0).off_deg(east) == pytest.approx(1.0)
     assert Looking(359.8, 60.0, 41.5).off_deg(east) == np.inf
     assert Looking(359.8, 60.0, 38.5).off_deg(east) == np.inf
-
-
-def test_where_a_picture_looked_is_its_poses() -> None:
-    looking = Looking.of(TOWER, Pose.from_angles((1.0, 2.0, 3.0), 271.5, -4.25, 1.0))
-    assert (looking.azimuth_deg, looking.pitch_deg) == pytest.approx((271.5, -4.25))
-    assert looking.hfov_deg == pytest.approx(62.0)
-    assert str(looking) == "azimuth 271.5, pitch -4.2, 62.0 deg wide"
 
 
 def test_each_view_has_its_mask_and_that_of_all_views(tmp_path: Path) -> None:

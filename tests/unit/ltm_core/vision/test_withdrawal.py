@@ -33,14 +33,6 @@ def test_contrast_is_the_deviation_of_grey() -> None:
     assert contrast(np.zeros((60, 1280, 3), np.uint8)).shape == (30, 640)
 
 
-def test_no_rule_withdraws_nothing() -> None:
-    image, labels, confidence = _answer()
-    before = labels.copy(), confidence.copy()
-    withdraw(image, labels, confidence, Withdrawal())
-    np.testing.assert_array_equal(labels, before[0])
-    np.testing.assert_array_equal(confidence, before[1])
-
-
 def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
     image, labels, confidence = _answer()
     before = labels.copy()
