@@ -8,11 +8,11 @@ from scenes.called import called
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.base.types import Float64Array
-from ltm_core.depth.error_model import estimate_errors, expected_prediction, invert, octaves
+from ltm_core.depth.error_model import estimate_errors, expected_prediction, invert
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import fit_scale, fitted_line, robust_line, robust_offset
+from ltm_core.depth.scale_fit import fit_scale, robust_line, robust_offset
 from ltm_core.depth.topodepth import DepthSource, FusionVerdict, fuse
 from ltm_core.vision.labels import LabelSet
 
@@ -79,16 +79,6 @@ def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
     assert 0 < sigma * 300.0 < 0.1
 
 
-def test_beyond_all_samples_a_network_is_believed_less() -> None:
-    samples = spread_samples()
-    near = samples.part(samples.depth < 400.0)
-    answers = estimate_errors(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE, CONFIG)
-    assert (
-        answers.tables.factor[0, 0, octaves(np.array(6000.0))]
-        > 4 * answers.tables.factor[0, 0, octaves(np.array(200.0))]
-    )
-
-
 def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() -> None:
     """All of them: no contradiction. One spot among ground that it sees aright: something stands there."""
     scene = depth_scene()
@@ -118,23 +108,6 @@ def test_a_shift_needs_evidence() -> None:
     assert fit.line is not None
     assert fit.line.shift == 0.0
     assert fit.line.scale == pytest.approx(1 / 7.0, rel=0.1)
-
-
-@pytest.mark.parametrize("noise", [0.1, 0.2])
-def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> None:
-    """The network is noisy, not the terrain: a line fitted to depth by what the network says would be near flat."""
-    rng = np.random.default_rng(8)
-    samples = spread_samples()
-    samples = samples.part((samples.depth > 300) & (samples.depth < 420))
-    values = np.full((36, 64), np.nan, np.float32)
-    values[:] = 1 / 360.0 / 0.014
-    at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
-    values[at] = 1 / samples.depth / 0.014
-    values *= 1 + noise * rng.standard_normal(values.shape)
-    line = fitted_line("relative_inverse", values[at].astype(np.float64), samples, CONFIG)
-    assert line is not None
-    assert line.shift == 0.0
-    assert line.scale == pytest.approx(0.014, rel=0.1)
 
 
 def test_no_range_crowds_out_the_others() -> None:
@@ -184,15 +157,6 @@ def test_no_line_through_too_few_points_or_a_constant() -> None:
     assert robust_line(np.arange(5.0), np.arange(5.0)) is None
     assert robust_line(np.full(50, 0.3), np.arange(50.0)) is None
     assert robust_offset(np.arange(4.0)) is None
-
-
-@pytest.mark.kernel
-def test_an_exact_line_keeps_all_its_points() -> None:
-    x = np.linspace(0.0, 1.0, 40)
-    line = robust_line(x, 5.0 * x + 1.0, floor=1e-9)
-    assert line is not None
-    assert line.inlier_ratio == 1.0
-    assert (line.scale, line.shift) == (pytest.approx(5.0), pytest.approx(1.0))
 
 
 @pytest.mark.kernel

@@ -169,12 +169,6 @@ def test_the_higher_a_thing_would_have_to_be_the_less_likely_it_stands() -> None
     assert odds_at(standing, 116, 78.0) == pytest.approx(odds_at(standing, 116, 81.0) - 1.0, abs=0.3)
 
 
-def test_a_camera_that_looks_down_sees_heights_shortened() -> None:
-    level, down = standing_of(None, (12, 20)), standing_of(None, (12, 20), -60.0)
-    np.testing.assert_array_equal(level.feet, down.feet)
-    assert down.focal == pytest.approx(0.5 * level.focal)
-
-
 def test_a_foot_is_where_the_ground_is_first_as_near() -> None:
     """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
     is seen before it below that, as far as rows tell; what is nearer than all has none."""

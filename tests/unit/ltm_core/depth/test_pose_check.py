@@ -66,14 +66,6 @@ def test_labels_of_a_coarse_network_are_no_wrong_pose(cells: int) -> None:
         assert told.suspected or cell > 20
 
 
-def test_trees_on_a_far_crest_are_no_wrong_pose() -> None:
-    labels = depth_scene().labels.copy()
-    for _ in range(4):  # 5 m and more at 1200 m
-        above = np.roll(labels, -1, axis=0)
-        labels = np.where((labels == SKY) & (above != SKY), TREE, labels)
-    assert not checked(0.0, labels).suspected
-
-
 def test_a_wood_along_the_skyline_is_no_wrong_pose() -> None:
     """Its tops are the photo's clearest edge, half a degree above the traced one; only the label tells that."""
     scene = depth_scene()

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
-from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings, expected_surface
 from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config
@@ -18,7 +17,7 @@ from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
-from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.geometry.range_image import RangeImage
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import Label, LabelSet
@@ -264,32 +263,6 @@ def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kep
     assert gone.sum() > 500
     assert np.abs(result.depth[gone] / scene.truth[gone] - 1).max() < 0.05
     assert (result.ground[scene.stand] > result.depth[scene.stand]).mean() > 0.9
-
-
-def test_depths_that_were_sent_fuse_as_the_ranges_that_they_come_from() -> None:
-    scene = depth_scene()
-    sent = DepthImage(scene.traced.depth(), scene.traced.camera, scene.traced.pose)
-    here = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=scene.traced)
-    there = fuse(sent, None, scene.photo, scene.labels, CLASSES, surface=sent)
-    np.testing.assert_array_equal(there.depth, here.depth)
-    np.testing.assert_array_equal(there.sigma, here.sigma)
-
-
-def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
-    scene = depth_scene()
-    with pytest.raises(ImageError, match=r"label image of \(360, 639\) does not fit"):
-        fuse(scene.traced, None, scene.photo, scene.labels[:, 1:], CLASSES)
-    with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
-        fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
-    for group, wrong in (("cover", {"tree": -1.0}), ("cover", {"palm": 3.0}), ("decision", {"open": "often"})):
-        with pytest.raises(ValueError, match=rf"{group}\.{next(iter(wrong))}"):
-            FusionConfig.model_validate({group: wrong})
-
-
-def test_an_unknown_constant_in_the_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "net_fusion.yaml").write_text("decision: {opne: 0.2}\n")
-    with pytest.raises(ConfigError, match="opne"):
-        load_yaml(tmp_path / "net_fusion.yaml", FusionConfig)
 
 
 def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, TREE, depth_scene
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
 from ltm_core.depth.unseen_terrain import edges_seen, hidden_at, unknown_share, with_labelled_sky
-from ltm_core.geometry.range_image import DepthImage
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -60,12 +58,6 @@ def test_hidden_pixels_have_no_depth_and_spoil_none() -> None:
     assert error < 1.1 * np.abs(plain.depth[clear] - truth[clear]).mean() + 0.1
 
 
-def test_without_the_mask_the_mast_does_harm() -> None:
-    """That the scene is one in which masks matter."""
-    hidden = mast()
-    assert np.isfinite(fused(hidden).depth[hidden]).any()
-
-
 def test_nothing_is_measured_where_it_is_hidden() -> None:
     hidden, plain = mast(), fused(None).measured()
     found = fused(hidden, hidden)
@@ -83,27 +75,6 @@ def test_nothing_is_measured_where_it_is_hidden() -> None:
     assert np.isfinite(less.depth).sum() < np.isfinite(measured.depth).sum()
 
 
-def test_traced_depth_that_lacks_the_hidden_pixels_gives_the_same() -> None:
-    """As it comes from the node `depth`, which keeps to the mask too."""
-    scene, hidden = depth_scene(), mast()
-    traced = scene.traced.depth().copy()
-    traced[hidden] = np.nan
-    labels = np.where(hidden, np.uint8(255), scene.labels)
-    given = DepthImage(traced, CAMERA, scene.traced.pose)
-    found = fuse(given, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    assert found.verdict is FusionVerdict.OK
-    assert np.isnan(found.depth[hidden]).all()
-    whole = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    seen = ~hidden & np.isfinite(whole.depth)
-    assert (np.abs(found.depth[seen] / whole.depth[seen] - 1) < 0.02).mean() > 0.98
-
-
-def test_a_mask_over_most_of_the_picture_is_no_unknown_ground() -> None:
-    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
-    hidden[:, :400] = True
-    assert fused(hidden, hidden).verdict is FusionVerdict.OK
-
-
 def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -> None:
     scene, hidden = depth_scene(), mast()
     labels = np.where(hidden, np.uint8(255), scene.labels)
@@ -117,12 +88,6 @@ def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -
     traced = scene.traced.depth()
     np.testing.assert_array_equal(dark.depth[~hidden], traced[~hidden])
     assert np.isfinite(traced[hidden]).any(), "the tracer's own array is left as it was"
-
-
-def test_a_mask_of_another_size_is_refused() -> None:
-    scene = depth_scene()
-    with pytest.raises(ImageError, match="mask of"):
-        fuse(scene.traced, None, scene.photo, None, CLASSES, hidden=np.zeros((9, 16), np.bool_))
 
 
 def test_edges_at_the_border_of_the_mask_are_none_of_the_terrain() -> None:
@@ -156,11 +121,6 @@ def test_unknown_under_sky_becomes_sky() -> None:
     assert np.isnan(depth[0, 0])
 
 
-def test_what_is_known_stays_as_it_is() -> None:
-    depth = np.array([[inf, inf, 4], [3, nan, 2]], np.float32)
-    assert with_labelled_sky(depth, np.array([[0, LAND, 0], [0, 0, 0]], np.uint8), SKY) is depth
-
-
 def picture() -> np.ndarray:
     """400 x 240: the upper half sky, the lower known ground."""
     depth = np.full((240, 400), 50.0, np.float32)
@@ -185,7 +145,3 @@ def test_where_it_lies_tells_the_reason(part: tuple[slice, slice], name: str, re
     assert share.whole == getattr(share, name)
     assert reason in share.reason
     assert f"{np.isnan(depth).mean():.0%}" in share.reason
-
-
-def test_a_picture_that_is_known() -> None:
-    assert unknown_share(picture()).whole == 0.0

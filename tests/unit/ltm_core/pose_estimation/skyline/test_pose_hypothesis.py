@@ -90,18 +90,6 @@ def test_poses_that_cost_much_more_change_nothing() -> None:
     assert merged_with_others([], CONFIG) == []
 
 
-def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
-    first, other = hypothesis(60.0, -100.0), hypothesis(60.4, -100.0)
-    pose = Pose(other.refined.pose.position + np.array([4.0, -2.0, 1.0]), other.refined.pose.rotation)
-    camera = replace(other.refined.camera, fx=other.refined.camera.fx * 1.02, fy=other.refined.camera.fy * 1.02)
-    other = replace(other, refined=replace(other.refined, pose=pose, camera=camera))
-    best, _ = merged_with_others([first, other], CONFIG)
-    np.testing.assert_allclose(best.refined.pose.position, (12.0, 19.0, 300.5), atol=1e-9)
-    assert best.refined.camera.fx == pytest.approx(first.refined.camera.fx * math.sqrt(1.02))
-    assert best.refined.covariance[0, 0] == pytest.approx(4.0)
-    assert best.refined.covariance[6, 6] == pytest.approx((math.log(1.02) / 2) ** 2)
-
-
 @pytest.mark.parametrize(
     ("second", "plants", "word"),
     [
@@ -149,15 +137,6 @@ def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: st
     assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
 
 
-@pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
-def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) -> None:
-    """60.0 and 60.6 make 60.3, from which 62.6 is less than 2.5 degrees away, but it is no part of it."""
-    apart = [hypothesis(60.0, -100.0), hypothesis(60.6, -100.0), hypothesis(third, -99.9)]
-    found = merged_with_others(apart, CONFIG)
-    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == "ambiguous"
-
-
 @pytest.mark.parametrize(
     ("support", "turn_deg", "open_share", "word"),
     [
@@ -196,13 +175,6 @@ def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
     np.testing.assert_allclose(np.diag(both.refined.covariance)[:3], (4.0, 9.0, 16.0), rtol=1e-6)
     assert both.refined.covariance[6, 6] == 0.0
     assert both.refined.camera == skyline.refined.camera
-
-
-def test_what_both_know_alike_is_known_once() -> None:
-    one = moved(0.0, (0.6, 0.05, 0.2))
-    both = mean_of_both(one, one, CONFIG)
-    assert both is not None
-    np.testing.assert_allclose(both.refined.covariance, one.refined.covariance, atol=1e-12)
 
 
 @pytest.mark.parametrize(("apart_deg", "agree"), [(1.8, True), (2.0, False)])
@@ -246,8 +218,3 @@ def test_where_ridges_agree_half_of_the_skyline_will_do(
 ) -> None:
     seen = SkylineFit(support=support, open=open_share)
     assert word_of((0.25, 0.05, 0.4), seen, gap_by_ridges=gap_by_ridges) == word
-
-
-@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.0, "accepted")])
-def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(gap_by_ridges: float | None, word: str) -> None:
-    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, gap_by_ridges) == word

@@ -12,7 +12,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CoverHeights, CrestCover, PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, CrestCover, PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
@@ -66,16 +66,3 @@ def test_heights_go_from_near_to_far_by_the_logarithm_of_the_range() -> None:
     height, sigma = COVER.at(labels, ranges)
     np.testing.assert_allclose(height, [8.0, 5.0, 2.0, 1.5, 0.0, 3.0])
     np.testing.assert_allclose(sigma, [5.0, 4.0, 3.0, 1.0, 0.3, 4.0])
-
-
-def test_the_compiled_search_gets_both_ends() -> None:
-    labels = np.array([Label.GRASS, Label.BARE], np.uint8)
-    np.testing.assert_allclose(COVER.of(labels), [[0.2, 0.1, 0.4, 0.3], [0.0, 0.3, 0.1, 0.5]])
-
-
-def test_plants_stand_the_higher_the_larger_they_are() -> None:
-    labels = np.array([Label.BARE, Label.GRASS, Label.SHRUB, Label.TREE], np.uint8)
-    for metres in (100.0, 700.0, 5000.0):
-        height, sigma = BARE_EARTH.at(labels, np.full(4, metres))
-        assert (np.diff(height) > 0).all()
-        assert sigma[3] > sigma[2] > sigma[1]

@@ -18,7 +18,6 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConf
 from ltm_core.pose_estimation.skyline.pose_observations import RidgeObservations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import (
-    FEWEST,
     RefinedPose,
     SkylineFit,
     ridge_system,
@@ -85,27 +84,10 @@ def test_the_places_of_one_stand_count_as_one(monkeypatch: pytest.MonkeyPatch) -
     assert gradient[5] == pytest.approx(100.0 * 0.4 * (many - few), rel=1e-6)
 
 
-def test_too_few_places_say_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = places(np.zeros((FEWEST - 1, 2)), np.full(FEWEST - 1, 0.4))
-    for few in (rows, None):
-        normal, gradient = system_of(few, monkeypatch)
-        assert np.abs(normal).max() < 1e-9
-        assert not gradient.any()
-
-
 def test_a_pose_a_little_aside_settles_where_the_ridges_are() -> None:
     settled = settled_from(turned(TRUE, np.radians([-0.045, 0.0, -0.15])))
     assert np.abs(np.degrees(angles_between(TRUE, settled.pose))).max() < 0.05
     assert settled.skyline == SkylineFit(support=0.7)
-
-
-def test_a_pose_is_less_sure_by_what_is_doubted() -> None:
-    once, thrice = (
-        settled_from(TRUE, CONFIG.model_copy(update={"settling": CONFIG.settling.model_copy(update={"doubt": doubt})}))
-        for doubt in (1.0, 3.0)
-    )
-    assert thrice.covariance[3:6, 3:6] == pytest.approx(3 * once.covariance[3:6, 3:6])
-    assert np.array_equal(once.pose.rotation, thrice.pose.rotation)
 
 
 def test_without_ridges_the_stated_pose_stays() -> None:

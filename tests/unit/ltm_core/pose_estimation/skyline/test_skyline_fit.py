@@ -51,17 +51,6 @@ def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_
     assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
 
 
-def test_the_more_places_a_skyline_has_of_its_own_the_surer_it_makes_a_pose(exact: PictureEvidence) -> None:
-    picture = uneven(exact, 1.0)
-    found = []
-    for places in (10.0, 40.0):
-        config = PicturePoseConfig(skyline=SkylineConfig(independent_fit=places))
-        found.append(find_pose(picture, terrain(), PRIOR, config))
-    few, many = found
-    assert (sigmas(many) < 0.8 * sigmas(few)).all()
-    assert many.hypotheses[0].refined.skyline.cost == pytest.approx(few.hypotheses[0].refined.skyline.cost, rel=0.1)
-
-
 def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureEvidence) -> None:
     """A picture of few places, near a crest, is not believed at once."""
     variances = []
