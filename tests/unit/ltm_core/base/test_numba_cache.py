@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from ltm_core.base.numba_cache import CPU_LEVELS, kernel_level, levels_of, precompiled_name, use_own_cache
+from ltm_core.base.numba_cache import CPU_LEVELS, levels_of, precompiled_name, use_own_cache
 
 CALLED = "import numba\n\n@numba.njit(cache=True)\ndef called(x):\n    return x + {term}\n"
 CALLER = (
@@ -87,18 +87,6 @@ def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
     assert use_own_cache(tmp_path) is None
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "mine")
-
-
-def test_one_folder_a_state_of_the_source(tmp_path: Path) -> None:
-    (tmp_path / "a.py").write_text("import numba")
-    first = use_own_cache(tmp_path)
-    assert first is not None
-    assert use_own_cache(tmp_path) == first, "the same source, and a variable inherited from us"
-    (tmp_path / "a.py").write_text("import numba  # edited")
-    second = use_own_cache(tmp_path)
-    assert second is not None
-    assert second != first
-    assert os.environ["NUMBA_CACHE_DIR"] == str(second)
 
 
 def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:
@@ -221,13 +209,3 @@ def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None
 def test_kernels_of_a_release_whose_source_was_changed_are_not_loaded(release: Path) -> None:
     (release / "kernels/origin.py").write_text(ORIGIN.format(offset=0.25))
     assert hits(release) == "2.25 0 "
-
-
-def test_a_processor_that_the_user_names_gets_kernels_for_it(release: Path) -> None:
-    assert hits(release, NUMBA_CPU_NAME="x86-64", NUMBA_CPU_FEATURES="") == "2.0 0 x86-64"
-
-
-@pytest.mark.parametrize("level", CPU_LEVELS)
-def test_a_folder_is_named_by_its_level(level: str) -> None:
-    assert kernel_level(Path(f"ltm-kernels-0123-{level}")) == kernel_level(Path(f"ltm-kernels-0123-{level}xx")) == level
-    assert kernel_level(Path("ltm-kernels-0123")) == ""

@@ -43,9 +43,3 @@ def test_a_phone_with_its_top_to_the_left_takes_landscapes() -> None:
 def test_arkits_camera_looks_north_without_a_turn() -> None:
     """x east, y up, z south: the camera's z points backward."""
     np.testing.assert_allclose(optical_angles_deg(ENU_FROM_EUS @ OPENGL_FROM_OPTICAL), (0, 0, 0), atol=1e-9)
-
-
-@pytest.mark.parametrize("world", [ENU_FROM_ENU, ENU_FROM_NWU, ENU_FROM_EUS, OPENGL_FROM_OPTICAL, phone_camera(37.0)])
-def test_all_of_them_are_rotations(world: np.ndarray) -> None:
-    np.testing.assert_allclose(world @ world.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(world) == pytest.approx(1.0)

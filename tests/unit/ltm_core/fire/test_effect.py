@@ -13,7 +13,7 @@ from ltm_core.fire.pyretechnics import FireRun
 from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, arrival_scale, difference_classes, fire_sheet
+from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, difference_classes, fire_sheet
 
 GRID = GridGeometry(345_975.0, 3_783_195.0, 100.0, 6, 4, "EPSG:32611")  # a hectare a cell
 
@@ -70,13 +70,6 @@ def test_where_it_comes_later_earlier_or_only_once() -> None:
     assert edge.reaches_edge() == 0.0
 
 
-def test_probability() -> None:
-    found = burn_probability([BEFORE, AFTER])
-    assert found[1, 4] == found[2, 4] == 0.5
-    assert found[1, 1] == 1.0
-    assert found[0, 0] == 0.0
-
-
 def landscape(fuel: int = 102) -> Landscape:
     bands = np.zeros((8, *GRID.shape), np.int16)
     bands[0] = np.arange(24).reshape(GRID.shape) * 7 + 300
@@ -110,11 +103,3 @@ def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
     picture, legend = arrival_overlay(made, landscape())
     assert picture.shape == (16, 24, 3)
     assert legend.shape[1] == 520
-
-
-@pytest.mark.parametrize("hours", [1.0, 6.0, 24.0])
-def test_times_are_named_from_ignition_to_the_end(hours: float) -> None:
-    scale = arrival_scale(hours)
-    assert len(scale.names) == 8
-    assert scale.names[0].startswith("0 to ")
-    assert scale.names[-1].endswith(f" to {hours:g} h")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.fire.effect import CellDoubt, drawn_codes, with_codes
+from ltm_core.fire.effect import CellDoubt, drawn_codes
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import FORMS, LifeForm
@@ -30,13 +30,6 @@ def draws(of: CellDoubt, count: int = 40, stand: float = 0.4) -> np.ndarray:
     return np.stack(
         [drawn_codes(of, CLIMATE, FuelSystem.FBFM40, np.random.default_rng([7, k]), 3.0, stand) for k in range(count)]
     )
-
-
-def test_even_odds_are_even() -> None:
-    found = draws(doubt(102, 102, grass=4.0, tree=4.0))
-    assert set(np.unique(found).tolist()) <= {102, 145, 183, 99}
-    assert (found == 102).mean() == pytest.approx(0.5, abs=0.06)
-    assert (found == 183).mean() == pytest.approx(0.5, abs=0.06)
 
 
 @pytest.mark.parametrize(("grass", "tree"), [(8.0, 2.0), (2.0, 8.0), (30.0, 1.0)])
@@ -86,13 +79,3 @@ def test_no_draw_changes_a_code_of_no_known_form() -> None:
     for seed in range(20):
         drawn = drawn_codes(doubts, CLIMATE, FuelSystem.FBFM40, np.random.default_rng(seed))
         np.testing.assert_array_equal(drawn[1, :3], (256, 20, 98))
-
-
-def test_layers_with_drawn_codes() -> None:
-    prior = FuelPrior(np.full((3, 4), 102, np.int16), GridGeometry(0.0, 90.0, 30.0, 4, 3, "EPSG:32611"))
-    layers = layers_of_classes(np.full((3, 4), 255, np.uint8), prior, CLIMATE)
-    codes = layers.code.copy()
-    codes[1, 2] = 183
-    made = with_codes(layers, codes)
-    assert made.changed.sum() == 1
-    assert made.changed[1, 2]

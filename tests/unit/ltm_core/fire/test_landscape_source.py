@@ -13,7 +13,7 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.fire.effect import read_landscape, require_same_grid
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelSystem
-from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
+from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp, write_raster
 from ltm_core.geometry.grid import GridGeometry
 
@@ -39,13 +39,6 @@ def test_what_we_write_comes_back(tmp_path: Path, name: str) -> None:
     assert read_landscape(tmp_path / "13.tif").system is FuelSystem.FBFM13
     write_landscape(tmp_path / "own.tif", landscape((2, 9, 20, 256)))  # an analyst's model, and a mark of ELMFIRE's
     assert read_landscape(tmp_path / "own.tif").system is FuelSystem.FBFM13
-
-
-def test_landfires_nodata(tmp_path: Path) -> None:
-    bands = landscape().bands.copy()
-    bands[:, 2, 3] = 32767
-    write_raster(tmp_path / "a.tif", bands, GRID, None, LANDSCAPE_BANDS, LANDSCAPE_UNITS)
-    assert (read_landscape(tmp_path / "a.tif").bands[:, 2, 3] == -9999).all()
 
 
 def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:

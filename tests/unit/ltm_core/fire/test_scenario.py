@@ -9,7 +9,7 @@ import pytest
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fire.pyretechnics import VARIABLE, FireModelError, Pyretechnics
-from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
+from ltm_core.fire.scenario import Moisture, Wind, ignition_cell
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
@@ -57,12 +57,6 @@ def test_wind() -> None:
     for text in ("8", "8,north", "-1,4", "8,400", "nan,5", "1,2,3"):
         with pytest.raises(ConfigError, match="--wind"):
             Wind.parse(text)
-
-
-@pytest.mark.parametrize("hours", [0.0, -1.0, 100.0, float("nan")])
-def test_hours(hours: float) -> None:
-    with pytest.raises(ConfigError, match="72 hours"):
-        FireScenario(1, 1, Wind(3, 0), Moisture.parse("D2L2"), hours)
 
 
 def test_a_place_in_the_landscapes_crs_or_in_degrees() -> None:

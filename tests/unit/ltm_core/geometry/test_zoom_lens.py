@@ -31,14 +31,6 @@ def test_between_the_tables_zooms_the_field_of_view_is_met() -> None:
         assert camera.width / 2 / camera.fx == pytest.approx(tangent(zoom), rel=2e-3)
 
 
-def test_a_magnification_from_1_to_30_is_met_too() -> None:
-    table = tuple(ZoomPoint(zoom=z, hfov_deg=math.degrees(2 * math.atan(0.6 / z))) for z in (1.0, 4.0, 12.0, 30.0))
-    lens = LensConfig(width=640, height=360, zoom=table).lens()
-    for zoom in (1.5, 2.0, 7.0, 20.0):
-        camera = lens.camera(zoom)
-        assert camera.width / 2 / camera.fx == pytest.approx(0.6 / zoom, rel=5e-3)
-
-
 def test_the_first_guess_predicts_what_is_left_out_of_it() -> None:
     for k in range(1, len(ALERTCALIFORNIA_ZOOM) - 1):
         left = tuple(ZoomPoint(zoom=z, hfov_deg=f) for j, (z, f) in enumerate(ALERTCALIFORNIA_ZOOM) if j != k)
@@ -67,12 +59,6 @@ def test_factors_found_at_some_zooms_become_rows_and_reach_the_others() -> None:
         assert scaled.camera(zoom).fx == pytest.approx(lens.camera(zoom).fx * factor, rel=1e-6)
     assert 0.97 < scaled.camera(300.0).fx / lens.camera(300.0).fx < 1.02
     assert lens.scaled({}) == lens
-
-
-def test_a_lens_of_one_zoom_has_one_camera() -> None:
-    lens = LensConfig(width=640, height=480, zoom=(ZoomPoint(zoom=1, hfov_deg=50),)).lens()
-    assert lens.camera(7.0) == lens.camera(1.0)
-    assert lens.scaled({7.0: 1.1}).camera(1.0).fx == pytest.approx(1.1 * lens.camera(1.0).fx)
 
 
 def test_written_and_read_again_it_is_the_same() -> None:

@@ -12,7 +12,7 @@ import pytest
 from scenes.networks import write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ImageError, ModelError, RecordingError
+from ltm_core.base.errors import ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.label_heads.head_fit import (
@@ -86,16 +86,6 @@ def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
     assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
     of_one_view = fit_head([usual, odd], channels, one_view=True)  # areas of one photo are no photos
     np.testing.assert_allclose(of_one_view.weights, with_odd.weights, atol=1e-3)
-
-
-def test_scores_that_are_right_already_are_hardly_corrected() -> None:
-    rng = np.random.default_rng(2)
-    labels = rng.integers(0, 2, 300).astype(np.uint8)
-    scores = np.where(np.eye(2)[labels] > 0, 12.0, -12.0)
-    head = fit_head([PhotoSamples("a", labels, scores, rng.normal(size=(300, 3)), np.full(2, 0.4))], {"last": 3})
-    assert np.abs(head.weights).max() < 1e-6
-    with pytest.raises(ImageError, match="label areas"):
-        fit_head([], {"last": 3})
 
 
 def _striped(magenta_right: bool, seed: int) -> tuple[UInt8Array, UInt8Array]:

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import KNOTS, DirectionTable, SightLikelihood, sight_likelihood
-from ltm_core.locating.posterior import Ellipse, Posterior, reach_in_ellipse
+from ltm_core.locating.posterior import Posterior, reach_in_ellipse
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 
@@ -59,24 +59,6 @@ def test_ellipses_of_two_modes_hold_what_they_say() -> None:
         held = reach_in_ellipse(ellipse, posterior.places) <= 1
         assert posterior.probability[held].sum() == pytest.approx(share, abs=0.02)
     assert area(posterior, 0.95) < 0.2 * posterior.ellipse(0.95).area
-
-
-def test_one_cell_is_as_large_as_it_is() -> None:
-    raster = np.zeros(GEOMETRY.shape)
-    raster[40, 70] = 3.0
-    posterior = Posterior.of_raster(raster, GEOMETRY)
-    assert posterior is not None
-    assert posterior.ellipse(0.95).minor > 0.5
-    assert posterior.raster()[40, 70] == 1.0
-    assert Posterior.of_raster(np.zeros(GEOMETRY.shape), GEOMETRY) is None
-
-
-def test_an_outline_lies_on_its_ellipse() -> None:
-    ellipse = Ellipse((3.0, 4.0), 50.0, 10.0, 90.0)
-    outline = ellipse.outline(8)
-    assert outline[0] == pytest.approx((53.0, 4.0))
-    assert outline[2] == pytest.approx((3.0, 14.0))
-    assert outline[-1] == pytest.approx(outline[0])
 
 
 SIGMA, MARK = 0.5, 0.003

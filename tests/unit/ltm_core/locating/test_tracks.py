@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scenes.located import hills, sighting
 
-from ltm_core.base.errors import RegionError
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.tracks import MOST, KnownPoses, SeenAt, Tracks
+from ltm_core.locating.tracks import KnownPoses, SeenAt, Tracks
 
 pytestmark = pytest.mark.kernel
 
@@ -109,14 +108,6 @@ def test_what_is_kept_is_bounded() -> None:
     assert [track.number for track in tracks.tracks] == [3, 4]
 
 
-def test_a_bad_sighting_changes_nothing() -> None:
-    tracks = Tracks(Locator(hills(), 0.0))
-    tracks.add(seen("a", FIRE, 0))
-    with pytest.raises(RegionError):
-        tracks.add(seen("a", np.array([0.0, 2500.0, 900.0]), 100))
-    assert [track.number for track in tracks.tracks] == [1]
-
-
 def pose(azimuth_deg: float) -> Pose:
     return Pose.from_angles((10.0, 20.0, 30.0), azimuth_deg, -5.0)
 
@@ -150,13 +141,3 @@ def test_the_newest_is_the_one_told_last() -> None:
     assert poses.newest[2] == 1100
     assert azimuth(poses.at(1150, 60)) == 77.0  # of one stamp, what came last
     assert azimuth(poses.at(1250, 60)) == 12.0
-
-
-def test_so_many_are_remembered_and_the_first_told_go() -> None:
-    assert not KnownPoses()
-    poses = known(range(1, MOST + 4))
-    assert poses
-    assert poses.at(3, 10) is None
-    assert azimuth(poses.at(4, 10)) == 0.04
-    with pytest.raises(LookupError):
-        _ = KnownPoses().newest

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 from scenes.rasters import rough_terrain, standing
 
-from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.base.errors import ImageError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -18,19 +15,12 @@ from ltm_core.pictures import (
     MapCamera,
     RangeScale,
     depth_colors,
-    fit,
     hillshade,
     label_colors,
-    label_legend,
     overlay_depth,
     overlay_labels,
     panel,
     range_legend,
-    terrain_colors,
-    terrain_map_picture,
-    to_jpeg,
-    to_png,
-    with_legend,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
 from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, error_legend, scale_colors
@@ -61,23 +51,6 @@ def test_range_scale_is_logarithmic_and_keeps_its_ends() -> None:
     np.testing.assert_allclose(scale.fraction([1, 10, 100, 1000, 9e9]), [0, 0, 0.5, 1, 1], atol=1e-6)
     assert np.isnan(scale.fraction([np.nan, np.inf, -np.inf, 0.0, -3.0])).all()
     assert scale.ticks() == [10, 20, 50, 100, 200, 500, 1000]
-
-
-@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
-def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
-    with pytest.raises(ImageError, match="near < far"):
-        RangeScale(near, far)
-
-
-@pytest.mark.parametrize("ranges", [[55.0, 90.0, 4200.0, np.inf, np.nan], [1.0, 1.0], [999.0], [0.3, 0.31]])
-def test_fitted_scale_holds_the_ranges_between_round_ends(ranges: list[float]) -> None:
-    scale = RangeScale.of(ranges)
-    finite = [r for r in ranges if np.isfinite(r)]
-    low, high = np.percentile(finite, [0.5, 99.5])
-    assert scale.near <= low
-    assert scale.far >= high
-    assert f"{scale.near:e}"[0] in "125"
-    assert f"{scale.far:e}"[0] in "125"
 
 
 def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
@@ -115,16 +88,6 @@ def test_label_colours_follow_the_palette() -> None:
     np.testing.assert_array_equal(colors[1, 1], (1, 2, 3))
 
 
-def test_label_legend_wraps_and_shows_only_what_is_asked() -> None:
-    wide, narrow = label_legend(900, LABELS), label_legend(160, LABELS)
-    assert narrow.shape[0] > 2 * wide.shape[0]
-    some = label_legend(900, LABELS, ids=[3, 250])
-    tree = (some == np.array(LABELS.colors[3])).all(axis=-1)
-    grass = (some == np.array(LABELS.colors[1])).all(axis=-1)
-    assert tree.sum() > 100
-    assert not grass.any()
-
-
 def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
     image = photo(30, 44)
     ranges = np.full((30, 44), np.inf, np.float32)
@@ -149,11 +112,6 @@ def test_overlay_takes_a_layer_sampled_at_every_nth_pixel() -> None:
     assert 22 <= first <= 24
 
 
-def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
-    with pytest.raises(ImageError, match="31 x 17"):
-        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
-
-
 def test_contours_stand_where_the_range_crosses_a_round_value() -> None:
     ranges = np.broadcast_to(np.linspace(150.0, 250.0, 101, dtype=np.float32)[:, None], (101, 7)).copy()
     image = np.full((101, 7, 3), 200, np.uint8)
@@ -172,28 +130,6 @@ def test_hillshade_of_a_plane_is_lamberts_cosine(east: float, north: float) -> N
         light = np.array([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
         expected += weight * max(0.0, float(normal @ light))
     np.testing.assert_allclose(shade[1:-1, 1:-1], expected, atol=2e-4)
-
-
-def test_north_west_slopes_are_lit_and_unknown_heights_stay_unknown() -> None:
-    assert hillshade(plane(9, 14, 0.3, -0.3))[4, 6] > hillshade(plane(9, 14, -0.3, 0.3))[4, 6] + 0.2
-    dem = plane(9, 14, 0.1, 0.0)
-    elevation = dem.elevation.copy()
-    elevation[4, 5] = np.nan
-    shade = hillshade(Dem(elevation, dem.geometry))
-    assert np.isnan(shade[3:6, 4:7]).all()
-    assert np.isfinite(shade[:, 8:]).all()
-    assert terrain_colors(Dem(elevation, dem.geometry)).shape == (9, 14, 3)
-
-
-def test_map_refuses_rasters_that_do_not_fit() -> None:
-    dem = plane(20, 30, 0.0, 0.0)
-    geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
-    with pytest.raises(RasterError, match=r"\(4, 5\)"):
-        FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
-    with pytest.raises(RasterError, match="one CRS"):
-        FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
-    with pytest.raises(RasterError, match="seen cells"):
-        terrain_map_picture(dem, np.zeros((20, 29), bool))
 
 
 def test_camera_sector_spans_its_field_of_view() -> None:
@@ -256,27 +192,6 @@ def test_panel_places_pictures_row_by_row() -> None:
         panel([])
 
 
-def test_fit_keeps_proportions_and_legends_stack() -> None:
-    assert fit(photo(30, 44), 22).shape == (15, 22, 3)
-    assert fit(photo(30, 44), 88).shape == (60, 88, 3)
-    image = photo(30, 440)
-    whole = with_legend(image, range_legend(440), label_legend(440, LABELS))
-    np.testing.assert_array_equal(whole[:30], image)
-
-
-def test_encoded_pictures_keep_channels(tmp_path: Path) -> None:
-    image = np.zeros((16, 24, 3), np.uint8)
-    image[:, :12] = (250, 20, 10)
-    (tmp_path / "a.png").write_bytes(to_png(image))
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], image)
-    decoded = cv2.imdecode(np.frombuffer(to_jpeg(image, 95), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    assert np.abs(decoded[:, :8].astype(int) - image[:, :8]).max() < 25
-    with pytest.raises(ImageError, match="float64"):
-        to_png(np.zeros((4, 4, 3)))  # type: ignore[arg-type]
-    with pytest.raises(ImageError, match=r"\(4, 4\)"):
-        to_jpeg(np.zeros((4, 4), np.uint8))
-
-
 def test_error_colors() -> None:
     truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
     estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
@@ -312,15 +227,6 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
     assert np.abs(picture[:210][ground].astype(int) - photo[ground]).mean() > 15
 
 
-def test_large_photos_are_drawn_smaller() -> None:
-    camera = Camera.from_fov(4500, 90, 60.0)
-    pose = Pose.from_angles(standing(DEM, 150, 40, 12.0), 50.0, -14.0, 0.0)
-    picture = depth_picture(
-        TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(camera, pose), DEM, np.zeros((90, 4500, 3), np.uint8)
-    )
-    assert picture.shape[1] == 1500
-
-
 def test_without_a_photo_the_terrain_is_shaded() -> None:
     image = traced()
     view = shaded_view(image, DEM)
@@ -353,12 +259,3 @@ def test_the_map_marks_what_is_seen() -> None:
     orange = (seen[..., 0].astype(int) - seen[..., 2]) > 110
     assert orange.mean() > 0.02
     assert ((unseen[..., 0].astype(int) - unseen[..., 2]) > 110).mean() < 0.005
-
-
-def test_a_map_is_drawn_even_when_nothing_is_seen() -> None:
-    up = TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
-        CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0)
-    )
-    assert np.isposinf(up.range).all()
-    assert map_picture(up, DEM, cell_counts(up), "nothing").shape[2] == 3
-    assert depth_picture(up, DEM).shape[1] == 330

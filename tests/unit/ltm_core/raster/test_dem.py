@@ -69,20 +69,6 @@ def test_nodata(tmp_path: Path, dtype: str, nodata: float) -> None:
     assert dem.elevation[2, 3] == 122.0
 
 
-def test_mask_band(tmp_path: Path) -> None:
-    mask = np.full((3, 4), 255, np.uint8)
-    mask[0, 3] = 0
-    dem = Dem.open(write(tmp_path / "d.tif", HEIGHTS.astype(np.int16), mask=mask))
-    assert np.argwhere(np.isnan(dem.elevation)).tolist() == [[0, 3]]
-
-
-def test_infinite_heights_are_unknown(tmp_path: Path) -> None:
-    heights = HEIGHTS.copy()
-    heights[2, 0], heights[2, 1] = np.inf, -np.inf
-    dem = Dem.open(write(tmp_path / "d.tif", heights))
-    assert np.argwhere(np.isnan(dem.elevation)).tolist() == [[2, 0], [2, 1]]
-
-
 def test_scale_and_offset(tmp_path: Path) -> None:
     stored = HEIGHTS.astype(np.int16)
     stored[0, 0] = -1
@@ -105,13 +91,6 @@ def test_a_raster_without_crs_needs_one(tmp_path: Path) -> None:
     assert Dem.open(path, "EPSG:32633").geometry.crs == "EPSG:32633"
     with pytest.raises(RasterError, match="unknown CRS 'UTM eleven'"):
         Dem.open(path, "UTM eleven")
-
-
-def test_a_given_crs_may_repeat_but_not_contradict(tmp_path: Path) -> None:
-    path = write(tmp_path / "d.tif", HEIGHTS)
-    assert Dem.open(path, UTM).geometry.crs == UTM
-    with pytest.raises(RasterError, match=r"zone 11N, but EPSG:32633 was given"):
-        Dem.open(path, "EPSG:32633")
 
 
 def test_a_stated_height_system_does_not_change_the_crs(tmp_path: Path) -> None:
@@ -145,18 +124,6 @@ def test_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(RasterError, match=message) as raised:
         Dem.open(path)
     assert "refused.tif" in str(raised.value)
-
-
-def test_complex_numbers_are_no_heights(tmp_path: Path) -> None:
-    with pytest.raises(RasterError, match="complex64"):
-        Dem.open(write(tmp_path / "d.tif", HEIGHTS.astype(np.complex64)))
-
-
-def test_no_raster(tmp_path: Path) -> None:
-    (tmp_path / "d.tif").write_text("not a raster")
-    for name in ("d.tif", "absent.tif"):
-        with pytest.raises(RasterError, match=f"{name}: not a raster that GDAL can read"):
-            Dem.open(tmp_path / name)
 
 
 def test_no_height_at_all(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from pyproj import Transformer
 from scenes.rasters import rough_terrain
 
 from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, REACH, DemStack, with_surface
@@ -51,21 +50,6 @@ def test_the_border_is_the_coarser_surface_and_the_inside_is_untouched() -> None
     np.testing.assert_allclose(stack.elevation[edge < band], expected[edge < band], atol=1e-3)
 
 
-def test_the_surface_has_no_step_at_the_seam() -> None:
-    coarse = coarse_terrain()
-    stack = DemStack([fine_terrain(coarse, offset=-14.0), coarse])
-    x0, y0, x1, y1 = stack.geometry.bounds
-    rng = np.random.default_rng(3)
-    along = rng.uniform(0.5, 169.5, 500)
-    inside = stack.elevation_at(x0 + 0.5 + 1e-9, y0 + along)
-    outside = stack.elevation_at(x0 + 0.5 - 1e-9, y0 + along)
-    # Where a coarse grid line crosses between two fine nodes, its bend is cut off.
-    assert np.abs(inside - outside).max() < 0.25 * np.abs(np.diff(coarse.elevation, 2, axis=0)).max() / 10.0
-    assert np.median(np.abs(inside - outside)) < 1e-4
-    assert stack.elevation_at(x1 + 50.0, y1 + 30.0) == coarse.elevation_at(x1 + 50.0, y1 + 30.0)
-    assert np.isnan(stack.elevation_at(1e5, 0.0))
-
-
 def test_holes_take_the_coarser_surface_moved_to_their_rim() -> None:
     coarse = coarse_terrain()
     fine = fine_terrain(coarse)
@@ -98,17 +82,6 @@ def test_what_neither_level_knows_stays_unknown() -> None:
     lake = np.zeros((170, 230), np.bool_)
     lake[60:130, 90:160] = True
     np.testing.assert_array_equal(np.isnan(stack.elevation), unknown & lake)
-
-
-def test_in_frame_and_levels() -> None:
-    coarse = coarse_terrain()
-    fine = fine_terrain(coarse)
-    stack = DemStack([Dem(d.elevation, d.geometry.translated(4e5, 38e5, UTM)) for d in (fine, coarse)])
-    local = stack.in_frame(SiteFrame(UTM, 4e5, 38e5))
-    assert [level.geometry.resolution for level in local.levels] == [1.0, 10.0]
-    assert local.geometry.bounds == pytest.approx(fine.geometry.bounds)
-    for x, y in ((3.3, -7.1), (-300.0, 100.0)):
-        assert local.elevation_at(x, y) == pytest.approx(float(stack.elevation_at(x + 4e5, y + 38e5)), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -224,14 +197,6 @@ def test_tree_tops_over_a_part_of_the_ground() -> None:
     np.testing.assert_allclose(clearing, ground.elevation_at(*canopy.geometry.to_map(row, col)), atol=1e-4)
     assert float(surface.elevation_at(100.0, -60.0)) == float(ground.elevation_at(100.0, -60.0))
     assert np.isnan(canopy.elevation).sum() == 100
-
-
-def test_tree_tops_over_all_of_the_fine_ground_replace_it() -> None:
-    coarse = coarse_terrain()
-    fine = fine_terrain(coarse)
-    canopy = canopy_over(coarse, -120.3, 100.7, (210, 260))
-    assert [level.geometry.resolution for level in with_surface(DemStack([fine, coarse]), canopy).levels] == [1.0, 10.0]
-    assert len(with_surface(fine, canopy).levels) == 1
 
 
 def test_a_site_with_a_surface(tmp_path: Path) -> None:

@@ -120,12 +120,6 @@ def test_the_band_that_says_elevation(tmp_path: Path, bands: Any, descriptions: 
     assert dem.doubts == ()
 
 
-def test_bands_without_names_are_doubted(tmp_path: Path) -> None:
-    dem = Dem.open(write(tmp_path / "d.tif", GROUND, OTHER))
-    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
-    assert [doubt.code for doubt in dem.doubts] == ["band"]
-
-
 def hillshade(cell: float) -> np.ndarray:
     rough = GROUND + np.random.default_rng(5).normal(0, 4, GROUND.shape)
     south, east = np.gradient(rough, cell)
@@ -175,12 +169,6 @@ def test_heights_that_exist(tmp_path: Path, heights: np.ndarray, codes: list[str
     dem = Dem.open(write(tmp_path / "d.tif", heights.astype(np.float32)))
     np.testing.assert_allclose(dem.elevation, heights, rtol=1e-5, atol=1e-3)
     assert [doubt.code for doubt in dem.doubts] == codes
-
-
-@pytest.mark.parametrize("kind", ["int8", "uint8"])
-def test_low_ground_in_eight_bits(tmp_path: Path, kind: str) -> None:
-    heights = ((GROUND - GROUND.min()) / 5).astype(kind)
-    np.testing.assert_array_equal(Dem.open(write(tmp_path / "d.tif", heights)).elevation, heights)
 
 
 def test_a_stack_whose_coarser_raster_is_in_feet(tmp_path: Path) -> None:

@@ -22,12 +22,6 @@ def test_same_grid() -> None:
     assert score.confusion.tolist() == [[0, 0, 0], [0, 1, 1], [0, 1, 1]]
 
 
-def test_rows_of_the_confusion_are_the_truth() -> None:
-    score = score_fuel(np.full((2, 3), 2, np.uint8), GRID, np.full((2, 3), 1, np.uint8), GRID, 3)
-    assert score.confusion[1, 2] == 6
-    assert score.confusion.sum() == 6
-
-
 def test_offset_grids() -> None:
     wide = np.full((5, 7), 255, np.uint8)
     wide[2:4, 1:4] = TRUTH

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.base.errors import ConfigError, ModelError, PoseError, RasterError
-from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
-from ltm_core.fuel.prior_io import load_prior
-from ltm_core.geometry.camera import Camera
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.cameras.camera_config import PoseConfig
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.label_head import find_label_head
-from ltm_core.vision.manifest import NetworkManifest
 
 REPOSITORY = Path(__file__).parents[4]
 SITE: dict[str, Any] = {
@@ -34,15 +30,6 @@ def load(folder: Path, **changes: Any) -> Site:
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(SITE | changes), encoding="utf-8")
     return load_site(path)
-
-
-def test_defaults(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    assert (site.curvature, site.refraction) == (True, 0.13)
-    assert (site.fuel.resolution, site.fuel.phase, site.fuel.max_range) == (30.0, 15.0, 6000.0)
-    assert (site.frame.crs, site.frame.x_origin, site.frame.y_origin) == ("EPSG:32611", 346_000.0, 3_783_000.0)
-    assert site.bend == pytest.approx(0.87 / 2 / 6_371_008.8)
-    assert load(tmp_path, expert={"curvature": False}).bend == 0.0
 
 
 def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,21 +93,6 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
         assert message in str(raised.value)
 
 
-def test_names_that_no_file_can_have(tmp_path: Path) -> None:
-    """They are looked for beside the site file, and told where they are needed."""
-    name = "long" * 70
-    site = load(tmp_path, model=f"{name}.yaml", cameras={"north": {"label_head": name}}, fuel={"prior": {"path": name}})
-    with pytest.raises(ModelError, match=name):
-        NetworkManifest.find(site.model)
-    with pytest.raises(ModelError, match=name):
-        NetworkManifest.find(name)
-    with pytest.raises(ModelError, match=f"no label head '{name}'"):
-        find_label_head(name, NetworkManifest.find("landscape_lite0"), tmp_path)
-    assert site.fuel.prior is not None
-    with pytest.raises(RasterError, match=f"{name}: no such file"):
-        load_prior(site.fuel.prior, GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611"))
-
-
 def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
     broker = {"mqtt": "mqtts://10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
     site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker})
@@ -135,23 +107,11 @@ def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path
     assert load(tmp_path).health is None
 
 
-def test_no_site_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: cannot be read"):
-        load_site(tmp_path / "absent.yaml")
-
-
 def test_a_camera_that_is_not_there(tmp_path: Path) -> None:
     site = load(tmp_path, cameras={"north": {}, "east": {"image": "raw"}})
     assert site.camera("east").image == "raw"
     with pytest.raises(ConfigError, match="ridge has no camera 'west'; it has east, north"):
         site.camera("west")
-
-
-def test_calibrations() -> None:
-    assert CalibrationConfig(width=8, height=6, hfov_deg=90).camera() == Camera.from_fov(8, 6, 90)
-    assert CalibrationConfig(width=8, height=6, fx=5).camera() == Camera(8, 6, 5, 5, 3.5, 2.5)
-    stated = CalibrationConfig(width=8, height=6, fx=5, fy=6, cx=3, cy=2, k1=0.1)
-    assert stated.camera() == Camera(8, 6, 5, 6, 3, 2, (0.1, 0, 0, 0, 0))
 
 
 def test_poses(tmp_path: Path) -> None:
@@ -208,17 +168,6 @@ def test_the_fuel_grid_is_snapped_in_the_crs(tmp_path: Path) -> None:
 def test_committed_site_files(path: Path) -> None:
     site = load_site(path)
     assert site.frame.crs == site.crs
-
-
-def test_the_demo_dem_is_in_its_sites_frame() -> None:
-    site = load_site(REPOSITORY / "bags/demo/site.yaml")
-    dem = site.open_dem()
-    x_min, y_min, x_max, y_max = dem.geometry.bounds
-    assert max(abs(v) for v in (x_min, y_min, x_max, y_max)) < 20_000
-    assert np.isfinite(dem.elevation).all()
-    fuel = site.fuel_geometry(dem)
-    assert fuel.x_min <= x_min
-    assert fuel.y_max >= y_max
 
 
 def test_pictures_of_videos_may_be_published_as_they_are_decoded(tmp_path: Path) -> None:

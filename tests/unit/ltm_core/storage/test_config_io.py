@@ -20,10 +20,6 @@ def load(tmp_path: Path, text: str) -> FuelConfig:
     return load_yaml(tmp_path / "fuel.yaml", FuelConfig)
 
 
-def test_only_what_differs_is_stated(tmp_path: Path) -> None:
-    assert load(tmp_path, "resolution: 20") == FuelConfig(resolution=20.0)
-
-
 @pytest.mark.parametrize(
     ("text", "messages"),
     [
@@ -43,29 +39,6 @@ def test_wrong_files(tmp_path: Path, text: str, messages: list[str]) -> None:
         load(tmp_path, text)
     for message in ["fuel.yaml", *messages]:
         assert message in str(raised.value)
-
-
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: cannot be read \(No such file"):
-        load_yaml(tmp_path / "absent.yaml", FuelConfig)
-    with pytest.raises(ConfigError, match="Is a directory"):
-        load_yaml(tmp_path, FuelConfig)
-
-
-def test_bytes_that_are_no_text(tmp_path: Path) -> None:
-    (tmp_path / "fuel.yaml").write_bytes(b"phase: \xff\xfe")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        load_yaml(tmp_path / "fuel.yaml", FuelConfig)
-
-
-def test_merged_keys_may_be_overridden(tmp_path: Path) -> None:
-    (tmp_path / "site.yaml").write_text(
-        "{name: a, crs: EPSG:32611, origin: [0, 0], dem: {path: d.tif},"
-        " cameras: {one: {pose: &p {x: 1, y: 2, z: 3, azimuth_deg: 4}}, two: {pose: {<<: *p, azimuth_deg: 90}}}}"
-    )
-    pose = load_yaml(tmp_path / "site.yaml", Site).cameras["two"].pose
-    assert pose is not None
-    assert (pose.z, pose.azimuth_deg) == (3.0, 90.0)
 
 
 def test_missing_and_nested_keys_are_named() -> None:
@@ -118,13 +91,6 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         require_folder(Path("/proc/ltm"))
     with pytest.raises(ConfigError, match=r"/proc/version/x: cannot write results \("):
         require_files([Path("/proc/version/x")])
-
-
-def test_names_that_are_too_long_for_a_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"map: cannot write the map \(File name too long\)"):
-        require_folder(tmp_path / ("long" * 70 + "map"), "the map")
-    with pytest.raises(ConfigError, match=r"map.tif: cannot write results \(File name too long\)"):
-        require_files([tmp_path / ("long" * 70 + "map.tif")])
 
 
 def billion(levels: int) -> str:
@@ -220,11 +186,6 @@ def test_it_takes_what_pyyaml_takes_and_makes_the_same_of_it() -> None:
             taken += 1
             assert repr(value) == repr(yaml.load(text, yaml.SafeLoader)), text
     assert min(taken, refused) > 80
-
-
-def test_a_mistake_is_shown_with_its_line() -> None:
-    with pytest.raises(ConfigError, match=r"line 2, column 8:\n    phase: \[15"):
-        parse_yaml("name: ridge\nphase: [15", "site.yaml")
 
 
 def test_large_files_are_not_parsed(tmp_path: Path) -> None:

@@ -171,14 +171,6 @@ def test_folder_that_is_not_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_an_interrupted_creation_left_is_no_store(tmp_path: Path) -> None:
-    path = tmp_path / "map.ltm"
-    (tmp_path / ".map.ltm.new").write_bytes(b"half")
-    with TileStore.open(path, SCHEMA) as store:
-        assert store.keys() == []
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.ltm", "map.ltm.lock"]
-
-
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -64,12 +64,6 @@ def test_bare_earth_follows_only_where_it_has_changed() -> None:
     assert (felled.lowered, slid.lowered) == (0, 1)
 
 
-def test_unknown_ground_stays_unknown() -> None:
-    dem = sloping(GRID)
-    dem.elevation[3, 7] = np.nan
-    assert np.isnan(confirmed([(3, 7)], [311.0]).surface_over(dem).elevation[3, 7])
-
-
 def test_all_levels_of_a_stack_follow_but_not_at_their_seam() -> None:
     coarse = sloping(GridGeometry(0.0, 600.0, 4.0, 100, 85))
     stack = DemStack([sloping(GRID), coarse])

@@ -7,10 +7,8 @@ import pytest
 
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.surface.neighbours import (
-    SMOOTHING,
     WIDE,
     Estimates,
-    blurred,
     mean_of_neighbours,
     own_shift,
     regions,
@@ -49,17 +47,6 @@ def test_crowns_seen_from_the_side_are_surer_together_of_their_stand_than_of_the
     np.testing.assert_allclose(doubt[20:30, 30:40], 0.8, atol=1e-3)
 
 
-def test_a_lone_cell_far_from_all_others_of_its_kind_speaks_for_itself() -> None:
-    usable = np.zeros(SHAPE, np.bool_)
-    usable[5, 6] = usable[40, 60] = True
-    off = np.zeros(SHAPE)
-    off[5, 6], off[40, 60] = 2.0, -7.0
-    shift, doubt = mean_of_neighbours(estimates(off, 1.0, 1.0, usable), np.zeros(SHAPE, np.bool_), 1.0)
-    assert shift[5, 6] == pytest.approx(2.0, abs=1e-3)
-    assert shift[40, 60] == pytest.approx(-7.0, abs=1e-3)
-    assert np.isinf(doubt[5, 60])
-
-
 def test_a_cell_keeps_its_own_detail_where_neighbours_differ_beyond_their_noise() -> None:
     rng = np.random.default_rng(4)
     everything, mean = np.ones(SHAPE, np.bool_), np.full(SHAPE, 5.0, np.float32)
@@ -68,16 +55,6 @@ def test_a_cell_keeps_its_own_detail_where_neighbours_differ_beyond_their_noise(
         own = own_shift(estimates(rough, sigma, sigma, everything), np.full(SHAPE, sigma**2, np.float32), mean, 1.0)
         near = np.abs(own - rough) < 0.05
         assert near.mean() > 0.99 if kept else np.allclose(own, 5.0)
-
-
-def test_the_blur_is_a_gaussian_that_takes_what_is_outside_for_nothing() -> None:
-    spike = np.zeros((31, 41), np.float32)
-    spike[14, 22] = 1.0
-    smooth = blurred(spike, SMOOTHING)
-    row, col = np.mgrid[0:31, 0:41]
-    gauss = np.exp(-((row - 14.0) ** 2 + (col - 22.0) ** 2) / (2 * SMOOTHING**2)) / (2 * np.pi * SMOOTHING**2)
-    np.testing.assert_allclose(smooth, gauss, atol=2e-4)
-    assert blurred(np.ones((31, 41), np.float32), SMOOTHING)[0, 0] == pytest.approx(0.4, abs=0.06)
 
 
 def test_a_region_goes_on_through_what_nobody_sees_of_a_stand_and_not_over_what_is_as_it_was() -> None:

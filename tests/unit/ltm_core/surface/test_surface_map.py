@@ -31,7 +31,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.tile_pool import TilePool, schema_of
@@ -233,13 +232,6 @@ def test_memory_is_bounded_and_nothing_is_lost_by_it(monkeypatch: pytest.MonkeyP
     assert (large.layers().change > 0).sum() > 300
     for name in ("change", "height", "sigma", "frames"):
         np.testing.assert_array_equal(getattr(large.layers(), name), getattr(small.layers(), name), err_msg=name)
-
-
-def test_the_memory_for_cells_is_what_the_configuration_says() -> None:
-    config = TerrainConfig(cache_mb=48)
-    pool = TilePool(TileStore.in_memory(schema_of(GEOMETRY)), TilePool.capacity_of(config.cache_mb), True)
-    held = sum(array.nbytes for array in pool.cells)
-    assert 40 * 2**20 < held <= 48 * 2**20
 
 
 def test_bad_frames_are_named() -> None:

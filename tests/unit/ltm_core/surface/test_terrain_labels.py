@@ -117,14 +117,6 @@ def test_a_standing_wood_stays_though_a_tenth_of_its_labels_are_wrong() -> None:
     assert (surface.layers().observed & PATCH).sum() > 100
 
 
-def test_labels_say_nothing_without_odds() -> None:
-    surface = stand_map(None)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        surface.add(felled(camera, hours))
-    surface.decide()
-    assert not surface.layers().observed.any()
-
-
 def test_sharp_depth_is_believed_against_labels() -> None:
     """Two cameras measure the stand to a decimetre; grass is seen in its place."""
     surface, whole = stand_map(), np.ones((CAMERA.height, CAMERA.width), np.bool_)
@@ -196,14 +188,6 @@ def test_a_camera_that_has_watched_the_stand_finds_it_felled_alone() -> None:
         surface.add(standing(camera, hours))
     surface.decide()
     assert (surface.layers().change[seen] == ChangeKind.REMOVED).mean() < 0.1
-
-
-def test_a_look_that_the_next_one_contradicts_fells_nothing() -> None:
-    surface = watched("west")
-    for hours in (30.0, 34.0, 38.0):
-        surface.add(felled("west", hours))
-        surface.add(standing("west", hours + 2.0))
-        assert len(surface.decide().rows) == 0
 
 
 def test_two_cameras_that_have_watched_must_agree() -> None:

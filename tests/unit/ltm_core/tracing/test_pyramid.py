@@ -54,12 +54,6 @@ def test_every_bound(shape: tuple[int, int], missing: float) -> None:
             np.testing.assert_array_equal(told, np.array(expected))
 
 
-def test_the_pyramid_costs_a_twelfth_of_the_elevations() -> None:
-    nodes = np.zeros((512, 1024), np.float32)
-    pyramid = build_pyramid(nodes, find_holes(nodes, RISE, HIGHEST))
-    assert sum(a.nbytes for a in pyramid) < 0.085 * nodes.nbytes
-
-
 def filled_by_runs(nodes: np.ndarray, rise: float = RISE, highest: float = HIGHEST) -> np.ndarray:
     holes = find_holes(nodes, rise, highest)
     assert (np.diff(holes.hole_first) > 0).all()
@@ -107,10 +101,3 @@ def test_an_outer_hole_rises_to_the_highest_possible_ground_around_corners() -> 
     assert filled[0, :4].tolist() == [10, 20, 30, 40]
     np.testing.assert_allclose(filled[2:4, 1], [10 + 10 * (1 + np.sqrt(2)), 10 + 10 * (2 + np.sqrt(2))], rtol=1e-6)
     assert filled[4, 4] == filled[4, 8] == 65.0
-
-
-def test_what_holes_cost() -> None:
-    nodes = np.zeros((600, 800), np.float32)
-    nodes[100:300, 200:500] = NAN
-    runs = 200 * (8 + 8 + 1 + 8)
-    assert sum(a.nbytes for a in find_holes(nodes, RISE, HIGHEST)) == runs + 200 * 300 * 4

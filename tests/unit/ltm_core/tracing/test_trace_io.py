@@ -60,19 +60,6 @@ def test_the_camera_stands_above_the_ground_in_a_near_frame(tmp_path: Path, dem:
     assert setup.camera == Camera.from_fov(64, 40, 55)
 
 
-def test_a_position_may_be_longitude_and_latitude(tmp_path: Path, dem: Dem) -> None:
-    from pyproj import Transformer
-
-    lon, lat = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True).transform(400_060.5, 3_799_930.25)
-    text = POSE.replace("400060.5", f"{lon:.9f}").replace("3799930.25", f"{lat:.9f}") + "  crs: EPSG:4326\n"
-    setup = set_up_picture(config_of(tmp_path, text), dem)
-    np.testing.assert_allclose(setup.pose.position[:2], [60.5, -69.75], atol=1e-3)
-
-
-def test_a_surveyed_height_is_taken_as_it_is(tmp_path: Path, dem: Dem) -> None:
-    assert set_up_picture(config_of(tmp_path, SURVEYED), dem).pose.position[2] == 912.5
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

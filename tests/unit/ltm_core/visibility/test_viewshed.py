@@ -10,7 +10,6 @@ import pytest
 import rasterio
 from scenes.rasters import ridge, rough_terrain, standing, tilted_plane
 
-from ltm_core.base.errors import ConfigError, PoseError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -128,17 +127,6 @@ def test_range_resolution_and_unknown_ground() -> None:
     assert np.array_equal(near.count[known] == 1, np.hypot(x - 1, y - 1)[known] <= 100.0)
 
 
-def test_bad_arguments() -> None:
-    sight = PointVisibility(tilted_plane(0.0, 0.0).dem)
-    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
-    with pytest.raises(PoseError, match="at least one camera"):
-        viewshed(sight, [])
-    with pytest.raises(PoseError, match="0 or more metres"):
-        viewshed(sight, [view], target_height=-1.0)
-    with pytest.raises(RasterError, match="positive metres"):
-        viewshed(sight, [view], resolution=0.0)
-
-
 SITE = """
 name: ridge
 crs: EPSG:32611
@@ -197,21 +185,3 @@ def test_the_command_sees_a_sites_surface(folder: Path) -> None:
         bare, wood = one.read(1), other.read(1)
     assert bare.shape == wood.shape
     assert (wood[:, 126:] > 0).sum() < 0.5 * (bare[:, 126:] > 0).sum()
-
-
-def test_the_command_maps_one_pose_as_in_its_site(folder: Path) -> None:
-    command(out=folder / "pose.tif", pose=folder / "pose.yaml", dem=[folder / "dem.tif"])
-    (folder / "site.yaml").write_text(SITE[: SITE.index("  south")])
-    command(out=folder / "site.tif", site=folder / "site.yaml")
-    with rasterio.open(folder / "pose.tif") as one, rasterio.open(folder / "site.tif") as other:
-        assert np.array_equal(one.read(1), other.read(1), equal_nan=True)
-
-
-def test_the_command_says_what_is_missing(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="--site"):
-        command(out=folder / "x.tif")
-    with pytest.raises(ConfigError, match="--dem"):
-        command(out=folder / "x.tif", pose=folder / "pose.yaml")
-    (folder / "site.yaml").write_text(SITE[: SITE.index("  north")] + "  roving: {}\n")
-    with pytest.raises(ConfigError, match="no camera has both calibration and pose"):
-        command(out=folder / "x.tif", site=folder / "site.yaml")
