@@ -16,7 +16,7 @@ CASES = 100
 OF_FAST = dict.fromkeys(
     (
         *("photo_jpg", "photo_png", "photo_heic", "photo_progressive", "poses_csv", "control_points"),
-        *("simulated_index", "npz", "depth_map"),
+        "npz",
         *("node_capture", "node_segmentation"),
     ),
     300,

@@ -1,5 +1,3 @@
-"""A pose of which an angle is not known is told as one, and places nothing."""
-
 from __future__ import annotations
 
 import math

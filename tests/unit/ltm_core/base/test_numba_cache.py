@@ -1,5 +1,3 @@
-"""Compiled kernels are never older than the source they come from."""
-
 from __future__ import annotations
 
 import os

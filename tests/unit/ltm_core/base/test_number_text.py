@@ -1,5 +1,3 @@
-"""Numbers for people: no negative zero, and differences that agree with the numbers beside them."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""One syntax for poses and calibrations, whichever file they stand in."""
-
 from __future__ import annotations
 
 from datetime import date

@@ -1,5 +1,3 @@
-"""Angles and heights in another unit."""
-
 from __future__ import annotations
 
 import math

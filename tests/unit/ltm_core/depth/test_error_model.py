@@ -1,5 +1,3 @@
-"""What a network says where the depth is known, and what that means for a pixel; and robust lines."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What terrain, labels and photo let expect of a pixel: cover, and where outlines run."""
-
 from __future__ import annotations
 
 from dataclasses import replace

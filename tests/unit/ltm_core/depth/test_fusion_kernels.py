@@ -1,5 +1,3 @@
-"""The kernels of fusion against plain statements of what they compute."""
-
 from __future__ import annotations
 
 import cv2

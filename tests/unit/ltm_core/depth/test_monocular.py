@@ -1,5 +1,3 @@
-"""Depth networks behind manifests: kinds, focal lengths, heads, and outputs that are no depth."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What a network measures by itself, beside what fusion makes of it."""
-
 from __future__ import annotations
 
 import cv2

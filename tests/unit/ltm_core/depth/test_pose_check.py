@@ -1,5 +1,3 @@
-"""A wrong pose told by the labels' skyline, and what must not be taken for one."""
-
 from __future__ import annotations
 
 from dataclasses import replace

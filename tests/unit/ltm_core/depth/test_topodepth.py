@@ -1,5 +1,3 @@
-"""Fusion of traced and network depth: better than either, sharp at edges, never silent about a wrong pose."""
-
 from __future__ import annotations
 
 from dataclasses import replace

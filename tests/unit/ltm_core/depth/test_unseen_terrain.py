@@ -1,5 +1,3 @@
-"""Fusion where a mast, a caption and a corner of the lens stand before the terrain; unknown ground and labelled sky."""
-
 from __future__ import annotations
 
 import numpy as np

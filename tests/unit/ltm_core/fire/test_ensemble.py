@@ -1,5 +1,3 @@
-"""Draws of fuel maps: as often as the cells' probabilities say, alike in neighbours, only where something is open."""
-
 from __future__ import annotations
 
 import numpy as np

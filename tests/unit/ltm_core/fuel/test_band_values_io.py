@@ -1,5 +1,3 @@
-"""Nodata, units and plausible values of canopy and code bands as other programs write them."""
-
 from __future__ import annotations
 
 import struct

@@ -1,5 +1,3 @@
-"""Vector layers of roads, water and buildings as non-burnable cells."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What cells look like: against figures made by hand, learnt from looks that are drawn, and from a file and back."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""FBFM40 and FBFM13: a life form stays its own; changed cells take the climate's codes; own models stay."""
-
 from __future__ import annotations
 
 from dataclasses import replace

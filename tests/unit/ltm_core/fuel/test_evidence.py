@@ -1,5 +1,3 @@
-"""Evidence over frames: what changes a cell, what does not, and that nothing depends on the order of frames."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""What one frame says of its cells: how much its pixels, its labels and its place are worth."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Which band of which file holds what: names, attribute tables, positions."""
-
 from __future__ import annotations
 
 import struct

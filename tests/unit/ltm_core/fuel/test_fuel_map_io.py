@@ -1,5 +1,3 @@
-"""Fuel maps as files, and on LANDFIRE's grid."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Plants and water that are labelled where the terrain says that none can be."""
-
 from __future__ import annotations
 
 import functools

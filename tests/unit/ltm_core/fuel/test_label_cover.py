@@ -1,5 +1,3 @@
-"""Cover by labels: the gap fraction of a stand of known crowns, seen flat and steep; and what is kept of frames."""
-
 from __future__ import annotations
 
 import numpy as np

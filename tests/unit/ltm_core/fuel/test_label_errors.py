@@ -1,5 +1,3 @@
-"""Tests reliability records: to which labels they belong, and what labels without one may change."""
-
 from __future__ import annotations
 
 from pathlib import Path

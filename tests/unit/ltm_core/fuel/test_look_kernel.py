@@ -1,5 +1,3 @@
-"""The compiled loops over a frame's cells against the same as NumPy expressions."""
-
 from __future__ import annotations
 
 import numpy as np

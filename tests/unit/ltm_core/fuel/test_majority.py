@@ -1,5 +1,3 @@
-"""The majority vote of a fuel cell."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Reading prior fuel maps: names of files in folders, codes that no system has, elevations beside them."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Which cells that look changed are reported: those that sure ones about them support."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator

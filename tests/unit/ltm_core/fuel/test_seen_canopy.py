@@ -1,5 +1,3 @@
-"""Canopy from the confirmed surface: worked out by hand, only where change was confirmed, and what follows from it."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Crown fuel by allometry: a stand worked out by hand, and what must hold of any."""
-
 from __future__ import annotations
 
 import numpy as np

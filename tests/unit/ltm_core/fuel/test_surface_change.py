@@ -1,5 +1,3 @@
-"""What a changed surface tells the fuel map: the cells that it concerns, what stands there then, and what is kept."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Votes of one frame."""
-
 from __future__ import annotations
 
 import numpy as np

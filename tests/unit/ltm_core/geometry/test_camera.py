@@ -1,5 +1,3 @@
-"""Pixels and rays."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Map frame, the three norths, the bent ray and the sun, against published figures; and grids."""
-
 from __future__ import annotations
 
 import math

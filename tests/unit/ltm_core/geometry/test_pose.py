@@ -1,5 +1,3 @@
-"""The angle conventions, by hand; covariances of a pose, and rotation vectors."""
-
 from __future__ import annotations
 
 import math

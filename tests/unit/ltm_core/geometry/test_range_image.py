@@ -1,5 +1,3 @@
-"""Range, depth, horizontal distance, points and cells of one image."""
-
 from __future__ import annotations
 
 import numpy as np

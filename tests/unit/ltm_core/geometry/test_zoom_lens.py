@@ -1,5 +1,3 @@
-"""A lens that zooms, against lenses whose fields of view are known at every zoom."""
-
 from __future__ import annotations
 
 import math

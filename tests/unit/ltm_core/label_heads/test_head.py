@@ -1,5 +1,3 @@
-"""Teaching a head: it learns what the maps tell apart, is judged by sites held out, and refused if worse."""
-
 from __future__ import annotations
 
 import json

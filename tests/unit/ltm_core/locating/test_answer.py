@@ -1,5 +1,3 @@
-"""What is said of a location: coordinates, fuel, JSON and GeoJSON, and where a place is in a picture."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Locating on scenes of a closed form: ellipses by formula, hidden feet, several cameras, wrong ones."""
-
 from __future__ import annotations
 
 import math

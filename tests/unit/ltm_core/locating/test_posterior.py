@@ -1,5 +1,3 @@
-"""Posteriors: moments, ellipses, densest regions and modes of distributions that are known; and lines of sight."""
-
 from __future__ import annotations
 
 import math

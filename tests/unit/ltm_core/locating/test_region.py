@@ -1,5 +1,3 @@
-"""Lower edges of marks, their weights, and what is told of marks that cannot be taken."""
-
 from __future__ import annotations
 
 import numpy as np

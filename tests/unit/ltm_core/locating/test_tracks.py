@@ -1,5 +1,3 @@
-"""Tracks: which sightings are of one fire, and which pose of a camera a region was marked under."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""A turned camera by the marks of several fires: profiles worked out by hand, and fires on level ground."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Pictures: colours mean what the legend says, layers lie where they should; and pictures of what is traced."""
-
 from __future__ import annotations
 
 import numpy as np

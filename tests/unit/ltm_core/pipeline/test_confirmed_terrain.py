@@ -1,5 +1,3 @@
-"""The terrain that a map exports: as its store's site has confirmed it, now or at a moment, or as given."""
-
 from __future__ import annotations
 
 from pathlib import Path

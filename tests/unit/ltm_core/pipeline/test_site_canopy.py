@@ -1,5 +1,3 @@
-"""The canopy of a site from what its state holds: labels of the fuel map's store, heights of the terrain's."""
-
 from __future__ import annotations
 
 from pathlib import Path

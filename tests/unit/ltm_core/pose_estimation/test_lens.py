@@ -1,5 +1,3 @@
-"""Radial trends of residuals in closed form, and a lens fitted with its prior."""
-
 from __future__ import annotations
 
 from dataclasses import replace

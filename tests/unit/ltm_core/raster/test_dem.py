@@ -1,5 +1,3 @@
-"""Opening and sampling elevation rasters of every kind that comes along."""
-
 from __future__ import annotations
 
 from pathlib import Path

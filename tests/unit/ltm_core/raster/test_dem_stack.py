@@ -1,5 +1,3 @@
-"""Stacks of rasters: how they are fitted, opened in other CRSs, refused, and put under tree tops."""
-
 from __future__ import annotations
 
 from pathlib import Path

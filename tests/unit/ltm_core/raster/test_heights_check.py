@@ -1,5 +1,3 @@
-"""What the numbers of an elevation raster mean, and which of them are no ground."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Prepared heights: the same as the raster's, shared, and of exactly its present state."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""GeoTIFFs as rasterio reads them."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Rasters that are larger than their files, or no files at all."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Depth errors gathered frame by frame against those of all frames at once."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""A fuel map against its truth."""
-
 from __future__ import annotations
 
 import numpy as np

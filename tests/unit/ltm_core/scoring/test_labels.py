@@ -1,5 +1,3 @@
-"""Segmentation scores against counts made by hand."""
-
 from __future__ import annotations
 
 import numpy as np

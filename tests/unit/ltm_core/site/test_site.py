@@ -1,5 +1,3 @@
-"""Site files."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What a check of a site finds beyond what its nodes would refuse; `test_user_mistakes` has the rest."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What a reader of a wrong or harmful YAML file is told, and whether a place can be written, before anything is."""
-
 from __future__ import annotations
 
 import random

@@ -1,5 +1,3 @@
-"""Images with missing data are rejected with the missing share, and complete ones are accepted."""
-
 from __future__ import annotations
 
 import ast

@@ -1,5 +1,3 @@
-"""Files that are no store of this map, or a damaged one: refused with the reason, and left as they are."""
-
 from __future__ import annotations
 
 import contextlib

@@ -1,5 +1,3 @@
-"""The tile store: what is committed is there, whole, once."""
-
 from __future__ import annotations
 
 from pathlib import Path

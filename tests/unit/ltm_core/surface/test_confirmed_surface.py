@@ -1,5 +1,3 @@
-"""Confirmed cells over a DEM or a stack: what they touch; and the fuel of what has changed."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What is kept of fixed views, and what rays pass over quickly, changes nothing of what is found."""
-
 from __future__ import annotations
 
 from functools import cache

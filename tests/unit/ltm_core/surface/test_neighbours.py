@@ -1,5 +1,3 @@
-"""What neighbours say of a cell's shift: stands and open ground apart, and regions that go on where nobody sees."""
-
 from __future__ import annotations
 
 import numpy as np

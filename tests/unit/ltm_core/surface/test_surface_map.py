@@ -1,5 +1,3 @@
-"""The surface map on a small hillside: what agreeing views move, and what one view, or whatever moves, does not."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Versions of the confirmed surface on disk: named by content, whole or not there, and taken back."""
-
 from __future__ import annotations
 
 import json

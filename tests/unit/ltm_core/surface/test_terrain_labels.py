@@ -1,5 +1,3 @@
-"""What labels say of a stand where depth says little: two cameras that see grass in its place find it felled."""
-
 from __future__ import annotations
 
 from dataclasses import replace

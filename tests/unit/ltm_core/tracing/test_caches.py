@@ -1,5 +1,3 @@
-"""What a tracer keeps between frames."""
-
 from __future__ import annotations
 
 from dataclasses import replace

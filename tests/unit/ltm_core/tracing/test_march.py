@@ -1,5 +1,3 @@
-"""The paper's own march, kept as a baseline."""
-
 from __future__ import annotations
 
 import numpy as np

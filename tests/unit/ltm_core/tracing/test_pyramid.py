@@ -1,5 +1,3 @@
-"""The maximum pyramid and the ceilings of holes against brute force."""
-
 from __future__ import annotations
 
 import numpy as np

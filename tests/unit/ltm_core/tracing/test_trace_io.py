@@ -1,5 +1,3 @@
-"""Pose files in, rasters out, of `ltm trace`."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The tracer against closed-form scenes, and what it does at the edges of what is known."""
-
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor

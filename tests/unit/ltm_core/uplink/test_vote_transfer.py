@@ -1,5 +1,3 @@
-"""Votes on another site's grid: exact where cells coincide, by nearest cell in another CRS, refused at another size."""
-
 from __future__ import annotations
 
 import math

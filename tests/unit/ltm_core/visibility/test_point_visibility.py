@@ -1,5 +1,3 @@
-"""Lines of sight: closed forms, and what is traced is seen."""
-
 from __future__ import annotations
 
 import numpy as np

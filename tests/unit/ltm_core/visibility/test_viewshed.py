@@ -1,5 +1,3 @@
-"""Coverage of cameras: agreement with tracing their images, footprints, heights, files."""
-
 from __future__ import annotations
 
 from pathlib import Path

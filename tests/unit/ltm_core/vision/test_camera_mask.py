@@ -1,5 +1,3 @@
-"""Masks of fixed cameras: how they are read, drawn and refused."""
-
 from __future__ import annotations
 
 from pathlib import Path

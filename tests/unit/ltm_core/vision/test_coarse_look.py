@@ -1,5 +1,3 @@
-"""The coarse look: what the mean of two looks is, that sky keeps its probability, and that heads correct both looks."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`ltm models`: a trial with a picture, words instead of classes, and adding networks that share file names."""
-
 from __future__ import annotations
 
 import hashlib

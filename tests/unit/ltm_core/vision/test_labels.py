@@ -1,5 +1,3 @@
-"""Label taxonomy: ids that recordings rely on, colours, and what may not be changed."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The default network on real photographs that did not train it, and on ground whose distance is known."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Model manifests: keys, finding the network file, and networks that are not what their manifest says."""
-
 from __future__ import annotations
 
 import hashlib

@@ -1,5 +1,3 @@
-"""What is proposed for a mask, on drawn pictures whose parts are known."""
-
 from __future__ import annotations
 
 import numpy as np

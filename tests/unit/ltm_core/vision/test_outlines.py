@@ -1,5 +1,3 @@
-"""Outlines of regions as polygons: what they enclose, holes too, and how many corners they have."""
-
 from __future__ import annotations
 
 import cv2

@@ -1,5 +1,3 @@
-"""Bars and frames are found by themselves, land, sky, night and fog are none, and what is hidden is filled."""
-
 from __future__ import annotations
 
 from collections.abc import Callable

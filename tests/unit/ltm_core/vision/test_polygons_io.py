@@ -1,5 +1,3 @@
-"""polygons.json: areas of photos that a person has named."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Tests labels by prompts: an LSeg-shaped network trained on the demo, a CLIPSeg-shaped one, and what is rejected."""
-
 from __future__ import annotations
 
 from pathlib import Path

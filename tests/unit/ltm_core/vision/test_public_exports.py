@@ -1,5 +1,3 @@
-"""Networks with the inputs and outputs of public exports: determined, and the same as direct runs of ONNX Runtime."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The second network: what the mean of both is, where it has no say, and what labels are named by."""
-
 from __future__ import annotations
 
 from pathlib import Path

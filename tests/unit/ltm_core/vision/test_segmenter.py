@@ -1,5 +1,3 @@
-"""Segmentation: every kind and layout of network gives the same labels; upsampling against OpenCV; confidence."""
-
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor

@@ -1,5 +1,3 @@
-"""Several that ask one file for different outputs of a picture have it run once."""
-
 from __future__ import annotations
 
 import gc

@@ -1,5 +1,3 @@
-"""Smoke before the land is told by what the view showed before; light, clouds, shade and what stays are not smoke."""
-
 from __future__ import annotations
 
 import tracemalloc

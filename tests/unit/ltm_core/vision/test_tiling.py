@@ -1,5 +1,3 @@
-"""The second look at distant slopes: which tiles, and how their answers join that for the whole photo."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Which pictures show enough to be used, on a drawn landscape that is spoilt in one way at a time."""
-
 from __future__ import annotations
 
 import cv2

@@ -1,5 +1,3 @@
-"""Masks of a turning camera's views: chosen by where a picture looks, with those of all views, or none."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Open vocabulary: words read as classes, and the arithmetic of embeddings of pixels and of words."""
-
 from __future__ import annotations
 
 import hashlib

@@ -1,5 +1,3 @@
-"""Labels that are withdrawn: of low probability, and tree where the photo has no texture."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Landscapes of which every cell has all of elevation, slope, aspect and code, or nothing."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""LCP files, byte for byte."""
-
 from __future__ import annotations
 
 import struct

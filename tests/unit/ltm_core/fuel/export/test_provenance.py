@@ -1,5 +1,3 @@
-"""What exports say of themselves, read back from each format; styles and catalogue items beside them."""
-
 from __future__ import annotations
 
 import json

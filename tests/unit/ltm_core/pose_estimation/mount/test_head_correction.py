@@ -1,5 +1,3 @@
-"""A pan-tilt head whose base leans and whose tilt axis reads off its zero, found by the pictures of several pans."""
-
 from __future__ import annotations
 
 import json

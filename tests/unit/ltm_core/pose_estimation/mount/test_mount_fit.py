@@ -1,5 +1,3 @@
-"""Pictures of one mount, fitted together, and their verdict."""
-
 from __future__ import annotations
 
 import math

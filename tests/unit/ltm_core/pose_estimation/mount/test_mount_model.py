@@ -1,5 +1,3 @@
-"""A leaning PTZ head's poses, worked out by hand and by moving one parameter at a time."""
-
 from __future__ import annotations
 
 import math

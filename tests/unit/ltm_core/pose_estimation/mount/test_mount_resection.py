@@ -1,5 +1,3 @@
-"""A PTZ head's mount from landmarks of made pictures whose directions are known."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Resection on made points whose camera is known."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Where land beyond the DEM may stand over its horizon: that horizon is the skyline or it is not, and pictures tell."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Far land, pale before the sky, above the edge of nearer land."""
-
 from __future__ import annotations
 
 import cv2

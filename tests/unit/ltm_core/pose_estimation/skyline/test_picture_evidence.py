@@ -1,5 +1,3 @@
-"""What a photo shows of its pose: its skyline and its edges; and the terrain's own horizon."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""A pose found in its picture, and its verdicts."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Poses of almost the same cost gap_by_ridges the best: how sure it is, and what is made of it."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""What terrain shows from a pose beside what its photo does, linearised about it."""
-
 from __future__ import annotations
 
 import numpy as np

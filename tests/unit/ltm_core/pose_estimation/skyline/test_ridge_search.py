@@ -1,5 +1,3 @@
-"""A pose by ridges alone, where land beyond the DEM may be what stands against the sky."""
-
 from __future__ import annotations
 
 import math

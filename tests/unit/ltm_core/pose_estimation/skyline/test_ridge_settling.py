@@ -1,5 +1,3 @@
-"""Poses that settle on ridges whose errors neighbouring places share."""
-
 from __future__ import annotations
 
 from functools import cache

@@ -1,5 +1,3 @@
-"""Where a skyline by itself leaves a pose open, or one crest is all that it is by: are ridges alone of the same?"""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""How sure a pose is, by what its skyline's misfits are."""
-
 from __future__ import annotations
 
 from dataclasses import replace
