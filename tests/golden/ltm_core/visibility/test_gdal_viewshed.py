@@ -92,12 +92,3 @@ def test_hills(tmp_path: Path) -> None:
     print(f"agreement {(theirs == ours).mean():.4%}, seen: ours {ours.mean():.2%}")
     assert 0.01 < theirs.mean() < 0.95
     assert (theirs == ours).mean() >= 0.99
-
-
-def test_a_plain_ends_at_its_horizon(tmp_path: Path) -> None:
-    dem = in_utm(Dem(np.full((300, 420), 50.0, np.float32), GridGeometry(0, 0, 1.0, 420, 300)), 100.0)
-    theirs, ours = gdal_seen(dem, 140, 40, 20.0, tmp_path), our_seen(dem, 140, 40, 20.0)
-    assert (theirs == ours).mean() >= 0.99
-    # Without curvature a plain has no horizon: the agreement above is curvature's.
-    assert our_seen(dem, 140, 40, 20.0, curvature=False).all()
-    assert theirs.mean() < 0.7

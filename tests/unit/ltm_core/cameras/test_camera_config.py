@@ -13,7 +13,6 @@ from ltm_core.cameras.camera_config import PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import pose_covariance
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
@@ -107,12 +106,3 @@ def test_what_one_leaves_out_another_gives() -> None:
     assert (both.azimuth_deg, both.azimuth_ref, both.azimuth_sigma_deg) == (100.0, "true", None)
     assert (both.pitch_deg, both.pitch_sigma_deg, both.roll_deg) == (-4.0, 1.0, None)
     assert row.over(None) is row
-
-
-def test_sigmas_become_a_covariance() -> None:
-    stated = PoseConfig(**POSE, position_sigma=5.0, azimuth_sigma_deg=8.0)
-    pose = stated.pose(dem_of(), FRAME)
-    covariance = stated.covariance(pose, 0.5, 0.3)
-    assert covariance is not None
-    np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 0.5, 8.0, 0.3, 0.3))
-    assert PoseConfig(**POSE).covariance(pose, 0.5, 0.3) is None

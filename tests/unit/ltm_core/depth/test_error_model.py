@@ -6,12 +6,11 @@ from scenes.called import called
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.base.types import Float64Array
-from ltm_core.depth.error_model import estimate_errors, expected_prediction, invert
+from ltm_core.depth.error_model import estimate_errors, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.scale_fit import fit_scale, robust_line, robust_offset
-from ltm_core.depth.topodepth import DepthSource, FusionVerdict, fuse
 from ltm_core.vision.labels import LabelSet
 
 CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
@@ -68,29 +67,6 @@ def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> 
         assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
-def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
-    samples = spread_samples()
-    answers = estimate_errors(0.8 / samples.depth, samples, SIZE, CONFIG)
-    less, _ = called(expected_prediction)(3, 4, np.float32(1 / 300.0), answers.tables)
-    true, sigma = called(invert)(3, 4, np.float32(1 / 300.0) - less, answers.tables)
-    assert 1 / true == pytest.approx(300.0, rel=0.02)
-    assert 0 < sigma * 300.0 < 0.1
-
-
-def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() -> None:
-    """All of them: no contradiction. One spot among ground that it sees aright: something stands there."""
-    scene = depth_scene()
-    network = scene.network()
-    inverse = (network.values - 0.2) / 40.0
-    beyond = (inverse < 1 / 900.0) & (inverse > 1e-5)
-    values = np.where(beyond, 1 / 500.0, inverse).astype(np.float32)
-    result = fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, scene.labels, CLASSES)
-    assert result.verdict is FusionVerdict.OK
-    far = np.isfinite(scene.truth) & (scene.truth > 1000) & ~scene.stand
-    assert np.median(np.abs(result.depth[far] / scene.truth[far] - 1)) < 0.01
-    assert (result.source[far] == DepthSource.NETWORK).mean() < 0.02
-
-
 def test_a_shift_needs_evidence() -> None:
     """Ground of one range only cannot tell a shift; a network of true inverse depths keeps its 0 at infinity."""
     scene = depth_scene()
@@ -137,24 +113,6 @@ def test_scale_and_shift_come_back_through_forty_percent_of_outliers(seed: int) 
     assert line.sigma == pytest.approx(1e-4, rel=0.3)
     assert 0.52 < line.inlier_ratio < 0.65
     assert (line.inliers & wrong).sum() < 0.04 * len(x)
-
-
-@pytest.mark.kernel
-def test_weights_decide_whose_error_counts() -> None:
-    rng = np.random.default_rng(3)
-    x = rng.uniform(1.0, 10.0, 2000)
-    y = 3.0 * x + 2.0 + x**2 * rng.normal(0, 0.2, x.shape)
-    plain, weighted = robust_line(x, y), robust_line(x, y, weight=1.0 / x**2)
-    assert plain is not None
-    assert weighted is not None
-    assert abs(weighted.shift - 2.0) < 0.1 < abs(plain.shift - 2.0)
-
-
-@pytest.mark.kernel
-def test_no_line_through_too_few_points_or_a_constant() -> None:
-    assert robust_line(np.arange(5.0), np.arange(5.0)) is None
-    assert robust_line(np.full(50, 0.3), np.arange(50.0)) is None
-    assert robust_offset(np.arange(4.0)) is None
 
 
 @pytest.mark.kernel

@@ -20,7 +20,6 @@ from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, u
 from ltm_core.depth.occlusion_prior import (
     DepthDiscontinuities,
     OcclusionPrior,
-    ground_contact,
     mixture_moments,
     occlusion_log_odds,
 )
@@ -165,24 +164,6 @@ def test_the_higher_a_thing_would_have_to_be_the_less_likely_it_stands() -> None
     assert odds_at(standing, 100, 90.0, 2.0) == pytest.approx(odds_at(standing, 100, 90.0) + 2.0)
     # What is nearer than all ground in the image has its foot below that.
     assert odds_at(standing, 116, 78.0) == pytest.approx(odds_at(standing, 116, 81.0) - 1.0, abs=0.3)
-
-
-def test_a_foot_is_where_the_ground_is_first_as_near() -> None:
-    """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
-    is seen before it below that, as far as rows tell; what is nearer than all has none."""
-    rows = np.arange(0, 120, 4)
-    column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
-    for seen in (250.0, 600.0, 150.0, 100.0):
-        foot = called(ground_contact)(np.float32(1 / seen), column, 40)
-        assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
-
-
-@pytest.mark.parametrize("looks", [(0.0, 90.0), (-75.0, 0.0)])
-def test_of_a_camera_on_its_side_or_that_looks_down_no_height_is_asked(looks: tuple[float, float]) -> None:
-    """Its columns are not plumb: what is seen there is as likely anywhere, and where the network sees it."""
-    standing = standing_of(None, (12, 20), *looks)
-    everywhere = [odds_at(standing, row, 100.0) for row in range(0, 120, 7)]
-    assert everywhere == pytest.approx([everywhere[0]] * len(everywhere))
 
 
 def test_labels_are_heard_about_a_place() -> None:

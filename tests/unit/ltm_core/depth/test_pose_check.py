@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, SKY, TREE, depth_scene
@@ -96,13 +94,3 @@ def test_a_straight_ridge_under_high_trees_is_no_wrong_pose(metres: float, suspe
     check = check_pose(grey, ground, camera, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, labels, CLASSES)
     assert check.columns > 0.9 * 480
     assert check.suspected == suspected
-
-
-def test_without_a_known_skyline_labels_say_nothing() -> None:
-    scene = depth_scene()
-    beyond = scene.traced.range.copy()
-    beyond[np.isinf(beyond)] = np.nan
-    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
-    unknown = replace(scene.traced, range=beyond).depth()
-    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, scene.labels, CLASSES)
-    assert (check.columns, check.suspected) == (0, False)

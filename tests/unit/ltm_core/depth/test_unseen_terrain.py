@@ -7,9 +7,8 @@ from scenes.depth_scene import CAMERA, TREE, depth_scene
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
-from ltm_core.depth.unseen_terrain import edges_seen, hidden_at, unknown_share, with_labelled_sky
+from ltm_core.depth.unseen_terrain import hidden_at, unknown_share, with_labelled_sky
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -86,23 +85,6 @@ def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -
     traced = scene.traced.depth()
     np.testing.assert_array_equal(dark.depth[~hidden], traced[~hidden])
     assert np.isfinite(traced[hidden]).any(), "the tracer's own array is left as it was"
-
-
-def test_edges_at_the_border_of_the_mask_are_none_of_the_terrain() -> None:
-    rows, cols = np.array([9, 7, 5, 5], np.int32), np.array([1, 1, 1, 4], np.int32)
-    hidden = np.zeros((12, 6), np.bool_)
-    hidden[5:7, :3] = True
-    seen = edges_seen(DepthDiscontinuities(rows, cols, 1.3), hidden)
-    assert list(zip(seen.rows, seen.cols, strict=True)) == [(9, 1), (5, 4)]
-
-
-def test_a_hidden_pixel_hides_all_that_covers_it() -> None:
-    hidden = np.zeros((6, 8), np.bool_)
-    hidden[5, 2] = True
-    expected = np.zeros((2, 4), np.bool_)
-    expected[1, 1] = True
-    np.testing.assert_array_equal(hidden_at(hidden, 2, 4), expected)
-    np.testing.assert_array_equal(hidden_at(expected, 6, 8), expected.repeat(3, 0).repeat(2, 1))
 
 
 SKY, LAND = 0, 4

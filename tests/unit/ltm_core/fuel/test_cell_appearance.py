@@ -8,10 +8,9 @@ import pytest
 from scenes.evidence_scene import ASSUMED
 from scenes.fuel_frames import LABELS
 
-from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceFile, CellAppearanceModel, what_is_seen
+from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, what_is_seen
 from ltm_core.fuel.label_errors import ReliabilityRecord, stated_errors, write_record
-from ltm_core.fuel.label_measurement import LEAST_CELLS, fit_cell_appearance, seen_cells
+from ltm_core.fuel.label_measurement import seen_cells
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -121,22 +120,3 @@ def test_a_file_and_back(learnt: LearntLook, tmp_path: Path) -> None:
     assert errors.source == "drawn"
     assert errors.correlation == learnt.correlation
     np.testing.assert_allclose(errors.appearance.weights, learnt.appearance.weights, atol=0.006, equal_nan=True)
-
-
-def test_too_little_to_learn_from_and_files_that_do_not_fit() -> None:
-    with pytest.raises(ConfigError, match="two sites"):
-        learn_cell_appearance([site(1)], LABELS)
-    with pytest.raises(ImageError, match=f"{LEAST_CELLS} cells"):
-        fit_cell_appearance([seen_cells(site(1).votes, np.full((HEIGHT, WIDTH), 2, np.uint8), FORM_IDS)])
-    with pytest.raises(ImageError, match="how each cell is seen"):
-        seen_cells([replace(site(1).votes[0], visibility=None)], site(1).truth, FORM_IDS)
-    good = {"incidence": [0.1, 0.5], "weights": {"shrub": [[0.0] * SEEN] * 2, "tree": [[1.0] * SEEN] * 2}}
-    CellAppearanceFile(**good)
-    for wrong in (
-        good | {"incidence": [0.5, 0.1]},
-        good | {"weights": {"shrub": [[0.0] * SEEN] * 2}},
-        good | {"weights": good["weights"] | {"fern": [[0.0] * SEEN] * 2}},  # type: ignore[operator]
-        good | {"weights": good["weights"] | {"tree": [[0.0] * SEEN]}},  # type: ignore[operator]
-    ):
-        with pytest.raises(ValueError, match=r"incidence|weights"):
-            CellAppearanceFile(**wrong)

@@ -61,13 +61,6 @@ def test_fuel_types_of_two_maps() -> None:
     np.testing.assert_array_equal(of_one_fuel_type(fbfm40, fbfm13), wanted)
 
 
-def test_models_of_which_no_fuel_type_is_known_contradict_nothing() -> None:
-    """An analyst's own of either map, and buildings that a site keeps as ELMFIRE marks them."""
-    fbfm40 = np.array([[102, 91, 20, 256, 256, 102, -1]], np.int16)
-    fbfm13 = np.array([[14, 89, 91, 91, 256, 256, 4]], np.int16)
-    assert of_one_fuel_type(fbfm40, fbfm13).all()
-
-
 @pytest.mark.parametrize("climate", CLIMATES)
 def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> None:
     changed = FuelClimate.named(climate).changed

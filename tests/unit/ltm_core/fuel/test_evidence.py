@@ -20,9 +20,9 @@ from scenes.evidence_scene import (
     votes,
 )
 
-from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.base.errors import ImageError
 from ltm_core.fuel.cell_state import EPOCH_S, TILE
-from ltm_core.fuel.evidence import EvidenceMap, camera_hash
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior
@@ -32,16 +32,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 
 pytestmark = pytest.mark.kernel
-
-
-def test_the_prior_alone() -> None:
-    layers = fuel_map().layers()
-    np.testing.assert_array_equal(layers.code, CODES)
-    np.testing.assert_array_equal(layers.life_form, [[2, 2, 3], [1, 6, 255]])
-    assert not layers.changed.any()
-    assert not layers.evidence.any()
-    assert (layers.p_max[0] > 0.98).all()
-    assert np.isnan(layers.p_max[1, 2])
 
 
 def test_two_frames_an_hour_apart_change_a_life_form() -> None:
@@ -222,11 +212,6 @@ def test_a_burn_voids_what_was_known_and_lives_for_a_time() -> None:
     assert not back.changed[0].any()
 
 
-def test_a_part_outside_the_grid() -> None:
-    with pytest.raises(RasterError, match=r"window \(0, 2, 1, 2\)"):
-        fuel_map(votes(Label.TREE)).layers((0, 2, 1, 2))
-
-
 def test_state_in_tiles_comes_back() -> None:
     grid = GridGeometry(0.0, 2000.0, 30.0, TILE + 5, 2 * TILE + 3)
     codes = np.full(grid.shape, 145, np.int16)
@@ -250,24 +235,6 @@ def test_state_in_tiles_comes_back() -> None:
     np.testing.assert_array_equal(part.code, original.layers().code[3:23, 7:18])
 
 
-def test_tiles_that_are_none() -> None:
-    grid_map = fuel_map()
-    state = grid_map.tile_state((0, 0))
-    with pytest.raises(RasterError, match=r"tile \(1, 0\) is outside a grid of \(1, 1\) tiles"):
-        grid_map.load_tile((1, 0), state)
-    with pytest.raises(RasterError, match=r"field first of tile \(0, 0\) is absent"):
-        grid_map.load_tile((0, 0), {k: v for k, v in state.items() if k != "first"})
-
-
-def test_many_cameras() -> None:
-    names = [f"camera_{k}" for k in range(12)]
-    forward, backward = (fuel_map(*(votes(Label.TREE, NOW, name) for name in order)) for order in (names, names[::-1]))
-    np.testing.assert_array_equal(forward.tile_state((0, 0))["seen_by"], backward.tile_state((0, 0))["seen_by"])
-    assert forward.layers().seen_by[0, 0] == 8
-    kept = sorted(names, key=camera_hash)[:8]
-    assert [name for name in names if forward.seen_by(name)[0, 0]] == [name for name in names if name in kept]
-
-
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
@@ -279,13 +246,6 @@ def test_many_cameras() -> None:
 def test_votes_that_cannot_be_taken(frame: CellVotes, message: str) -> None:
     with pytest.raises(ImageError, match=message):
         fuel_map().add(frame)
-
-
-def test_votes_over_other_classes() -> None:
-    frame = votes(Label.TREE)
-    other = CellVotes(GRID, frame.rows, frame.cols, frame.counts[:, :4], frame.z, 0, "north")
-    with pytest.raises(ImageError, match="count 4 classes, this map 7"):
-        fuel_map().add(other)
 
 
 def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:

@@ -81,18 +81,6 @@ def test_other_rasters_are_refused(tmp_path: Path, dtype: str, options: dict[str
         read_fuel_map(tmp_path / "f.tif")
 
 
-@pytest.mark.parametrize(("count", "most", "found"), [(1, 75, "75"), (3, 6, "3 bands")])
-def test_a_raster_of_another_quantity_is_no_map(tmp_path: Path, count: int, most: int, found: str) -> None:
-    """Such as LANDFIRE's cover as uint8, or a photo."""
-    with rasterio.open(
-        tmp_path / "f.tif", "w", driver="GTiff", width=5, height=3, count=count, dtype="uint8", crs=GRID.crs,
-        transform=GRID.transform(),
-    ) as sink:  # fmt: skip
-        sink.write(np.full((count, 3, 5), most, np.uint8))
-    with pytest.raises(RasterError, match=found):
-        read_fuel_map(tmp_path / "f.tif")
-
-
 def test_on_landfires_grid() -> None:
     rng = np.random.default_rng(2)
     classes = rng.integers(1, 7, (40, 60)).astype(np.uint8)

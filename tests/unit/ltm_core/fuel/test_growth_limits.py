@@ -98,11 +98,6 @@ def test_water_votes_on_level_ground_alone() -> None:
     assert votes.too_steep >= slope.counts.sum()
 
 
-@pytest.mark.parametrize("label", [Label.BARE, Label.BUILT])
-def test_what_is_no_plant_votes_anywhere(label: Label) -> None:
-    assert same(cast(label, None), cast(label, GrowthLimits(tree_line_m=-100.0)))
-
-
 def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
     line = 60.0  # the slope passes it at x = 128.7
     limits = GrowthLimits(steepest_deg=None, tree_line_m=line)

@@ -89,10 +89,6 @@ def test_the_user_s_record_comes_first_and_a_head_has_its_own(tmp_path: Path, mo
         known_errors(DEFAULT_MODEL)
 
 
-def test_a_network_that_is_not_installed_is_unmeasured() -> None:
-    assert known_errors("landscape_v9") is UNMEASURED
-
-
 @pytest.mark.parametrize(("label", "mixed"), [(Label.GRASS, False), (Label.TREE, True), (Label.WATER, False)])
 def test_unmeasured_labels_change_no_cell(label: Label, mixed: bool) -> None:
     """Whatever they say, as surely and as often as may be, from all sides and for days; also of cameras with a label

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import log_softmax, softmax
+from scipy.special import log_softmax
 
 from ltm_core.fuel.cell_appearance_model import SEEN, USUAL, CellAppearanceModel, what_is_seen
 from ltm_core.fuel.evidence_kernel import spread
-from ltm_core.fuel.frame_evidence import form_by_appearance, log_normalised, normalised, shown_forms
+from ltm_core.fuel.frame_evidence import form_by_appearance, shown_forms
 from ltm_core.fuel.life_form import FORMS
 
 pytestmark = pytest.mark.kernel
@@ -45,13 +45,6 @@ def test_cells_are_told_as_the_model_tells_them(share: float) -> None:
     expected[usual] = np.maximum(log_softmax(look.log_likelihood(seen, cosine)[usual], axis=1), least)
     assert 0 < usual.sum() < n
     np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-9)
-
-
-def test_shares_of_logarithms() -> None:
-    rng = np.random.default_rng(6)
-    logs, divisors = rng.normal(0, 400, (31, 5)), rng.uniform(1, 9, 31)
-    np.testing.assert_allclose(log_normalised(logs), log_softmax(logs, axis=1), rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(normalised(logs, divisors), softmax(logs / divisors[:, None], axis=1), rtol=1e-9)
 
 
 def test_the_form_that_is_shown() -> None:

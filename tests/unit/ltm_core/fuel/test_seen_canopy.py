@@ -47,12 +47,6 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert 0 <= seen.height_sigma[1, 2] < 2
 
 
-def test_nothing_is_measured_without_trees_on_record_or_without_a_version() -> None:
-    whole = terrain(15)
-    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top), FUEL) is None
-    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top, whole.surface, False), FUEL) is None
-
-
 def canopy(cover: list[float], height: list[float], sigma: float = 5.0) -> SeenCanopy:
     values = (np.array([v], np.float32) for v in (cover, height, [sigma] * len(cover), [1.0] * len(cover)))
     return SeenCanopy(*values)

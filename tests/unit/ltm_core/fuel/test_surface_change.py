@@ -190,31 +190,3 @@ def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> Non
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.SHRUB, NOW + day * 20 * 86400, camera))
     assert evidence.layers().life_form[2, 5] == LifeForm.SHRUB
-
-
-def test_cells_that_the_surface_has_changed_count_in_a_region_of_change() -> None:
-    """Two cells that cameras see as trees are too few for a change, and enough beside one that has grown."""
-    for grown in (False, True):
-        evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=3)
-        for second in (NOW, NOW + 7200):
-            for camera in ("north", "east"):
-                votes = frame(LifeForm.TREE, second, camera)
-                votes.rows[:2], votes.cols[:2] = 3, (6, 7)
-                evidence.add(votes)
-        if grown:
-            told(evidence, GROWN, 9.0)
-        layers = evidence.layers()
-        assert layers.life_form[3, 6:8].tolist() == [LifeForm.TREE if grown else LifeForm.GRASS] * 2
-        assert (layers.life_form[2, 5] == LifeForm.TREE) == grown
-
-
-def test_burned_cells_and_masked_ones_stay() -> None:
-    codes = np.full(FUEL.shape, 183, np.int16)
-    codes[33, 40] = 98
-    evidence = map_of(codes)
-    cells = np.zeros(FUEL.shape, bool)
-    cells[2, 5] = True
-    evidence.burn(cells, (NOW - 86400) * SECOND)
-    after = told(evidence, REMOVED, -12.0)
-    assert after.life_form[2, 5] == LifeForm.BURNED
-    assert after.code[33, 40] == 98

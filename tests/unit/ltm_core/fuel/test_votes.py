@@ -69,11 +69,6 @@ def test_pixels_outside_the_grid_do_not_vote() -> None:
     assert votes.counts.tolist() == [[0, 1, 0, 0]]
 
 
-def test_shapes_must_agree() -> None:
-    with pytest.raises(ImageError, match=r"labels of \(3, 2\) and ranges of \(2, 3\)"):
-        cast([[1, 1], [1, 1], [1, 1]])
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

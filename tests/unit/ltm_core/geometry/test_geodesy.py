@@ -54,14 +54,6 @@ def test_origin_is_subtracted() -> None:
     assert (float(lon), float(lat)) == (pytest.approx(-118.6, abs=1e-9), pytest.approx(34.2, abs=1e-9))
 
 
-@pytest.mark.parametrize("east_of_meridian", [-1.25, 0.0, 1.0])
-def test_convergence_of_a_transverse_mercator(east_of_meridian: float) -> None:
-    # East of the central meridian grid north lies clockwise of true north, by atan(tan(dlon) sin(lat)) on a sphere.
-    x, y = (float(v) for v in UTM11.from_lonlat(-117.0 + east_of_meridian, 34.0))
-    by_hand = math.degrees(math.atan(math.tan(math.radians(east_of_meridian)) * math.sin(math.radians(34.0))))
-    assert UTM11.grid_convergence_deg(x, y) == pytest.approx(by_hand, abs=1e-3)
-
-
 @pytest.mark.parametrize("crs", ["EPSG:32611", "EPSG:5070", "EPSG:32633"])
 def test_true_north_on_the_grid(crs: str) -> None:
     frame, (lon, lat) = SiteFrame(crs, 1000.0, 2000.0), {"EPSG:32633": (13.75, 66.7)}.get(crs, LOS_ANGELES)
@@ -152,11 +144,6 @@ def test_a_code_is_named_only_if_it_is_the_crs() -> None:
     assert not name_of(CRS(unknown)).startswith("EPSG")
 
 
-@pytest.mark.parametrize("unit", ["metre", "meter", "Meter", "METERS", "metres"])
-def test_a_metre_in_any_spelling(unit: str) -> None:
-    assert map_problem(CRS(UTM.to_wkt("WKT1_GDAL").replace('UNIT["metre"', f'UNIT["{unit}"'))) is None
-
-
 @pytest.mark.parametrize(
     ("crs", "problem"),
     [
@@ -212,14 +199,6 @@ def degrees(latitude: float, longitude: float, moment: str) -> float:
 )
 def test_elevation(latitude: float, longitude: float, moment: str, expected: float) -> None:
     assert degrees(latitude, longitude, moment) == pytest.approx(expected, abs=0.3)
-
-
-GRID = GridGeometry(100.0, 500.0, 10.0, 7, 4, "EPSG:32611")
-
-
-def test_transform_maps_the_pixel_corner() -> None:
-    # x = a column + b row + c, y = d column + e row + f, columns and rows counted at pixel corners.
-    assert tuple(GRID.transform())[:6] == (10.0, 0.0, 100.0, 0.0, -10.0, 500.0)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.label_heads.head_fit import (
     FittedHead,
-    HeadFitConfig,
     PhotoSamples,
     by_area,
     fit_head,
@@ -48,20 +47,6 @@ def test_a_head_tells_apart_what_its_map_does() -> None:
     np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
     np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
     np.testing.assert_array_equal(_scores(head, samples).argmax(axis=1), [0, 0, 1, 1])
-
-
-def test_a_weaker_ridge_lets_coarse_maps_say_more_and_rarity_says_what_a_rare_class_weighs() -> None:
-    rng = np.random.default_rng(5)
-    labels = np.repeat(np.array([0, 1], np.uint8), (90, 30))
-    features = np.stack([rng.normal(size=120), np.where(labels == 0, 1.0, -1.0) + rng.normal(0.0, 0.8, 120)], axis=1)
-    photo = PhotoSamples("a", labels, np.zeros((120, 2)), features, np.array([0.6, 0.02]))
-
-    def fitted(**changes: float) -> FittedHead:
-        return fit_head([photo], {"last": 1, "s2": 1}, HeadFitConfig(rarity=0.5).model_copy(update=changes))
-
-    assert abs(fitted(ridge=0.03).weights[1, 0]) > 3 * abs(fitted().weights[1, 0])
-    called = [(_scores(fitted(ridge=0.03, rarity=power), photo).argmax(axis=1) == 1).sum() for power in (1.0, 0.5, 0.0)]
-    assert called[0] < called[1] < called[2]
 
 
 def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
@@ -144,16 +129,6 @@ def test_a_head_that_is_worse_is_not_installed(tmp_path: Path) -> None:
     assert isinstance(result.exception, ModelError)
     assert "not installed" in str(result.exception) or "no class" in str(result.exception)
     assert not list(out.parent.glob("*")) if out.parent.is_dir() else True
-
-
-def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
-    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
-    with pytest.raises(ModelError, match="one photo"):
-        teach_head(Segmenter.open(), frames[:1], "x", "")
-    with pytest.raises(ModelError, match="no decoder maps"):
-        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
-    with pytest.raises(ModelError, match="classes are the labels"):
-        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")
 
 
 def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> None:

@@ -119,20 +119,6 @@ def test_the_memory_of_fires_forgets_and_is_bounded() -> None:
     assert memory.verdict == NONE_TURNED
 
 
-def test_with_a_camera_whose_mount_is_fitted_again_it_begins_anew() -> None:
-    """What its marks said of others hung on its direction too."""
-    memory = FireMemory(0.9)
-    first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
-    memory.note(1, 0, first)
-    memory.note(2, 10, second)
-    memory.note(3, 20, fire(b=peak(0.0), d=peak(0.0)))
-    assert named(memory) == "a"
-    assert not memory.forget("e")
-    assert memory.forget("a")
-    assert (memory.verdict.suspicion.keys(), memory.verdict.fires) == ({"b", "d"}, 1)
-    assert named(memory) == ""
-
-
 def test_what_is_marked_again_and_again_at_one_place_counts_once() -> None:
     """A chimney, say: where the terrain model errs there, it speaks against the same camera each time."""
     memory = FireMemory(0.9)

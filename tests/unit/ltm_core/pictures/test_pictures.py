@@ -4,26 +4,22 @@ import numpy as np
 import pytest
 from scenes.rasters import rough_terrain, standing
 
-from ltm_core.base.errors import ImageError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import (
-    MapCamera,
     RangeScale,
     depth_colors,
     hillshade,
     label_colors,
     overlay_depth,
     overlay_labels,
-    panel,
     range_legend,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
 from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, error_legend, scale_colors
-from ltm_core.pictures.maps import draw_north
-from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
+from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
@@ -100,16 +96,6 @@ def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
     assert (mixed[:7, 31:43] != image[:7, 31:43]).any(axis=-1).mean() > 0.9
 
 
-def test_overlay_takes_a_layer_sampled_at_every_nth_pixel() -> None:
-    """`labels = full[::4, ::4]` on an image whose size 4 does not divide: sample i lies at pixel 4 i."""
-    full = np.zeros((30, 45), np.uint8)
-    full[:, 24:] = 3
-    mixed = overlay_labels(np.full((30, 45, 3), 128, np.uint8), full[::4, ::4], LABELS, opacity=1.0)
-    is_tree = (mixed == np.array(LABELS.colors[3])).all(axis=-1)
-    first = np.nonzero(is_tree[15])[0][0]
-    assert 22 <= first <= 24
-
-
 def test_contours_stand_where_the_range_crosses_a_round_value() -> None:
     ranges = np.broadcast_to(np.linspace(150.0, 250.0, 101, dtype=np.float32)[:, None], (101, 7)).copy()
     image = np.full((101, 7, 3), 200, np.uint8)
@@ -128,14 +114,6 @@ def test_hillshade_of_a_plane_is_lamberts_cosine(east: float, north: float) -> N
         light = np.array([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
         expected += weight * max(0.0, float(normal @ light))
     np.testing.assert_allclose(shade[1:-1, 1:-1], expected, atol=2e-4)
-
-
-def test_camera_sector_spans_its_field_of_view() -> None:
-    camera = MapCamera("north", Camera.from_fov(640, 480, 60.0), (400.0, 500.0), 90.0, reach=200.0)
-    outline = camera.sector(steps=3)
-    np.testing.assert_allclose(outline[0], (400, 500))
-    np.testing.assert_allclose(outline[2], (600, 500))
-    np.testing.assert_allclose(outline[1], (400 + 200 * np.sin(np.pi / 3), 600))
 
 
 def test_a_legend_names_the_classes_of_the_shown_part() -> None:
@@ -162,32 +140,6 @@ def test_names_do_not_cover_each_other() -> None:
     rows = sorted(y for _, x, y, _ in placed if x < 200)
     assert min(np.diff(rows)) >= 14
     assert placed[3] == ("alone", 300.0, 50.0, "lm")
-
-
-def test_the_north_arrow_makes_way_for_a_name() -> None:
-    blank = np.full((300, 400, 3), 200, np.uint8)
-    upper, moved = blank.copy(), blank.copy()
-    draw_north(upper, 14, [("far off", 60.0, 20.0, "mm"), ("below", 380.0, 200.0, "mm")])
-    draw_north(moved, 14, [("beside it", 360.0, 20.0, "mm")])
-    for picture, rows in ((upper, slice(0, 100)), (moved, slice(200, 300))):
-        drawn = (picture != blank).any(axis=-1)
-        assert drawn[rows].any()
-        assert drawn[rows].sum() == drawn.sum()
-
-
-def test_panel_places_pictures_row_by_row() -> None:
-    colors = [(200, 10, 10), (10, 200, 10), (10, 10, 200)]
-    pictures = [(str(i), np.full((40, 80, 3), color, np.uint8)) for i, color in enumerate(colors)]
-    relative_variance = panel(pictures, columns=2, width=160)
-    centres = []
-    for color in colors:
-        rows, cols = np.nonzero((relative_variance == np.array(color)).all(axis=-1))
-        assert len(rows) == 80 * 160
-        centres.append((rows.mean(), cols.mean()))
-    assert centres[0][0] == centres[1][0] < centres[2][0]
-    assert centres[0][1] == centres[2][1] < centres[1][1]
-    with pytest.raises(ImageError, match="at least one"):
-        panel([])
 
 
 def test_error_colors() -> None:
@@ -223,17 +175,6 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
     np.testing.assert_array_equal(picture[:210][sky & ~skyline], photo[sky & ~skyline])
     assert (picture[:210][skyline] == 255).all()
     assert np.abs(picture[:210][ground].astype(int) - photo[ground]).mean() > 15
-
-
-def test_without_a_photo_the_terrain_is_shaded() -> None:
-    image = traced()
-    view = shaded_view(image, DEM)
-    ground = view[np.isfinite(image.range)]
-    assert (ground[:, 0] == ground[:, 1]).all()
-    assert ground[:, 0].std() > 5
-    sky = view[np.isposinf(image.range)]
-    assert (sky[:, 2] > sky[:, 0]).all()
-    assert depth_picture(image, DEM).shape[1] == 330
 
 
 def test_no_skyline_where_the_ground_is_unknown() -> None:

@@ -124,18 +124,6 @@ def test_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     assert "refused.tif" in str(raised.value)
 
 
-def test_no_height_at_all(tmp_path: Path) -> None:
-    with pytest.raises(RasterError, match="every cell is nodata"):
-        Dem.open(write(tmp_path / "d.tif", np.full((3, 4), -9999.0), nodata=-9999.0))
-
-
-@pytest.mark.parametrize("shape", [(4, 3), (3, 4, 1), (1, 4)])
-def test_shape_and_geometry(shape: tuple[int, ...]) -> None:
-    geometry = GridGeometry(0.0, 0.0, 1.0, 4, 1 if shape == (1, 4) else 3)
-    with pytest.raises(RasterError, match=r"shape|2 x 2"):
-        Dem(np.zeros(shape, np.float32), geometry)
-
-
 DEM = Dem(HEIGHTS.astype(np.float32), GridGeometry(0.0, 30.0, 10.0, 4, 3))
 
 

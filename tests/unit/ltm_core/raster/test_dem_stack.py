@@ -9,7 +9,7 @@ import yaml
 from pyproj import Transformer
 from scenes.rasters import rough_terrain
 
-from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, REACH, DemStack, with_surface
@@ -157,21 +157,6 @@ def test_a_site_with_a_coarser_raster_around_it(tmp_path: Path, crs: str) -> Non
     inner = rng.uniform(-60, 60, (2, 50)) + np.array([[15.0], [-5.0]])
     near = fine.elevation_at(inner[0] + 4e5, inner[1] + 38e5)
     assert np.abs(dem.elevation_at(*inner) - near).max() < (0.05 if crs == UTM else 1.0)
-
-
-def test_a_site_names_one_raster_or_a_list(tmp_path: Path) -> None:
-    write_levels(tmp_path)
-    assert not load_site(write_site(tmp_path, {"path": "fine.tif"})).coarser
-    assert len(load_site(write_site(tmp_path, {"path": "fine.tif"})).open_dem().levels) == 1
-    site = load_site(write_site(tmp_path, [{"path": "fine.tif"}, {"path": "coarse.tif", "crs": UTM}]))
-    assert site.coarser[0].path == tmp_path / "coarse.tif"
-    with pytest.raises(ConfigError, match="dem is one raster"):
-        load_site(write_site(tmp_path, []))
-    far = GridGeometry(900_000.0, 3_850_000.0, 100.0, 30, 20, UTM)
-    Dem(np.zeros((20, 30), np.float32), far).save(tmp_path / "far.tif")
-    site = load_site(write_site(tmp_path, [{"path": "fine.tif"}, {"path": "far.tif"}]))
-    with pytest.raises(RasterError, match="does not overlap"):
-        site.open_dem()
 
 
 def canopy_over(ground: Dem, x_min: float, y_max: float, shape: tuple[int, int]) -> Dem:

@@ -93,11 +93,6 @@ def test_stated_units_are_converted(tmp_path: Path, unit: str, size: float) -> N
     np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
 
 
-def test_heights_of_a_crs_in_feet_are_converted(tmp_path: Path) -> None:
-    dem = Dem.open(write(tmp_path / "d.tif", GROUND * 3937 / 1200, crs="EPSG:32611+6360"))
-    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
-
-
 OTHER = (COLS % 7).astype(np.float64)
 
 

@@ -140,14 +140,6 @@ def test_heights_in_other_files_than_the_rasters_own_are_not_prepared(raster: Pa
     assert prepare_heights(raster.with_name("dem.vrt")) is None
 
 
-def test_small_rasters_and_full_disks_have_none(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "free_bytes", lambda path: module.SPARE_BYTES + 1000)
-    assert prepare_heights(raster) is None
-    monkeypatch.undo()
-    assert prepare_heights(raster) is None
-    assert not heights_path(raster).exists()
-
-
 def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RasterError):
         prepare_heights(raster.with_name("absent.tif"))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes.depth_score import score_depth
 
-from ltm_core.base.errors import ImageError
 from ltm_core.scoring.depth import DepthTally
 
 INF = np.float32(np.inf)
@@ -43,19 +42,3 @@ def test_frame_by_frame_is_all_at_once() -> None:
         # Between the two middle errors of an even number any value is a median: allow their distance.
         assert found.median == pytest.approx(expected.median, rel=0.05, nan_ok=True)
     assert 0.85 < tally.coverage < 0.95
-
-
-@pytest.mark.parametrize("size", [0.0, 5e-5, 0.03, 2.0, 4321.0])
-def test_median_of_equal_errors(size: float) -> None:
-    tally = DepthTally()
-    tally.add(np.full((3, 5), 9000 + size, np.float64), np.full((3, 5), 9000.0))
-    assert tally.scores()[-1].median == pytest.approx(size, rel=0.006, abs=1e-4)
-
-
-def test_nothing_in_common() -> None:
-    tally = DepthTally()
-    tally.add(np.full((2, 3), np.nan, np.float32), np.full((2, 3), 10, np.float32))
-    assert tally.coverage == 0.0
-    assert tally.scores()[-1].pixels == 0
-    with pytest.raises(ImageError, match=r"\(2, 3\) cannot be scored against truth of \(3, 2\)"):
-        tally.add(np.zeros((2, 3), np.float32), np.zeros((3, 2), np.float32))

@@ -105,13 +105,6 @@ def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path
     assert load(tmp_path).health is None
 
 
-def test_a_camera_that_is_not_there(tmp_path: Path) -> None:
-    site = load(tmp_path, cameras={"north": {}, "east": {"image": "raw"}})
-    assert site.camera("east").image == "raw"
-    with pytest.raises(ConfigError, match="ridge has no camera 'west'; it has east, north"):
-        site.camera("west")
-
-
 def test_poses(tmp_path: Path) -> None:
     site = load(tmp_path)
     heights = np.array([[10, 20, 30], [40, 50, 60]], np.float32)

@@ -8,8 +8,7 @@ import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import FuelConfig
-from ltm_core.site.site import Site
-from ltm_core.storage.config_io import LARGEST_DEPTH, LARGEST_FILE, checked, load_yaml, parse_yaml, read_yaml
+from ltm_core.storage.config_io import LARGEST_DEPTH, LARGEST_FILE, load_yaml, parse_yaml, read_yaml
 from ltm_core.storage.disk_io import require_files, require_folder
 
 
@@ -37,19 +36,6 @@ def test_wrong_files(tmp_path: Path, text: str, messages: list[str]) -> None:
         load(tmp_path, text)
     for message in ["fuel.yaml", *messages]:
         assert message in str(raised.value)
-
-
-def test_missing_and_nested_keys_are_named() -> None:
-    with pytest.raises(ConfigError) as raised:
-        checked(Site, {"name": "a", "dem": {"path": "d.tif", "size": 3}, "cameras": {"b": {"pose": {"x": 1}}}}, "here")
-    lines = str(raised.value).splitlines()
-    assert lines[0] == "here:"
-    assert {
-        "  crs: missing",
-        "  origin: missing",
-        "  dem.size: unknown key",
-        "  cameras.b.pose.azimuth_deg: missing",
-    } <= {*lines}
 
 
 def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:

@@ -115,14 +115,6 @@ def test_a_missing_restart_interval_is_found(progressive: bool) -> None:
         missing_share(data[: marks[4]] + data[marks[5] :])
 
 
-def test_scans_that_are_missing_are_found() -> None:
-    data = encoded(progressive=True)
-    scans = Jpeg.of(data, "").scans
-    # Without the last refinement of the luminance, and with the first of ten scans only.
-    assert 0.2 < missing_share(data[: scans[-2][1]] + END) < 0.5
-    assert missing_share(data[: scans[0][1]] + END) == 1.0
-
-
 @pytest.mark.parametrize("kept", [0.3, 0.97])
 @pytest.mark.parametrize("zeros", [False, True])
 @pytest.mark.parametrize(("form", "options"), [("HEIF", {}), ("AVIF", {}), ("WEBP", {}), ("WEBP", {"lossless": True})])

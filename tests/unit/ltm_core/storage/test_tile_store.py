@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -159,31 +158,3 @@ def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(
     with TileStore.open(path, SCHEMA) as store:
         assert_same(store.read((1, 1)), tile(3))
         assert store.counted("a", 2)
-
-
-def test_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="does not exist"):
-        TileStore.open(tmp_path / "no" / "map.ltm", SCHEMA)
-    with pytest.raises(ConfigError, match="no such store"):
-        TileStore.open_read_only(tmp_path / "map.ltm", "weather")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda t: t.pop("seen"),
-        lambda t: t.update(other=t["seen"]),
-        lambda t: t.update(rain=t["rain"].astype(np.float64)),
-        lambda t: t.update(rain=t["rain"][:5]),
-    ],
-)
-def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
-    arrays = tile(1)
-    spoil(arrays)
-    with TileStore.in_memory(SCHEMA) as store:
-        with pytest.raises(ValueError, match="tile"):
-            store.commit({(0, 0): arrays})
-        with pytest.raises(ValueError, match="outside"):
-            store.commit({(2, 0): tile(1)})
-        assert store.keys() == []

@@ -100,14 +100,6 @@ def test_a_file_that_is_not_what_was_written_is_refused(versions: SurfaceVersion
         versions.load(entry)
 
 
-def test_another_site_or_grid_is_refused(versions: SurfaceVersions) -> None:
-    entry = versions.add(felled(101.0), 1_000, 9)
-    with pytest.raises(StoreError, match="is of site ridge, not valley"):
-        SurfaceVersions(versions.folder, "valley", GRID).manifest()
-    with pytest.raises(StoreError, match="resolution has changed; move the folder away"):
-        SurfaceVersions(versions.folder, "ridge", GridGeometry(0.0, 60.0, 1.0, 80, 60)).load(entry)
-
-
 @pytest.mark.parametrize(
     "text",
     [

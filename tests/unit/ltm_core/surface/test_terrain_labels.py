@@ -37,14 +37,6 @@ def shown(source: str, cells: BoolArray = PATCH) -> BoolArray:
     return np.asarray(cells[SEEN[source]], np.bool_)
 
 
-def shown_cells(source: str) -> BoolArray:
-    """(H, W) of the grid: cells of the stand that a camera has told of."""
-    surface = stand_map()
-    for hours in (0.0, 2.0):
-        surface.add(standing(source, hours))
-    return np.asarray(surface.layers().observed & PATCH, np.bool_)
-
-
 def labelled(source: str, hours: float, labels: UInt8Array, **changes: object) -> DepthFrame:
     """A frame in which nothing is measured but for what `changes` say."""
     nowhere = np.zeros(labels.shape, np.bool_)
@@ -124,16 +116,6 @@ def test_sharp_depth_is_believed_against_labels() -> None:
     assert (surface.layers().observed & PATCH).sum() > 100
 
 
-def test_depth_that_hardly_tells_leaves_it_to_the_labels() -> None:
-    """A network draws each pixel to the stand as it was, with a sigma of a fifth of the range."""
-    surface, whole = stand_map(), np.ones((CAMERA.height, CAMERA.width), np.bool_)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        seen = felled(camera, hours)
-        surface.add(replace(seen, measured=whole, sigma=0.2 * seen.depth))
-    surface.decide()
-    assert changed_share(surface) > 0.9
-
-
 def test_what_stands_before_a_stand_hides_it() -> None:
     """A network measures something at half the range, say a truck on a meadow: its label is not the stand's."""
     surface, whole = stand_map(), np.ones((CAMERA.height, CAMERA.width), np.bool_)
@@ -186,15 +168,3 @@ def test_a_camera_that_has_watched_the_stand_finds_it_felled_alone() -> None:
         surface.add(standing(camera, hours))
     surface.decide()
     assert (surface.layers().change[seen] == ChangeKind.REMOVED).mean() < 0.1
-
-
-def test_two_cameras_that_have_watched_must_agree() -> None:
-    surface = watched("west")
-    for look in range(4):
-        surface.add(standing("east", 10.0 + look))
-    both = shown_cells("west") & shown_cells("east")
-    assert both.sum() > 100
-    for look in range(6):
-        surface.add(felled("west", 30.0 + 2 * look, both))
-        surface.add(standing("east", 31.0 + 2 * look))
-        assert len(surface.decide().rows) == 0

@@ -94,17 +94,6 @@ def test_a_wrong_crs_is_told_by_where_it_leads(tmp_path: Path, dem: Dem) -> None
     assert "check position and crs" in doubt
 
 
-def test_what_may_be_in_another_unit_is_doubted(tmp_path: Path, dem: Dem) -> None:
-    assert set_up_picture(config_of(tmp_path, SURVEYED), dem).doubts == ()
-    odd = SURVEYED.replace("912.5", "2990").replace("azimuth_deg: 75", "azimuth_deg: 1.309")
-    radians, feet = set_up_picture(config_of(tmp_path, odd), dem).doubts
-    assert "1.309 rad is 75.0 deg" in radians
-    assert "as feet it would be 911 m" in feet
-    buried = SURVEYED.replace("912.5", "500")
-    with pytest.raises(PoseError, match="under the ground"):
-        set_up_picture(config_of(tmp_path, buried), dem)
-
-
 def test_a_photo_that_exif_turns_says_so(tmp_path: Path) -> None:
     image = Image.fromarray(np.zeros((40, 64, 3), np.uint8))
     exif = image.getexif()

@@ -110,21 +110,6 @@ def test_trees_hide_the_ground_behind_them() -> None:
     assert coverage.height[wood] == 20.0
 
 
-def test_range_resolution_and_unknown_ground() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    elevation = plane.elevation.copy()
-    elevation[:20] = np.nan
-    dem = Dem(elevation, plane.geometry)
-    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
-    near = viewshed(PointVisibility(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
-    assert near.geometry.shape == (53, 75)
-    row, col = np.mgrid[0:53, 0:75]
-    x, y = near.geometry.to_map(row, col)
-    known = np.isfinite(dem.elevation_at(x, y))
-    assert np.array_equal(near.count == -1, ~known)
-    assert np.array_equal(near.count[known] == 1, np.hypot(x - 1, y - 1)[known] <= 100.0)
-
-
 SITE = """
 name: ridge
 crs: EPSG:32611
@@ -169,17 +154,3 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr().out
     assert "roving" in said
     assert "seen by 2 or more" in said
-
-
-def test_the_command_sees_a_sites_surface(folder: Path) -> None:
-    command(out=folder / "bare.tif", site=folder / "site.yaml")
-    dem = Dem.open(folder / "dem.tif")
-    tops = dem.elevation.copy()
-    tops[:, 120:125] += 30.0
-    Dem(tops, dem.geometry).save(folder / "tops.tif")
-    (folder / "site.yaml").write_text(SITE.replace("cameras:", "surface: {path: tops.tif}\ncameras:", 1))
-    command(out=folder / "wood.tif", site=folder / "site.yaml")
-    with rasterio.open(folder / "bare.tif") as one, rasterio.open(folder / "wood.tif") as other:
-        bare, wood = one.read(1), other.read(1)
-    assert bare.shape == wood.shape
-    assert (wood[:, 126:] > 0).sum() < 0.5 * (bare[:, 126:] > 0).sum()

@@ -58,17 +58,6 @@ def test_polygons_hide_the_pixels_that_they_cover(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.mask.hidden, expected)
 
 
-def test_polygons_of_a_camera_without_calibration_are_drawn_in_the_size_of_its_pictures(tmp_path: Path) -> None:
-    polygons = [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}]
-    scene = site_scene_filter(load_site(site_with(tmp_path, polygons, "tower")), "tower")
-    assert scene.mask is None
-    for height, width in ((18, 32), (36, 64)):
-        hidden = scene.hidden(width, height)
-        assert hidden is not None
-        assert hidden.shape == (height, width)
-        assert hidden.sum() == 50
-
-
 def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
     """Of a calibration that nobody would see the memory for."""
     path = site_with(tmp_path, [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}])
@@ -142,13 +131,3 @@ def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: obj
     site = load_site(site_with(tmp_path, polygons))
     with pytest.raises(ConfigError, match=said):
         site_scene_filter(site, "mast")
-
-
-def test_the_check_tells_the_share(tmp_path: Path) -> None:
-    write_mask(tmp_path / "m.png", corner())
-    (found,) = (f for f in check_site(site_with(tmp_path, "m.png")).findings if f.name == "mast: mask")
-    assert (found.verdict, found.said) == (SiteVerdict.OK, "hides 7.6% of 256 x 144 pixels")
-    write_mask(tmp_path / "n.png", ~corner())
-    (found,) = (f for f in check_site(site_with(tmp_path, "n.png")).findings if f.name == "mast: mask")
-    assert found.verdict is SiteVerdict.DOUBTFUL
-    assert "inverted" in found.said

@@ -148,20 +148,6 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
     assert not known_errors(str(manifest)).measured
 
 
-def test_a_head_states_what_it_was_tested_on(tmp_path: Path) -> None:
-    names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
-    calibration = {"classes": list(names), "confusion": np.eye(7).tolist(), "measured_on": "meadows (9 frames)"}
-    manifest = write_classifier(tmp_path, maps=True)
-    for name, photographs, state in (
-        ("rendered", {"photographs": 0}, "measured on renderings only"),
-        ("seen", {"photographs": 9}, "measured on photos"),
-    ):
-        write_swapping_head(tmp_path / f"{name}.yaml", manifest, calibration=calibration | photographs)
-        assert known_errors(str(manifest), name, tmp_path).state == state
-    write_swapping_head(tmp_path / "bare.yaml", manifest)
-    assert not known_errors(str(manifest), "bare", tmp_path).measured
-
-
 def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (72, 128, 3), np.uint8)
     by_default, of_it = (Segmenter.open(name, head="near") for name in ("landscape_v2", "landscape_lite0"))

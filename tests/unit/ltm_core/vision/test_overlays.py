@@ -125,15 +125,6 @@ def test_bars_are_proposed_for_a_mask_from_one_image_or_several(kind: str) -> No
         assert (bar & truth).sum() > 0.97 * truth.sum()
 
 
-def test_two_bars_inside_one_another() -> None:
-    inner, truth = FRAMES["white below"](clear())
-    drawn = cv2.copyMakeBorder(inner, 20, 20, 30, 30, cv2.BORDER_CONSTANT, value=(0, 0, 0))
-    found = find_overlay(np.asarray(drawn, np.uint8))
-    assert found is not None
-    assert found[20:-20, 30:-30][truth].mean() > 0.99
-    assert found[:20].all()
-
-
 def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site = load_site(write_small_site(tmp_path, recording=False).path)
     step, given = LabellingStep(site, "tower", LabellingConfig()), []

@@ -21,12 +21,6 @@ def test_areas_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["polygons.json"]
 
 
-def test_the_hand_labels_of_the_towers_are_read(shared_data: Path) -> None:
-    areas = read_areas(shared_data / "hpwren_towers/polygons.json")
-    assert len(areas) == 34
-    assert {area.kind for area in areas} <= {"sky", "grass", "shrub", "tree", "bare", "water", "built"}
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -9,18 +9,17 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto
 from scenes.public_exports import ADE, EXPORTS, Graph, skips
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_core.depth.monocular import DepthNetwork
+from ltm_core.depth.monocular import DepthNetwork, shift_of_points
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.install_io import install, source_of, stated_by
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.network_image import pixel_rays
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.cli import main
 
 CAMERA = Camera(320, 180, 300.0, 290.0, 158.0, 93.0)
 
@@ -130,33 +129,13 @@ def test_depth_of_a_public_export_is_that_of_a_direct_run(shared_models: Path, f
     close(values.values, np.where(np.isfinite(depth), depth, np.nan))
 
 
-@pytest.mark.parametrize("folder", ["moge2_vits_static", "moge2_vits_dynamic"])
-def test_points_of_unknown_shift_become_metres_by_the_cameras_rays(shared_models: Path, folder: str) -> None:
-    manifest = added(next((shared_models / "signatures" / folder).glob("*.onnx")))
-    assert (manifest.output.kind, manifest.output.metre_scale, manifest.output.valid) == (
-        "metric",
-        "metric_scale",
-        "mask",
-    )
-    found, rows, cols = direct(manifest)
-    size = found["size"]
-    points = crop(np.moveaxis(found["points"][0], -1, 0), size, rows, cols)
-    inside = crop(found["mask"], size, rows, cols)[0] >= 0.5
-    k = np.diag([cols / CAMERA.width, rows / CAMERA.height, 1.0]) @ CAMERA.matrix
-    u, v = np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
-    rays = np.stack(
-        [(u - k[0, 2] - 0.5 * k[0, 0] / CAMERA.fx) / k[0, 0], (v - k[1, 2] - 0.5 * k[1, 1] / CAMERA.fy) / k[1, 1]]
-    )
-    r, xy, z = rays[:, inside].astype(float), points[:2, inside].astype(float), points[2, inside].astype(float)
-    shift = 0.0
-    for _ in range(200):  # reweighted least squares, until it stands
-        weight = np.tile(1 / np.maximum(z + shift, 1e-3 * np.median(z)), (2, 1)).ravel()
-        answer, *_ = np.linalg.lstsq((weight * r.ravel())[:, None], weight * (xy - r * z).ravel(), rcond=None)
-        before, shift = shift, float(answer[0])
-        if abs(shift - before) < 1e-8 * abs(shift):
-            break
-    expected = np.where(inside, (points[2] + shift) * float(found["metric_scale"].ravel()[0]), np.nan)
-    close(DepthNetwork.open(manifest.name).predict(photo(), CAMERA).values, np.where(expected > 0, expected, np.nan))
+def test_the_shift_of_points_is_found_from_rays() -> None:
+    rng = np.random.default_rng(5)
+    rays = pixel_rays(CAMERA.matrix, (18, 32))[:2]
+    depth = rng.uniform(3.0, 40.0, (18, 32))
+    points = np.concatenate([rays * depth, depth[None] - 1.75]).astype(np.float32)
+    points[:, 0, :5] = np.nan
+    assert shift_of_points(points, points[2], rays) == pytest.approx(1.75, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -256,17 +235,6 @@ def test_a_rejected_network_leaves_nothing(
     assert not data_folder.exists()
 
 
-@pytest.mark.parametrize("text", ["[1, 2]", "{", "null"])
-def test_a_malformed_file_of_a_hub_is_no_crash(tmp_path: Path, text: str) -> None:
-    EXPORTS["zoedepth"](tmp_path / "zoe")
-    (tmp_path / "zoe" / "preprocessor_config.json").write_text(text)
-    if text == "{":
-        with pytest.raises(ModelError, match=r"preprocessor_config\.json"):
-            added(tmp_path / "zoe")
-    else:
-        assert added(tmp_path / "zoe").input.mean == (0.5, 0.5, 0.5)
-
-
 def _depth_graph(path: Path, camera: tuple[str, list[int]] | None = None, **changes: Any) -> Path:
     """A depth of green / 255 + 1, times the largest value of the input for the camera; `changes` of its last steps."""
     graph = Graph("image", [changes.get("images", 1), 3, 32, 48], 1, 1)
@@ -338,15 +306,6 @@ def test_other_forms_of_a_depth_output_run(tmp_path: Path, changes: dict[str, An
     added(_depth_graph(tmp_path / "net.onnx", **changes), "normalise=unit", "output.kind=metric", name="net")
     values = DepthNetwork.open("net").predict(np.full((180, 320, 3), 102, np.uint8), CAMERA).values
     np.testing.assert_allclose(values, 1.4, rtol=1e-5)
-
-
-def test_a_network_without_a_depth_is_rejected_before_it_is_copied(tmp_path: Path, data_folder: Path) -> None:
-    file = _depth_graph(tmp_path / "net.onnx", logarithm=True, offset=-9.0)
-    command = ["models", "add", str(file), "--set", "normalise=unit", "--set", "output.kind=metric"]
-    result = CliRunner().invoke(main.cli, [*command, "--name", "net", "--out", str(tmp_path / "out")])
-    assert isinstance(result.exception, ModelError)
-    assert "net" in str(result.exception)
-    assert not data_folder.exists()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
-from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.scoring.labels import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
@@ -138,16 +138,6 @@ def test_a_class_that_is_green_loses_where_the_photo_is_red(tmp_path: Path) -> N
     assert np.all(np.delete(taken, lime, axis=0) == 0)
 
 
-def test_colour_speaks_against_classes_that_there_are_alone(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path)
-    with pytest.raises(ModelError, match="redness names violet"):
-        Segmenter.open(changed(path, output={"redness": {"violet": 1.0}}))
-    (tmp_path / "p").mkdir()
-    other = write_classifier(tmp_path / "p", "probabilities")
-    with pytest.raises(ModelError, match="redness belongs to kind logits"):
-        Segmenter.open(changed(other, output={"redness": {"lime": 1.0}}))
-
-
 def test_normalisation_follows_the_manifest() -> None:
     spec = InputSpec(
         width=5, height=3, layout="NCHW", dtype="float32", channels="bgr", scale=0.5, mean=(1, 2, 3), std=(2, 4, 8)
@@ -192,27 +182,6 @@ def test_upsampling_agrees_with_opencv(rows: int, cols: int, height: int, width:
     assert clear.mean() > 0.95
     np.testing.assert_array_equal(winner[clear], planes.argmax(axis=0)[clear])
     np.testing.assert_allclose(confidence, planes.max(axis=0) * 255, atol=0.51)
-
-
-@pytest.mark.parametrize(
-    "photo",
-    [
-        np.zeros((4, 6), np.uint8),
-        np.zeros((4, 6, 4), np.uint8),
-        np.zeros((4, 6, 3), np.float32),
-        np.zeros((0, 6, 3), np.uint8),
-    ],
-)
-def test_what_is_no_rgb_photo_is_refused(tmp_path: Path, photo: UInt8Array) -> None:
-    segmenter = Segmenter.open(write_classifier(tmp_path))
-    with pytest.raises(ImageError, match=r"expected \(H, W, 3\) uint8 RGB"):
-        segmenter.segment(photo)
-
-
-def test_a_mapping_to_no_label_is_refused(tmp_path: Path) -> None:
-    path = changed(write_classifier(tmp_path), mapping={"red": "bush"})
-    with pytest.raises(ModelError, match=r"mapping\.red.*'bush'.*shrub"):
-        Segmenter.open(path)
 
 
 def test_logits_declared_as_probabilities_are_refused(tmp_path: Path) -> None:

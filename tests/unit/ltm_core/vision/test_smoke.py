@@ -99,17 +99,6 @@ def test_of_a_patrol_the_pictures_of_the_same_view_are_compared() -> None:
     assert after(views, land(2)) is None
 
 
-def test_a_patrol_that_comes_round_as_often_as_pictures_are_remembered_has_them_of_all_views() -> None:
-    """By time alone they would all be of the first one."""
-    views, dwell = 3, APART_S / 3
-    for asked in range(views):
-        memory = SmokeMemory()
-        for stay in range(2 * views + asked):
-            memory.look(land(stay % views), labels(), stay * dwell)
-        at_s = (2 * views + asked) * dwell
-        assert memory.look(plume(land(asked), 7)[0], labels(), at_s) is not None, asked
-
-
 def test_one_stamp_of_another_time_does_not_end_it() -> None:
     memory = SmokeMemory()
     memory.look(land(), labels(), 4e9)
@@ -140,21 +129,6 @@ def test_what_it_will_hold_in_three_hours_it_holds_from_the_first_picture_on() -
     assert memory.nbytes == REMEMBERED * small * (1 + 1 / 8 + 4 / 16)
     assert memory.nbytes <= first < memory.nbytes + 50_000
     assert last < first + 50_000
-
-
-def test_pictures_of_other_sizes_are_remembered_besides() -> None:
-    """Larger ones than the first, and smaller ones."""
-    memory = SmokeMemory()
-
-    def look(picture: UInt8Array, size: tuple[int, int], at_s: float) -> BoolArray | None:
-        of_size = cv2.resize(picture, size)
-        return memory.look(of_size, cv2.resize(labels(), size, interpolation=cv2.INTER_NEAREST), at_s)
-
-    sizes = (SIZE[1], SIZE[0]), (SIZE[1], SIZE[0] + 60), (SIZE[1] - 100, SIZE[0] - 40)
-    for number, size in enumerate(sizes):
-        look(land(), size, number * APART_S)
-    for number, size in enumerate(sizes, len(sizes)):
-        assert look(plume(land(), 2)[0], size, number * APART_S) is not None
 
 
 def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,19 +113,3 @@ def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
         (tmp_path / str(number)).mkdir()
         with pytest.raises(ConfigError, match=said):
             load_site(site_with(tmp_path / str(number), views, camera))
-
-
-def test_the_check_tells_a_file_that_is_not_there_and_a_size_that_is_wrong(tmp_path: Path) -> None:
-    path = site_with(tmp_path, [view("a", 10.0, "none.png")])
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is SiteVerdict.WRONG
-    assert "cannot be read" in found.said
-    write_mask(tmp_path / "small.png", np.eye(20, 30, dtype=np.bool_))
-    lens = {"width": 320, "height": 180, "hfov_deg": 62.0}
-    path = site_with(tmp_path, [view("a", 10.0, "small.png")], calibration=lens)
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is SiteVerdict.WRONG
-    assert "30 x 20 pixels, but the camera's images have 320 x 180" in found.said
-    path = site_with(tmp_path, [view("a", 10.0, [rectangle(0, 0, 90, 320)])], calibration=lens)
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: mask of view a")
-    assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (SiteVerdict.OK, True)

@@ -7,7 +7,7 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.vision.label_rules import contrast, withdraw
+from ltm_core.vision.label_rules import withdraw
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmenter
@@ -21,14 +21,6 @@ def _answer() -> tuple[UInt8Array, UInt8Array, UInt8Array]:
     labels[140:] = Label.SHRUB
     confidence = np.tile(np.linspace(0, 255, 300).astype(np.uint8)[:, None], (1, 640))
     return image, labels, confidence
-
-
-def test_contrast_is_the_deviation_of_grey() -> None:
-    found = contrast(_answer()[0])
-    assert found.shape == (300, 640)
-    np.testing.assert_allclose(found[20:280, 20:300], 0.0, atol=0.1)
-    np.testing.assert_allclose(found[20:280, 340:620], 100.0, atol=1.0)
-    assert contrast(np.zeros((60, 1280, 3), np.uint8)).shape == (30, 640)
 
 
 def test_flat_tree_is_withdrawn_and_nothing_else() -> None:

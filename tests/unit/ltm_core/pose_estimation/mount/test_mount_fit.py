@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import cache
 
@@ -10,12 +9,10 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount import mount_fit
-from ltm_core.pose_estimation.mount.mount_fit import MountFit, fit_mount, widened
+from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between, turned
-from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
@@ -107,23 +104,3 @@ def test_copies_of_one_picture_say_no_more_than_the_picture() -> None:
     np.testing.assert_allclose(often.rotation, once.rotation, atol=1e-6)
     np.testing.assert_allclose(often.covariance, once.covariance, rtol=1e-3, atol=1e-12)
     assert often.gap == pytest.approx(once.gap, rel=1e-3)
-
-
-@pytest.mark.parametrize(("grown", "asked"), [(Label.BARE, "ridges_gap"), (Label.TREE, "plants_gap")])
-def test_a_mount_of_which_ridges_alone_tell_is_asked_more(grown: Label, asked: str) -> None:
-    """As of a single picture; all other limits are loose here."""
-    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 6.0])), 8.0, 0.5, 0.5)
-    photo, labels = view(TRUE)
-    labels = np.where(labels == Label.BARE, np.uint8(grown), labels).astype(np.uint8)
-    evidence = replace(picture_evidence(photo, labels, CAMERA), skyline=None)
-    loose = {"most_sigma_deg": 9.0, "mount_azimuth_sigma_deg": 9.0, "least_gap": 0.0, "alternative_deg": 0.05}
-    loose |= {"ridges_gap": 0.0, "plants_gap": 0.0, "contradiction": 99.0, "mount_apart_deg": 99.0}
-    search = find_pose(evidence, terrain(), prior)
-
-    def fit(**limits: float) -> MountFit:
-        config = PicturePoseConfig(verdict=VerdictConfig(**(loose | limits)))
-        return fit_mount([prior] * 2, [search] * 2, config, tilt_zero_sigma_deg=0.0)
-
-    gap = fit().gap
-    assert 0 < gap < math.inf
-    assert [fit(**{asked: share * gap}).word for share in (0.9, 1.1)] == ["accepted", "ambiguous"]

@@ -81,13 +81,6 @@ def test_the_covariance_is_that_of_each_parameter_moved_by_itself() -> None:
     assert np.sqrt(np.diag(found)[:3]) == pytest.approx([0.1, 0.2, 0.3])
 
 
-def test_motion_while_the_picture_was_taken_widens_it() -> None:
-    model = head(10.0)
-    still, moved = model.pose(20.0, 0.0)[1], model.pose(20.0, 0.0, (0.6, 0.0))[1]
-    assert math.degrees(math.sqrt(still[5, 5])) == pytest.approx(0.03)
-    assert math.degrees(math.sqrt(moved[5, 5])) == pytest.approx(math.hypot(0.03, 0.6 / math.sqrt(12)))
-
-
 def _dem() -> Dem:
     return Dem(rough_terrain(7, (60, 80)).elevation, GridGeometry(0.0, 600.0, 10.0, 80, 60))
 

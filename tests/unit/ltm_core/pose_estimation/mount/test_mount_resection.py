@@ -157,12 +157,3 @@ def test_landmarks_crowded_in_pan_are_told_with_where_to_mark_others() -> None:
     assert "span 13 deg of pan only" in note
     assert 140 < found.worst[0] < 270
     assert found.worst[1] > 0.3
-
-
-def test_landmarks_that_fit_no_mount_are_refused_by_name() -> None:
-    rng = np.random.default_rng(9)
-    points = marked(head(), spread(8, rng), rng)
-    pixels = points.pixels.copy()
-    pixels[:3] = np.clip(pixels[:3] + rng.uniform(200, 400, (3, 2)) * (1, -1), 0, (1919, 1079))
-    with pytest.raises(PoseError, match=r"landmark\d\.0 \(off by \d+ px\)"):
-        resect_mount(replace(points, pixels=pixels), STATED, LENS, BEND, free_focal=False)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,13 +7,13 @@ import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose, pose_sigmas
+from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_refinement import skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
@@ -33,22 +32,6 @@ def clear() -> PictureEvidence:
 @cache
 def found_clear() -> PictureSearch:
     return find_pose(clear(), OPEN, PRIOR)
-
-
-@cache
-def among_shrubs() -> PictureEvidence:
-    """The same, by its labels with shrubs on all of its land."""
-    photo, labels = view(TRUE)
-    labels[labels != Label.SKY] = Label.SHRUB
-    return picture_evidence(photo, labels, CAMERA)
-
-
-@cache
-def unsettled() -> PictureSearch:
-    """Among shrubs, but for the last step."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
-        return find_pose(among_shrubs(), OPEN, PRIOR)
 
 
 def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
@@ -109,37 +92,6 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
     doubted = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
-
-
-def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
-    evidence = among_shrubs()
-    found = find_pose(evidence, OPEN, PRIOR)
-    assert found.verdict.word == "accepted", found.verdict.reason
-    best = found.hypotheses[0].refined
-    again = settled_on_ridges(best, evidence, found.horizon, PRIOR, 0.0, CONFIG)
-    away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
-    assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
-    assert found.verdict.sigma_deg == pytest.approx(
-        tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
-    )
-
-
-@pytest.mark.parametrize(("sunk", "sigma_deg", "settles"), [(0.0, 0.29, True), (0.0, 0.31, False), (500.0, 0.1, False)])
-def test_a_pose_stays_where_ridges_leave_it_open_or_under_the_ground(
-    sunk: float, sigma_deg: float, settles: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def settled(refined: RefinedPose, *given: object) -> RefinedPose:
-        turned_pose = turned(refined.pose, np.radians([0.0, 0.0, 0.2]))
-        pose = replace(turned_pose, position=turned_pose.position - np.array([0.0, 0.0, sunk]))
-        return replace(refined, pose=pose, covariance=np.diag(np.radians(np.full(7, sigma_deg)) ** 2))
-
-    before = unsettled()
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", settled)
-    after = find_pose(among_shrubs(), OPEN, PRIOR)
-    assert before.verdict.word == after.verdict.word == "accepted"
-    off = np.degrees(angles_between(before.hypotheses[0].refined.pose, after.hypotheses[0].refined.pose))
-    assert off[0] == pytest.approx(-0.2 if settles else 0.0, abs=0.01)
-    assert (after.verdict.sigma_deg == before.verdict.sigma_deg) is not settles
 
 
 def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:

@@ -9,13 +9,10 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
-from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
-from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label
 
@@ -70,23 +67,6 @@ def test_a_picture_of_elsewhere_is_not_accepted() -> None:
     prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
     search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), prior)
     assert search.verdict.word != "accepted"
-
-
-def test_a_mean_that_fits_nowhere_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here one that lies 1.5 degrees beside all that it is of."""
-
-    def beside(found: list[Hypothesis], *given: object) -> list[Hypothesis]:
-        best = found[0]
-        mean = replace(best.refined, pose=turned(best.refined.pose, np.radians([0.0, 0.0, 1.5])))
-        return [replace(best, refined=mean, about=best.refined.pose), *found[1:]]
-
-    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 0.8])), 1.5, 0.5, 0.5)
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    assert find_pose(evidence, terrain(), prior).verdict.word == "accepted"
-    monkeypatch.setattr(pose_from_picture, "merged_with_others", beside)
-    verdict = find_pose(evidence, terrain(), prior).verdict
-    assert verdict.support < PicturePoseConfig().verdict.least_support
-    assert verdict.word != "accepted"
 
 
 def test_a_photo_upside_down_is_told() -> None:

@@ -16,7 +16,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     merged_with_others,
     widened_by_others,
 )
-from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
 CONFIG = VerdictConfig(
@@ -66,26 +66,6 @@ def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> Non
     assert best.refined.pose.angles_deg[0] == pytest.approx(60.0 + mean, abs=1e-6)
     assert azimuth_sigma_deg(best) == pytest.approx(math.sqrt(0.1**2 + spread), rel=1e-4)
     assert rest == others
-
-
-def test_starts_that_end_in_one_place_count_once() -> None:
-    apart = [hypothesis(60.0, -100.0), hypothesis(61.2, -100.0)]
-    (once, *_), (thrice, *_) = (
-        merged_with_others(found, CONFIG)
-        for found in (apart, [*apart, hypothesis(61.21, -99.999), hypothesis(61.19, -99.998)])
-    )
-    assert thrice.refined.pose.angles_deg[0] == pytest.approx(once.refined.pose.angles_deg[0], abs=1e-6)
-    assert azimuth_sigma_deg(thrice) == pytest.approx(azimuth_sigma_deg(once))
-
-
-def test_poses_that_cost_much_more_change_nothing() -> None:
-    first = hypothesis(60.0, -100.0)
-    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], CONFIG)
-    assert np.abs(angles_between(first.refined.pose, best.refined.pose)).max() < 1e-6
-    assert azimuth_sigma_deg(best) == pytest.approx(0.1, rel=1e-3)
-    (alone,) = merged_with_others([first], CONFIG)
-    assert azimuth_sigma_deg(alone) == pytest.approx(0.1)
-    assert merged_with_others([], CONFIG) == []
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, usual_score
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import ridge_observations, skyline_observations
@@ -49,11 +48,3 @@ def test_ridges_that_are_seen_higher_than_predicted_err_as_a_skyline_does() -> N
     assert np.median(across.error[across.weight > 0]) > 0.5 * pixels
     assert across.ground.shape == (len(across.error), 2)
     np.testing.assert_array_less(across.shared, across.sigma)
-
-
-def test_the_usual_score_is_the_median_with_its_robust_deviation() -> None:
-    scores = np.random.default_rng(3).normal(4.0, 2.5, 4000)
-    scores[:200] = 90.0  # some poses that fit
-    middle, spread = usual_score(scores)
-    assert middle == pytest.approx(4.2, abs=0.2)
-    assert spread == pytest.approx(2.6, abs=0.2)

@@ -10,7 +10,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 
@@ -47,16 +47,6 @@ def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_
     assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
     assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
     assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
-
-
-def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureEvidence) -> None:
-    """A picture of few places, near a crest, is not believed at once."""
-    variances = []
-    for places in (1.0, 1000.0):
-        config = PicturePoseConfig(skyline=SkylineConfig(stated=places))
-        variances.append(find_pose(exact, terrain(), PRIOR, config).hypotheses[0].refined.skyline.variance)
-    assert variances[0] < 0.5
-    assert variances[1] == pytest.approx(1.0, abs=0.03)
 
 
 def with_two_edges(evidence: PictureEvidence, up_px: float, down_px: float) -> PictureEvidence:
