@@ -94,15 +94,6 @@ def shared_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, P
     return source, common / f"ltm-{os.getuid()}"
 
 
-def test_a_place_in_a_common_folder_is_made_for_us_alone(shared_tmp: tuple[Path, Path]) -> None:
-    source, place = shared_tmp
-    found = use_own_cache(source)
-    assert found is not None
-    assert found.parent == place
-    assert [folder.stat().st_mode & 0o777 for folder in (place, found)] == [0o700, 0o700]
-    assert use_own_cache(source) == found
-
-
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o755])
 def test_a_place_that_others_get_at_is_not_taken(shared_tmp: tuple[Path, Path], mode: int) -> None:
     source, place = shared_tmp

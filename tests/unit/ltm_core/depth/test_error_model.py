@@ -10,7 +10,7 @@ from ltm_core.depth.error_model import estimate_errors, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import fit_scale, robust_line, robust_offset
+from ltm_core.depth.scale_fit import fit_scale, robust_line
 from ltm_core.vision.labels import LabelSet
 
 CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
@@ -113,13 +113,3 @@ def test_scale_and_shift_come_back_through_forty_percent_of_outliers(seed: int) 
     assert line.sigma == pytest.approx(1e-4, rel=0.3)
     assert 0.52 < line.inlier_ratio < 0.65
     assert (line.inliers & wrong).sum() < 0.04 * len(x)
-
-
-@pytest.mark.kernel
-def test_an_offset_is_where_most_values_lie() -> None:
-    rng = np.random.default_rng(5)
-    values = np.concatenate([rng.normal(1.7, 0.05, 600), rng.uniform(2.0, 6.0, 400)])
-    offset = robust_offset(values)
-    assert offset is not None
-    assert offset.shift == pytest.approx(1.7, abs=0.01)
-    assert offset.sigma == pytest.approx(0.05, rel=0.35)

@@ -55,23 +55,6 @@ def test_hidden_pixels_have_no_depth_and_spoil_none() -> None:
     assert error < 1.1 * np.abs(plain.depth[clear] - truth[clear]).mean() + 0.1
 
 
-def test_nothing_is_measured_where_it_is_hidden() -> None:
-    hidden, plain = mast(), fused(None).measured()
-    found = fused(hidden, hidden)
-    measured, metres = found.measured(), found.network_depth()
-    assert metres is not None
-    small = hidden_at(hidden, *measured.depth.shape)
-    assert np.isnan(measured.depth[small]).all()
-    assert np.isnan(measured.sigma[small]).all()
-    assert np.isnan(metres[small]).all()
-    assert np.isfinite(measured.depth[~small]).mean() > 0.9 * np.isfinite(plain.depth[~small]).mean()
-    doubtful = np.zeros((3, 4), np.bool_)
-    doubtful[2, 1] = True
-    less = found.measured(doubtful)
-    assert np.isnan(less.depth[hidden_at(doubtful, *less.depth.shape)]).all()
-    assert np.isfinite(less.depth).sum() < np.isfinite(measured.depth).sum()
-
-
 def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -> None:
     scene, hidden = depth_scene(), mast()
     labels = np.where(hidden, np.uint8(255), scene.labels)

@@ -9,7 +9,6 @@ import rasterio
 
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.fire.effect import read_landscape, require_same_grid
-from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp, write_raster
@@ -64,20 +63,6 @@ def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:
         sink.write(landscape().bands)
     with pytest.raises(RasterError, match="square cells"):
         read_landscape(tmp_path / "wide.tif")
-
-
-@pytest.mark.parametrize(
-    ("crs", "x", "y", "message"),
-    [("EPSG:3857", -13_160_000, 4_030_000, "EPSG:32611"), ("EPSG:2053", 50_000, 3_000_000, "south and west")],
-)
-def test_areas_and_slopes_need_a_true_scale(tmp_path: Path, crs: str, x: float, y: float, message: str) -> None:
-    grid = GridGeometry(x, y, 30.0, 9, 7, crs)
-    write_raster(tmp_path / "land.tif", landscape(geometry=grid).bands, grid, -9999)
-    with pytest.raises(RasterError, match=rf"land\.tif: .*{message}"):
-        read_landscape(tmp_path / "land.tif")
-    with pytest.raises(ConfigError, match=message):
-        snapped_grid(GRID, crs)
-    assert snapped_grid(GRID, "EPSG:5070").crs == "EPSG:5070"
 
 
 @pytest.mark.parametrize("band", ["elevation", "fuel"])

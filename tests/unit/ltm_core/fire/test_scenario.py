@@ -43,12 +43,6 @@ def test_moistures(text: str, values: tuple[float, ...]) -> None:
     assert (m.dead_1h, m.dead_10h, m.dead_100h, m.live_herbaceous, m.live_woody) == values
 
 
-@pytest.mark.parametrize("text", [None, "", "D5L1", "6,7,8", "6,7,8,60,much", "6,7,8,60,-3", "6,7,8,60,nan"])
-def test_no_moisture_is_told_with_what_there_is(text: str | None) -> None:
-    with pytest.raises(ConfigError, match=r"D2L2 .*6,7,8,60,90"):
-        Moisture.parse(text)
-
-
 def test_wind() -> None:
     assert Wind.parse("8,45") == Wind(8.0, 45.0)
     assert Wind.parse("8,360").direction == 0

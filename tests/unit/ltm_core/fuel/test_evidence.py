@@ -24,7 +24,7 @@ from ltm_core.base.errors import ImageError
 from ltm_core.fuel.cell_state import EPOCH_S, TILE
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FRAME_CAP, FusionRules
 from ltm_core.fuel.votes import CellVotes
@@ -92,24 +92,10 @@ def test_a_change_of_few_cells_is_not_mapped() -> None:
     assert grid_map.reached_from((2, 9, 1, 1)) == (0, 5, 7, 6)
 
 
-def test_older_frames_of_another_form_are_no_witnesses() -> None:
-    shrubs = [votes(Label.SHRUB, NOW - k * HOUR, camera) for k in (3, 5) for camera in ("north", "south")]
-    trees = [votes(Label.TREE, NOW + k) for k in range(40)]
-    assert not fuel_map(*shrubs, *trees).layers().changed[0, 0]
-    assert fuel_map(*shrubs, *trees, votes(Label.TREE, NOW + HOUR)).layers().changed[0, 0]
-
-
 def test_grass_and_shrub_together() -> None:
     layers = fuel_map(votes(Label.GRASS), votes(Label.SHRUB, NOW + HOUR), prior=None).layers()
     np.testing.assert_array_equal(layers.code, 122)
     np.testing.assert_array_equal(fuel_map(votes(Label.GRASS), prior=None).layers().code, 102)
-
-
-def test_without_a_prior_nothing_is_known_until_it_is_seen() -> None:
-    layers = fuel_map(votes(Label.SHRUB, cells=[(1, 1)]), prior=None).layers()
-    np.testing.assert_array_equal(layers.code, [[NODATA] * 3, [NODATA, 145, NODATA]])
-    np.testing.assert_array_equal(layers.life_form, [[255] * 3, [255, 2, 255]])
-    assert not layers.changed.any()
 
 
 @pytest.mark.parametrize("label", [label for label in Label if label != Label.SKY])

@@ -171,12 +171,6 @@ def test_a_file_that_holds_something_else_by_its_name(tmp_path: Path, name: str,
         load_prior(PriorConfig(**files), GRID)
 
 
-def test_two_bands_of_one_quantity(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", ("fbfm40", "cover", "cover"), ("FBFM40", "CC", "US_200CC"))
-    with pytest.raises(RasterError, match="cover"):
-        load_prior(PriorConfig(path=path), GRID)
-
-
 def test_percent_slopes_become_degrees_for_a_fire(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tif", LANDSCAPE, ("Elev", "SlpP", "Asp", "F40", "CC", "CH", "CBH", "CBD"))
     assert read_landscape(path).bands[1, 0].tolist() == [6, 11, 0, 3]

@@ -83,12 +83,6 @@ def test_a_wall_loses_its_plants_and_the_slope_beside_it_none(label: Label) -> N
     assert votes.above_tree_line == 0
 
 
-def test_a_slope_that_plants_hold_on_loses_none() -> None:
-    """The least rule must not change a bit of what gentle terrain says."""
-    assert same(cast(Label.TREE, None, wall_deg=49.0), cast(Label.TREE, GrowthLimits(), wall_deg=49.0))
-    assert not same(cast(Label.TREE, None, wall_deg=52.0), cast(Label.TREE, GrowthLimits(), wall_deg=52.0))
-
-
 def test_water_votes_on_level_ground_alone() -> None:
     plain, votes = (cast(Label.WATER, limits, wall_deg=0.0) for limits in (None, GrowthLimits(steepest_deg=None)))
     slope, level = west_of(plain, FOOT - 30), plain.only(plain.centres()[:, 0] > FOOT + 30)

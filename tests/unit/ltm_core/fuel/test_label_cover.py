@@ -91,18 +91,6 @@ def test_a_map_gathers_shares_of_the_newest_epoch_in_any_order() -> None:
     assert cover[1, 2] < seen_cover(evidence(old))[1, 2]
 
 
-def test_few_pixels_and_looks_that_may_be_of_another_cell_say_nothing() -> None:
-    assert np.isnan(seen_cover(evidence(look(3, 9)))).all()
-    far = look(20, 100)
-    assert far.visibility is not None
-    columns = list(far.visibility.columns())
-    columns[2] = np.array([90.0], np.float32)
-    lost = CellVotes(
-        GRID, far.rows, far.cols, far.counts, far.z, far.stamp_ns, far.source, None, CellVisibility(*columns)
-    )
-    assert np.isnan(seen_cover(evidence(lost))).all()
-
-
 def test_what_was_seen_before_a_burn_is_void() -> None:
     burned = evidence(look(20, 100))
     burned.burn(np.ones(GRID.shape, np.bool_), (BEGIN + 60) * 10**9)

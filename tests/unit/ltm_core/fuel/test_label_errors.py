@@ -22,7 +22,7 @@ from ltm_core.fuel.label_errors import (
     write_record,
 )
 from ltm_core.fuel.label_measurement import measure_labels
-from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
+from ltm_core.fuel.life_form import LifeForm, label_forms
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVisibility, CellVotes
@@ -174,15 +174,6 @@ def test_one_view_changes_a_cell_only_if_another_network_confirms_what_it_finds(
     assert record.state == "measured on site drawn, live (2026-11-29, 2 views)"
 
 
-def test_labels_of_one_kind_say_nothing_after_they_are_measured() -> None:
-    """A network that calls all land forest, as MOSAIC does on far slopes."""
-    truth, codes = landscape(slice(10, 17))
-    forest = np.zeros((4, 4))
-    forest[:, 2] = 1.0
-    frames = drawn_votes(truth, forest, 7)
-    assert not mapped(frames, codes, measured(frames, codes)).changed.any()
-
-
 def measured(frames: list[CellVotes], codes: np.ndarray, known: np.ndarray | None = None) -> LabelErrors:
     def changes(errors: LabelErrors) -> np.ndarray:
         layers = mapped(frames, codes, errors)
@@ -196,12 +187,3 @@ def mapped(frames: list[CellVotes], codes: np.ndarray, errors: LabelErrors) -> A
     for frame in frames:
         evidence.add(frame)
     return evidence.layers()
-
-
-def test_what_a_record_does_not_state_is_as_bad_as_plausible() -> None:
-    shares = {"tree": {"tree": 0.9, "shrub": 0.1}}
-    errors = ReliabilityRecord(source="photos", photos=0, shares=shares).errors()
-    assert errors.correlation == ALIKE
-    assert np.isnan(errors.shares).all(axis=1).sum() == FORMS - 1
-    assert errors.state == "measured on renderings only"
-    assert ReliabilityRecord(source="nothing").errors() is UNMEASURED

@@ -85,13 +85,6 @@ def test_news_are_the_cells_whose_change_is_another() -> None:
     assert len(news_of(kinds, shift, geometry, FUEL, told)) == 0, "the same again is no news"
 
 
-def test_a_little_change_is_none() -> None:
-    kinds, shift, geometry = window()
-    part = fuel_part(geometry, 10, 20)
-    kinds[part[0].start : part[0].start + 2, part[1].start : part[1].start + 4] = REMOVED  # 8 of 36
-    assert len(news_of(kinds, shift, geometry, FUEL, np.zeros(FUEL.shape, np.uint8))) == 0
-
-
 def map_of(codes: np.ndarray | None, **rules: float) -> LivingFuelMap:
     return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
 
@@ -158,20 +151,6 @@ def test_told_cells_change_and_no_others(
     back = told(evidence, NONE, UNKNOWN)
     np.testing.assert_array_equal(back.code, codes)
     assert not back.changed.any()
-
-
-def test_without_a_prior_the_told_cells_alone_are_known() -> None:
-    evidence = map_of(None)
-    for second in (NOW, NOW + 86400):
-        for camera in ("north", "east", "south"):
-            evidence.add(frame(LifeForm.TREE, second, camera))
-    assert evidence.layers().life_form[CELLS].tolist() == [LifeForm.TREE] * 2
-    after = told(evidence, REMOVED, -12.0)
-    assert after.code[CELLS].tolist() == [102, 102]
-    assert (after.prior == -9999).all()
-    assert (after.life_form != 255).sum() == 3
-    told(evidence, NONE, UNKNOWN)
-    assert evidence.prior is None
 
 
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:

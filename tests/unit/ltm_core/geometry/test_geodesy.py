@@ -30,30 +30,6 @@ def test_curvature_and_refraction(km: float, drop: float) -> None:
     assert ray_bend(True, 0.13) * (1000 * km) ** 2 == pytest.approx(drop, rel=0.03)
 
 
-def test_central_meridian() -> None:
-    # On the central meridian easting is 500 km, and northing 0.9996 of the meridian's arc.
-    x, y = UTM11.from_lonlat(-117.0, 34.0)
-    assert float(x) == pytest.approx(500_000.0, abs=1e-3)
-    assert float(y) == pytest.approx(0.9996 * _meridian_arc(34.0), abs=0.01)
-
-
-def _meridian_arc(latitude_deg: float) -> float:
-    """WGS 84, by integrating the meridian's radius of curvature."""
-    a, e2 = 6_378_137.0, 0.00669437999014
-    step = math.radians(latitude_deg) / 20_000
-    middle = (np.arange(20_000) + 0.5) * step
-    return float(np.sum(a * (1 - e2) / (1 - e2 * np.sin(middle) ** 2) ** 1.5) * step)
-
-
-def test_origin_is_subtracted() -> None:
-    frame = SiteFrame("EPSG:32611", 346_000.0, 3_783_000.0)
-    x, y = UTM11.from_lonlat(-118.6, 34.2)
-    near = frame.from_lonlat(-118.6, 34.2)
-    assert (float(near[0]), float(near[1])) == (float(x) - 346_000, float(y) - 3_783_000)
-    lon, lat = frame.to_lonlat(*near)
-    assert (float(lon), float(lat)) == (pytest.approx(-118.6, abs=1e-9), pytest.approx(34.2, abs=1e-9))
-
-
 @pytest.mark.parametrize("crs", ["EPSG:32611", "EPSG:5070", "EPSG:32633"])
 def test_true_north_on_the_grid(crs: str) -> None:
     frame, (lon, lat) = SiteFrame(crs, 1000.0, 2000.0), {"EPSG:32633": (13.75, 66.7)}.get(crs, LOS_ANGELES)

@@ -18,7 +18,6 @@ from ltm_core.label_heads.head_fit import (
     PhotoSamples,
     by_area,
     fit_head,
-    photo_samples,
     sites_of,
 )
 from ltm_core.label_heads.head_trial import teach_head
@@ -140,18 +139,6 @@ def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> Non
     (tmp_path / "sites.csv").write_text("photo,place\nb.jpg,peak\n")
     with pytest.raises(RecordingError, match="expected image, site"):
         sites_of(frames)
-
-
-def test_samples_are_the_network_s_own_at_named_pixels(tmp_path: Path) -> None:
-    photo, labels = _striped(True, 4)
-    segmenter = Segmenter.open()
-    frame = Frame(photo, labels, tmp_path / "a.png")
-    samples = photo_samples(segmenter, frame, "a", np.random.default_rng(0))
-    assert samples.features.shape == (len(samples.labels), 32 + 64 + 64)
-    assert set(np.unique(samples.labels)) == {Label.SKY, Label.BARE, Label.BUILT}
-    assert samples.shares[Label.SKY] == pytest.approx(50 / 176)
-    own = segmenter.scores_and_maps(photo)[0].reshape(7, -1).T
-    assert all((own == row.astype(np.float32)).all(axis=1).any() for row in samples.scores[::400])
 
 
 def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path) -> None:

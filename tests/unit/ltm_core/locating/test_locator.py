@@ -89,15 +89,6 @@ def test_two_from_one_direction_stay_long() -> None:
     assert two.azimuth_deg == pytest.approx(one.azimuth_deg, abs=2.0)
 
 
-def test_sightings_of_one_camera_share_its_poses_error() -> None:
-    place = np.array([400.0, 2500.0, 50.0])
-    locator = Locator(plain(), 0.0)
-    one = sighting("a", (0.0, 0.0, 200.0), place)
-    alone, thrice = locator.locate([one]), locator.locate([one] * 3)
-    assert thrice.posterior.covariance == pytest.approx(alone.posterior.covariance, rel=0.05, abs=2.0)
-    assert thrice.agreement is None
-
-
 @pytest.mark.parametrize("turned", [0, 1])
 def test_the_camera_that_is_turned_is_named(turned: int) -> None:
     dem = hills()

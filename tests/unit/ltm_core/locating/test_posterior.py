@@ -98,15 +98,3 @@ def test_smoke_comes_up_over_the_higher_of_two_uncertain_crests(slope: float) ->
     expected = float((highest * norm.pdf(slope, x, MARK)).sum() * (x[1] - x[0]))
     behind = likelihood.density[1, (r > 1500) & (r < 2000)]
     assert behind == pytest.approx(np.full(len(behind), expected), rel=0.05)
-
-
-@pytest.mark.kernel
-def test_a_turned_cameras_slope_may_be_wrong_too() -> None:
-    r = marked(-0.1)[0].ranges
-    far = (r > 1500) & (r < 2000)
-    right, turned = marked(-0.1)[1], marked(-0.1, turned=True)[1]
-    assert turned.density[1, far] == pytest.approx(0.8 * right.density[1, far] + 0.2 * norm.pdf(0, 0, np.radians(2.0)))
-    # Of a slope that nothing explains only that chance is left.
-    assert marked(0.2, turned=True)[1].density[1, far] == pytest.approx(0.2 * norm.pdf(0, 0, np.radians(2.0)))
-    # What plumes drift does not matter along walls.
-    assert marked(-0.1, turned=True, lean=0.35)[1].density[1, far] == pytest.approx(turned.density[1, far], rel=1e-6)

@@ -73,18 +73,6 @@ def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
     assert not tracks.forget("a")
 
 
-def test_what_is_kept_is_bounded() -> None:
-    tracks = Tracks(Locator(hills(), 0.0), lifetime_ns=10 * MINUTE, most=2)
-    for minute in range(6):
-        fire, _, _ = tracks.add(seen("a", FIRE, minute))
-    assert len(fire.sightings) == 2
-    tracks.add(seen("b", OTHER, 30))
-    assert [track.number for track in tracks.tracks] == [2]
-    tracks.add(seen("a", FIRE, 31))
-    tracks.add(seen("c", np.array([0.0, 900.0, 50.0]), 32))
-    assert [track.number for track in tracks.tracks] == [3, 4]
-
-
 def pose(azimuth_deg: float) -> Pose:
     return Pose.from_angles((10.0, 20.0, 30.0), azimuth_deg, -5.0)
 

@@ -69,12 +69,6 @@ def test_of_two_cameras_one_fire_names_none() -> None:
     assert judged([marks], 0.75, lost={"a"}).wrong == "a"
 
 
-def test_a_lost_camera_is_named_before_anything_is_marked() -> None:
-    verdict = judged([], 0.9, lost={"b"})
-    assert (verdict.wrong, verdict.fires, verdict.by) == ("b", 0, ("pictures",))
-    assert judged([], 0.9, lost={"a", "b"}).wrong is None
-
-
 def test_fires_of_the_morning_do_not_protect_a_camera_that_slipped_at_noon() -> None:
     hour = 3_600_000_000_000
     noon = np.logaddexp(16.0 - 0.5 * ((TURNS - 2 * DEG) / (0.1 * DEG)) ** 2, -4.0)

@@ -15,11 +15,10 @@ from ltm_core.pictures import (
     label_colors,
     overlay_depth,
     overlay_labels,
-    range_legend,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, error_legend, scale_colors
-from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, scale_colors
+from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
@@ -59,20 +58,6 @@ def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
     assert colors[0, 0].sum() > 2 * colors[0, 1].sum(), "near is bright"
 
 
-def test_range_legend_shows_the_colours_of_its_ranges() -> None:
-    scale = RangeScale(100.0, 10_000.0)
-    strip = range_legend(700, scale, sky=False)
-    assert strip.shape[1:] == (700, 3)
-    row = strip[10].astype(int)
-    middle = np.abs(row - depth_colors(1000.0, scale).astype(int)).sum(axis=1)
-    assert abs(int(middle.argmin()) - 350) <= 2
-    for width in (320, 900):
-        whole = range_legend(width, scale)
-        assert whole.shape[1] == width
-        for color in (SKY_COLOR, UNKNOWN_COLOR):
-            assert (whole == color).all(axis=-1).sum() > 100
-
-
 def test_label_colours_follow_the_palette() -> None:
     ids = np.array([[0, 3, 255], [6, 200, 1]], np.uint8)
     colors = label_colors(ids, LABELS, unlabelled=(1, 2, 3))
@@ -94,14 +79,6 @@ def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
     mixed = overlay_labels(image, labels, LABELS)
     np.testing.assert_array_equal(mixed[8:], image[8:])
     assert (mixed[:7, 31:43] != image[:7, 31:43]).any(axis=-1).mean() > 0.9
-
-
-def test_contours_stand_where_the_range_crosses_a_round_value() -> None:
-    ranges = np.broadcast_to(np.linspace(150.0, 250.0, 101, dtype=np.float32)[:, None], (101, 7)).copy()
-    image = np.full((101, 7, 3), 200, np.uint8)
-    dark = overlay_depth(image, ranges).astype(int).sum(axis=2)
-    lines = np.nonzero((dark < 0.6 * np.median(dark)).all(axis=1))[0]
-    assert lines.tolist() == [49], "200 m lies at row 50, the line just above it"
 
 
 @pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.2), (0.1, -0.5)])
@@ -142,16 +119,6 @@ def test_names_do_not_cover_each_other() -> None:
     assert placed[3] == ("alone", 300.0, 50.0, "lm")
 
 
-def test_error_colors() -> None:
-    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
-    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
-    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
-    assert small.sum() < 60 < 400 < large.sum()
-    assert tuple(sky) == SKY_COLOR
-    assert tuple(missed) == tuple(unknown) == (190, 192, 196)
-    assert error_legend(400).shape[1] == 400
-
-
 CAMERA = Camera.from_fov(330, 210, 60.0)
 DEM = rough_terrain(51)
 
@@ -177,16 +144,6 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
     assert np.abs(picture[:210][ground].astype(int) - photo[ground]).mean() > 15
 
 
-def test_no_skyline_where_the_ground_is_unknown() -> None:
-    ranges = np.full((6, 4), np.inf, np.float32)
-    ranges[3:, :2] = 100.0
-    ranges[3:, 2:] = np.nan
-    drawn = draw_skyline(np.zeros((6, 4, 3), np.uint8), ranges)
-    expected = np.zeros((6, 4), bool)
-    expected[2, :2] = True
-    np.testing.assert_array_equal(drawn.any(axis=-1), expected)
-
-
 def test_the_map_marks_what_is_seen() -> None:
     image = traced()
     counts = cell_counts(image)
@@ -198,3 +155,12 @@ def test_the_map_marks_what_is_seen() -> None:
     orange = (seen[..., 0].astype(int) - seen[..., 2]) > 110
     assert orange.mean() > 0.02
     assert ((unseen[..., 0].astype(int) - unseen[..., 2]) > 110).mean() < 0.005
+
+
+def test_error_colors() -> None:
+    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
+    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
+    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
+    assert small.sum() < 60 < 400 < large.sum()
+    assert tuple(sky) == SKY_COLOR
+    assert tuple(missed) == tuple(unknown) == (190, 192, 196)

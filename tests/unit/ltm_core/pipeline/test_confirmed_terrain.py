@@ -56,16 +56,6 @@ def test_the_version_of_the_moment_is_exported_and_none_without_a_state(small: S
     assert now.note == then.note == before.note == exported_terrain(plain, tmp_path).note == ""
 
 
-def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> None:
-    versions = surface_versions(small.site, tmp_path / FOLDER)
-    entry = versions.add(sunk(small, 4.0), BEGIN, 500)
-    one, other = (confirmed_terrain(small.site, versions, entry.version) for _ in range(2))
-    assert one.ground is other.ground
-    assert one.top is other.top
-    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff'"):
-        confirmed_terrain(small.site, versions, "f" * 16)
-
-
 def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite, tmp_path: Path) -> None:
     """Nodes that follow try it again twice a second."""
     versions = surface_versions(small.site, tmp_path / FOLDER)

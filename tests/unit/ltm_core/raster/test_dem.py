@@ -91,13 +91,6 @@ def test_a_raster_without_crs_needs_one(tmp_path: Path) -> None:
         Dem.open(path, "UTM eleven")
 
 
-def test_a_stated_height_system_does_not_change_the_crs(tmp_path: Path) -> None:
-    path = write(tmp_path / "d.tif", HEIGHTS, crs="EPSG:32611+5703")
-    assert Dem.open(path).geometry.crs == UTM
-    assert Dem.open(path, UTM).in_frame(SiteFrame(UTM)).geometry.crs is None
-    assert Dem.open(path).in_frame(SiteFrame("EPSG:32611+5703")).geometry.crs is None
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -134,11 +127,6 @@ def test_bilinear_between_cell_centres() -> None:
     # A quarter of the way east and 0.4 of the way south from cell (0, 1).
     north, south = 0.75 * 2 + 0.25 * 5, 0.75 * 26 + 0.25 * 37
     assert float(DEM.elevation_at(17.5, 21.0)) == pytest.approx(0.6 * north + 0.4 * south)
-
-
-@pytest.mark.parametrize(("x", "y"), [(4.9, 15), (35.1, 15), (15, 25.1), (15, 4.9), (np.nan, 15), (1e30, 15)])
-def test_no_height_outside_the_outer_centres(x: float, y: float) -> None:
-    assert np.isnan(DEM.elevation_at(x, y))
 
 
 def test_no_height_beside_nodata() -> None:

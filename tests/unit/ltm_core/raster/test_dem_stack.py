@@ -97,16 +97,6 @@ def test_refused(change: Any, message: str) -> None:
         DemStack(change(fine_terrain(coarse), coarse))
 
 
-def test_a_fine_raster_over_the_same_tile_loses_its_rim() -> None:
-    coarse = Dem(np.full((12, 17), 5.0, np.float32), GridGeometry(0.0, 120.0, 10.0, 17, 12))
-    fine = Dem(np.full((120, 170), 9.0, np.float32), GridGeometry(0.0, 120.0, 1.0, 170, 120))
-    stack = DemStack([fine, coarse])
-    # Only what the coarser nodes, from 5 m inside the edge on, surround.
-    assert stack.geometry.bounds == (5.0, 5.0, 165.0, 115.0)
-    assert float(stack.elevation_at(85.0, 60.0)) == 9.0
-    assert float(stack.elevation_at(5.6, 60.0)) < 5.3
-
-
 def write_site(folder: Path, dem: Any, **more: Any) -> Path:
     site = {"name": "far", "crs": UTM, "origin": [400_000, 3_800_000], "dem": dem, "cameras": {"north": {}}, **more}
     path = folder / "site.yaml"

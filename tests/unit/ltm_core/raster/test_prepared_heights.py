@@ -128,18 +128,6 @@ def test_heights_of_a_stranger_are_not_believed(raster: Path) -> None:
     assert is_mapped(Dem.open(raster)), "the raster's owner may"
 
 
-def test_heights_in_other_files_than_the_rasters_own_are_not_prepared(raster: Path) -> None:
-    """A VRT stays as it is while the raster that it names changes."""
-    source = f'<SourceFilename relativeToVRT="1">{raster.name}</SourceFilename><SourceBand>1</SourceBand>'
-    transform = "<GeoTransform>480000, 10, 0, 4151000, 0, -10</GeoTransform>"
-    raster.with_name("dem.vrt").write_text(
-        f'<VRTDataset rasterXSize="70" rasterYSize="45"><SRS>EPSG:26911</SRS>{transform}'
-        f'<VRTRasterBand dataType="Float32" band="1"><SimpleSource>{source}</SimpleSource></VRTRasterBand></VRTDataset>'
-    )
-    assert Dem.open(raster.with_name("dem.vrt")).elevation.shape == GRID.shape
-    assert prepare_heights(raster.with_name("dem.vrt")) is None
-
-
 def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RasterError):
         prepare_heights(raster.with_name("absent.tif"))

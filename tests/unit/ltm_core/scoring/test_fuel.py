@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pyproj import CRS
 
 from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
@@ -43,11 +42,3 @@ def test_offset_grids() -> None:
 def test_cells_must_coincide(other: GridGeometry) -> None:
     with pytest.raises(RasterError, match="cells differ"):
         score_fuel(MAPPED, GRID, TRUTH, other, 3)
-
-
-def test_one_crs() -> None:
-    for crs in ("EPSG:32612", None):
-        with pytest.raises(RasterError, match=f"EPSG:32611 cannot be scored against truth in {crs}"):
-            score_fuel(MAPPED, GRID, TRUTH, GRID.translated(0, 0, crs), 3)
-    by_text = GRID.translated(0, 0, CRS("EPSG:32611").to_wkt())
-    assert score_fuel(MAPPED, GRID, TRUTH, by_text, 3).seen == 4

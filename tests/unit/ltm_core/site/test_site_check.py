@@ -50,14 +50,6 @@ def test_a_site_as_it_should_be(tmp_path: Path) -> None:
     assert ("north", "calibration and pose are read from topics") in said(check, SiteVerdict.OK)
 
 
-def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> None:
-    assert not said(checked(tmp_path, 890.0, depth_model="landscape_v2_depth"), SiteVerdict.DOUBTFUL)
-    ((name, message),) = said(checked(tmp_path, 890.0, depth_model="landscape_lite0_depth"), SiteVerdict.DOUBTFUL)
-    assert (name, message.partition(": ")[2]) == ("depth_model", "landscape_v2_depth costs less")
-    both = {"model": "landscape_lite0", "depth_model": "landscape_lite0_depth"}
-    assert not said(checked(tmp_path, 890.0, **both), SiteVerdict.DOUBTFUL)
-
-
 @pytest.mark.parametrize(
     ("key", "wrong"), [("model", "landscape_v2_depth"), ("depth_model", "landscape_v2"), ("model", "tcmonodepth")]
 )

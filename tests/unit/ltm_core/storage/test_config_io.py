@@ -45,17 +45,6 @@ def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:
     assert "line 5" in str(raised.value)
 
 
-def test_places_that_can_be_written_are_left_as_they_are(tmp_path: Path) -> None:
-    there = tmp_path / "there.tif"
-    there.write_text("old")
-    require_folder(tmp_path)
-    require_folder(tmp_path / "to/be/made")
-    require_files([tmp_path / "new.tif", tmp_path / "deep/new.tif"], overwrite=False)
-    require_files([there])
-    assert [p.name for p in tmp_path.iterdir()] == ["there.tif"]
-    assert there.read_text() == "old"
-
-
 def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "there.tif").touch()
     with pytest.raises(ConfigError, match=r"there.tif: exists already; .* --overwrite"):

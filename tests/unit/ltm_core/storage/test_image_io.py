@@ -215,14 +215,6 @@ def test_sixteen_bits_keep_the_high_byte(form: str) -> None:
     np.testing.assert_array_equal(decode_rgb(stream.getvalue())[..., 1].ravel(), np.arange(256))
 
 
-def test_a_stereo_pair_gives_its_first_image() -> None:
-    stream, pair = BytesIO(), [Image.fromarray(scene()), Image.fromarray(scene()[::-1])]
-    pair[0].save(stream, "MPO", save_all=True, append_images=pair[1:])
-    data = stream.getvalue()
-    np.testing.assert_array_equal(decode_rgb(without_tail(data)), decode_rgb(data))
-    assert len(without_tail(data)) < len(data) * 2 / 3
-
-
 @pytest.mark.parametrize(
     ("form", "turn"), [*(("JPEG", turn) for turn in range(1, 9)), ("PNG", 6), ("TIFF", 7), ("WEBP", 3), ("AVIF", 8)]
 )

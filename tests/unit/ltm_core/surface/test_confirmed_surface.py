@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
@@ -73,15 +72,6 @@ def test_all_levels_of_a_stack_follow_but_not_at_their_seam() -> None:
     fine = np.argwhere(found.levels[0].elevation != stack.levels[0].elevation)
     assert fine.tolist() == [list(middle)]
     assert float(found.elevation_at(x, y)) == pytest.approx(800.0)
-
-
-def test_cells_that_are_none_are_refused() -> None:
-    with pytest.raises(RasterError, match="outside their grid"):
-        confirmed([(30, 0)], [1.0])
-    with pytest.raises(RasterError, match="row-major order"):
-        confirmed([(3, 8), (3, 7)], [1.0, 2.0])
-    with pytest.raises(RasterError, match="without a finite height"):
-        confirmed([(3, 8)], [float("nan")])
 
 
 def test_small_moves_are_no_difference() -> None:

@@ -42,17 +42,6 @@ def test_views_that_are_kept_and_views_that_are_not_give_the_same() -> None:
         np.testing.assert_array_equal(values, anew[name], err_msg=name)
 
 
-def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = kept()
-    monkeypatch.setattr(
-        "ltm_core.surface.observation.block_maxima",
-        lambda surface: np.full([-(-n // 8) for n in surface.shape], np.inf, np.float32),
-    )
-    thorough = layers(RULES)
-    for name in quick:
-        np.testing.assert_array_equal(quick[name], thorough[name], err_msg=name)
-
-
 @pytest.mark.parametrize(("away", "sigma", "grown"), [(60.0, 1.0, True), (93.0, 10.0, False)], ids=["within", "rim"])
 def test_what_may_stand_beyond_the_terrain_is_no_growth_on_its_rim(away: float, sigma: float, grown: bool) -> None:
     """A wall across the view of a camera over a plain that ends after 98 m: on the plain, or maybe behind it."""

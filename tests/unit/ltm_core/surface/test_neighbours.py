@@ -36,15 +36,6 @@ def test_open_ground_beside_a_stand_takes_no_part_in_its_growth(stand: BoolArray
     np.testing.assert_allclose(shift, np.where(stand, 4.0, 0.25), atol=1e-4)
 
 
-def test_crowns_seen_from_the_side_are_surer_together_of_their_stand_than_of_themselves() -> None:
-    everything = np.ones(SHAPE, np.bool_)
-    cells = estimates(np.full(SHAPE, 3.0), 5.0, 0.8, everything)
-    shift, doubt = mean_of_neighbours(cells, everything, 0.5)
-    np.testing.assert_allclose(shift, 3.0, atol=1e-4)
-    # As if the neighbours' errors were one: no less than one cell's word on its stand, and far less than on itself.
-    np.testing.assert_allclose(doubt[20:30, 30:40], 0.8, atol=1e-3)
-
-
 def test_a_cell_keeps_its_own_detail_where_neighbours_differ_beyond_their_noise() -> None:
     rng = np.random.default_rng(4)
     everything, mean = np.ones(SHAPE, np.bool_), np.full(SHAPE, 5.0, np.float32)

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_share, dem, frame
+from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, dem, frame
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.surface.change import ChangeKind
@@ -125,18 +124,6 @@ def test_what_stands_before_a_stand_hides_it() -> None:
         surface.add(replace(seen, measured=whole, depth=near, sigma=0.05 * near))
     surface.decide()
     assert not (surface.layers().change[PATCH] == ChangeKind.REMOVED).any()
-
-
-def test_labels_may_have_another_size_than_depth() -> None:
-    """Depth of one pixel that measures nothing, as of a network that is much coarser than the labels."""
-    surface, small = stand_map(), np.full((1, 1), np.nan, np.float32)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        nothing = {"depth": small, "sigma": small, "measured": np.zeros((1, 1), np.bool_)}
-        surface.add(replace(felled(camera, hours), camera=CAMERA.resized(1, 1), **nothing))
-    surface.decide()
-    assert changed_share(surface) > 0.9
-    with pytest.raises(ImageError, match="label image"):
-        LabelImage(np.zeros((4, 6), np.uint8), CAMERA)
 
 
 def watched(camera: str, looks: int = 4) -> SurfaceMap:

@@ -33,7 +33,6 @@ pose:
   pitch_deg: -12
   roll_deg: 2
 """
-SURVEYED = POSE.replace("height_above_ground: 14", "z: 912.5")
 
 
 @pytest.fixture
@@ -83,15 +82,6 @@ def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
     swapped = POSE.replace("400060.5", "34").replace("3799930.25", "-118") + "  crs: EPSG:4326"
     with pytest.raises(PoseError, match="longitude first"):
         set_up_picture(config_of(tmp_path, swapped), dem)
-
-
-def test_a_wrong_crs_is_told_by_where_it_leads(tmp_path: Path, dem: Dem) -> None:
-    """The numbers lie within the DEM's bounds, but not in the zone that is named."""
-    with pytest.raises(PoseError, match=r"\(400060.5, 3799930.25\) in EPSG:32610, that is \(-\d+, \d+\) in EPSG:32611"):
-        set_up_picture(config_of(tmp_path, POSE + "  crs: EPSG:32610\n"), dem)
-    (doubt,) = set_up_picture(config_of(tmp_path, SURVEYED + "  crs: EPSG:32610\n"), dem).doubts
-    assert "that is (-" in doubt
-    assert "check position and crs" in doubt
 
 
 def test_a_photo_that_exif_turns_says_so(tmp_path: Path) -> None:

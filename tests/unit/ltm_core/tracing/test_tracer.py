@@ -7,7 +7,7 @@ import pytest
 from scenes.kernel_counts import compiled
 from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, tilted_plane
 
-from ltm_core.base.errors import PoseError, RasterError
+from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
@@ -205,22 +205,6 @@ def test_refuses_a_camera_under_the_ground_and_says_by_how_much() -> None:
     with pytest.raises(PoseError, match=r"12\.75 m under the ground.* 100\.00 m"):
         tracer.trace(CAMERA, pose)
     assert tracer.ground_clearance(pose) == pytest.approx(-12.75)
-
-
-def test_refuses_infinite_heights() -> None:
-    z = np.full((6, 9), 10.0, np.float32)
-    z[4, 7] = -np.inf
-    with pytest.raises(RasterError, match="row 4, column 7"):
-        TerrainTracer(Dem(z, GridGeometry(0, 6, 1, 9, 6)))
-
-
-def test_rays_that_are_none_give_nan_and_lengths_do_not_matter() -> None:
-    tracer = TerrainTracer(tilted_plane().dem)
-    unit, long, none, zero = tracer.trace_rays((0, 0, 450), [(0.6, 0, -0.8), (6, 0, -8), (np.nan, 0, -1), (0, 0, 0)])
-    assert unit == long
-    assert np.isfinite(unit)
-    assert np.isnan(none)
-    assert np.isnan(zero)
 
 
 def test_the_smallest_dem() -> None:

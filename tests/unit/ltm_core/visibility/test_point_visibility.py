@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing, tilted_plane
+from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -73,16 +73,6 @@ def test_states() -> None:
     assert [PointState(s).name for s in result.states] == expected
     assert np.isnan(result.pixels[2]).all()
     assert result.visible.tolist() == [True, False, False, False, False, False]
-
-
-def test_tolerance_is_a_height() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    pose = Pose.from_angles((-200.0, 0.0, 440.0), 90.0, -10.0)
-    sunk = np.array([[0.0, 0.0, 420.0 - 0.3]])
-    sight = PointVisibility(plane, curvature=False)
-    assert sight.visible(CAMERA, pose, sunk).states[0] == PointState.HIDDEN
-    # The ray to a point under the ground meets it before the point: lifting to the ground is what counts.
-    assert sight.visible(CAMERA, pose, sunk, tolerance=0.31).states[0] == PointState.VISIBLE
 
 
 def test_a_hole_on_the_way_leaves_it_unknown() -> None:

@@ -43,24 +43,6 @@ def test_cells_that_an_image_hits_are_covered() -> None:
     assert hit[fine].mean() > 0.995
 
 
-def test_counts_add_up_and_the_best_footprint_wins() -> None:
-    dem = rough_terrain(5, (181, 263))
-    sight = PointVisibility(dem)
-    views = [
-        PosedCamera("a", CAMERA, Pose.from_angles(standing(dem, 100.0, 60.0, 25.0), 80.0, -15.0)),
-        PosedCamera(
-            "b", Camera(320, 200, 150.0, 150.0, 159.5, 99.5), Pose.from_angles(standing(dem, 20, 200, 9), 215.0)
-        ),
-    ]
-    both = viewshed(sight, views)
-    alone = [viewshed(sight, [view]) for view in views]
-    assert np.array_equal(both.count, alone[0].count + alone[1].count)
-    assert (both.count == 2).any()
-    assert np.array_equal(both.footprint, np.fmin(alone[0].footprint, alone[1].footprint), equal_nan=True)
-    assert np.array_equal(both.height, np.fmin(alone[0].height, alone[1].height), equal_nan=True)
-    assert both.share() == (both.count > 0).mean()
-
-
 def test_footprints_of_a_plane() -> None:
     plane = tilted_plane(0.0, 0.0).dem
     pose = Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0)

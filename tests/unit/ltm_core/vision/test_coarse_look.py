@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
-from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.manifest import NetworkManifest
@@ -89,9 +88,3 @@ def test_a_network_looks_twice_where_its_manifest_says_so(tmp_path: Path, headed
     assert np.abs(found - plain).max() > 0.1, "the stripes are another colour from afar"
     own = Segmenter(once).logits(photo())
     np.testing.assert_array_equal(Segmenter(twice).scores_and_maps(photo())[0], own)  # what heads are taught by
-
-
-def test_only_scores_can_be_averaged(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path, "probabilities", coarse_look=LOOK)
-    with pytest.raises(ModelError, match=r"coarse_look belongs to output kind logits; remove it for probabilities"):
-        NetworkManifest.load(path)

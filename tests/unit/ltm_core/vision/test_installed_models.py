@@ -179,11 +179,6 @@ def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path
     assert files(data_folder) == ["mine.yaml", "mine/mine.onnx"]
 
 
-def test_the_name_of_a_shipped_model_cannot_be_taken(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"'mosaic_r4_ade20k31'.*--name"):
-        add(changed(write_classifier(tmp_path), name="mosaic_r4_ade20k31"))
-
-
 class _Hub(BaseHTTPRequestHandler):
     """A hub that redirects to its storage, with ranges; `folder`: its files, `cut`: bytes after which it hangs up."""
 

@@ -15,9 +15,6 @@ from scenes.networks import COLORS, changed, write_classifier, write_swapping_he
 from ltm_core.base.errors import ModelError
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
-from ltm_core.site.networks import site_segmenter
-from ltm_core.site.site import Site
 from ltm_core.vision.label_head import (
     LabelHead,
     find_label_head,
@@ -156,21 +153,3 @@ def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> 
     assert Segmenter.open("landscape_v2").model_path != by_default.model_path
     errors = [known_errors(name, "near") for name in ("landscape_v2", "landscape_lite0")]
     np.testing.assert_array_equal(errors[0].shares, errors[1].shares)
-
-
-def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
-    cameras = {"north": {}, "east": {"label_head": "near"}}
-    site = Site.model_validate(
-        {
-            "name": "s",
-            "crs": "EPSG:32611",
-            "origin": [346000, 3783000],
-            "dem": {"path": "dem.tif"},
-            "depth_model": "landscape_v2_depth",
-            "cameras": cameras,
-        }
-    )
-    for camera, network in (("north", "landscape_v2"), ("east", "landscape_lite0")):
-        depth = depth_manifest(site, camera, FusingConfig())
-        assert depth.name == f"{network}_depth"
-        assert depth.model_file() == site_segmenter(site, camera).model_path

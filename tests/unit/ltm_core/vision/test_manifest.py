@@ -86,29 +86,12 @@ def test_the_file_is_found_beside_the_manifest_before_the_model_path(
     assert manifest.model_file() == other / "colors.onnx"
 
 
-def test_an_absent_file_says_where_it_was_looked_for(
-    manifest_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(MODEL_PATH_VARIABLE, "/nowhere")
-    manifest = NetworkManifest.load(changed(manifest_path, file="gone.onnx", source="https://example.org/gone"))
-    with pytest.raises(ModelError, match=r"gone\.onnx.*/nowhere/gone\.onnx.*LTM_MODEL_PATH.*example\.org"):
-        manifest.model_file()
-
-
 def test_a_changed_file_is_refused_with_both_checksums(manifest_path: Path, tmp_path: Path) -> None:
     manifest = NetworkManifest.load(manifest_path)
     network = tmp_path / "colors.onnx"
     network.write_bytes(network.read_bytes() + b"\0")
     with pytest.raises(ModelError, match=rf"sha256 [0-9a-f]{{64}}, expected {manifest.sha256}"):
         OnnxModel(manifest)
-
-
-def test_a_file_that_is_no_network_is_refused(manifest_path: Path, tmp_path: Path) -> None:
-    text = b"<html>404 not found</html>"
-    (tmp_path / "colors.onnx").write_bytes(text)
-    checksum = hashlib.sha256(text).hexdigest()
-    with pytest.raises(ModelError, match=r"expected an ONNX network, found 26 bytes"):
-        OnnxModel(NetworkManifest.load(changed(manifest_path, sha256=checksum)))
 
 
 @pytest.mark.parametrize(

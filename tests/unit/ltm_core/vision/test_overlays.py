@@ -77,16 +77,6 @@ def test_landscapes_have_none(way: str) -> None:
     assert scene_of(photo) is photo
 
 
-def test_rows_and_columns_show_the_scene_mirrored() -> None:
-    photo = np.arange(6 * 5 * 3, dtype=np.uint8).reshape(6, 5, 3)
-    hidden = np.zeros((6, 5), np.bool_)
-    hidden[:2], hidden[:, 4] = True, True
-    filled = fill_hidden(photo, hidden)
-    np.testing.assert_array_equal(filled[2:, :4], photo[2:, :4])
-    np.testing.assert_array_equal(filled[:2, :4], photo[[3, 2], :4])
-    np.testing.assert_array_equal(filled[:, 4], filled[:, 3])
-
-
 @pytest.mark.parametrize("width", [320, 1283])
 def test_a_hole_continues_its_surroundings(width: int) -> None:
     rows, columns = np.mgrid[0:240, 0:width]

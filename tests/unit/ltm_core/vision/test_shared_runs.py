@@ -51,19 +51,6 @@ def test_a_picture_is_run_once_for_both() -> None:
     assert len(askers) == 2
 
 
-def test_another_picture_and_further_maps_are_run_anew() -> None:
-    runs, askers = _joined("labels", "depth")
-    first, second = _File(5.0), _File(6.0)
-    runs.run(first.tensor, ["depth"], first.compute)
-    (labels,) = runs.run(second.tensor, ["labels"], second.compute)
-    np.testing.assert_array_equal(labels, [6.0, ord("l")])
-    assert second.runs == [["labels", "depth"]]
-    labels, maps = runs.run(first.tensor, ["labels", "maps"], first.compute)
-    assert first.runs[1][:2] == ["labels", "maps"]
-    np.testing.assert_array_equal(maps, [5.0, ord("m")])
-    assert len(askers) == 2
-
-
 def test_who_is_gone_or_alone_is_not_computed_for() -> None:
     runs, askers = _joined("labels", "depth", "labels")
     file = _File(5.0)

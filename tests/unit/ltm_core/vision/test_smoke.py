@@ -99,13 +99,6 @@ def test_of_a_patrol_the_pictures_of_the_same_view_are_compared() -> None:
     assert after(views, land(2)) is None
 
 
-def test_one_stamp_of_another_time_does_not_end_it() -> None:
-    memory = SmokeMemory()
-    memory.look(land(), labels(), 4e9)
-    memory.look(land(), labels(), 1e9)
-    assert memory.look(plume(land(), 2)[0], labels(), 1e9 + APART_S) is not None
-
-
 def test_pictures_without_a_pattern_leave_room_for_what_was_seen_before() -> None:
     """Fog at a frame a second, for ten minutes."""
     memory, fog = SmokeMemory(), np.full((*SIZE, 3), 170, np.uint8)

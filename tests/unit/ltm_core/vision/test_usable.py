@@ -61,14 +61,6 @@ def test_how_high_the_sun_stood_is_told_by_stamp_and_place() -> None:
     assert nowhere.look(spoilt("dusk"), stamp_ns=evening).reason is None
 
 
-def test_a_clear_picture_is_usable() -> None:
-    found = judge(clear())
-    assert found.reason is None
-    assert found.said == ""
-    assert not found.doubtful.any()
-    assert judge(clear()[::4, ::4].copy()).reason is None
-
-
 def test_what_is_masked_has_no_say() -> None:
     """A black hood over most of a picture: black as by night, were it not masked."""
     photo = clear()

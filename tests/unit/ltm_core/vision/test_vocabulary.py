@@ -13,7 +13,7 @@ from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.prompts import labels_of_prompts, prompted
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.vocabulary import Vocabulary, labels_of_classes
+from ltm_core.vision.vocabulary import labels_of_classes
 
 WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
 DIMENSIONS, SCALE = 6, 9.0
@@ -105,13 +105,6 @@ def test_only_the_queried_words_compete(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_text_network_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         Segmenter.open(_write_embedder(tmp_path, **changes))
-
-
-def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "vocabulary.yaml"
-    path.write_text("synonyms: {grass: [oats], shrub: [oats]}\n")
-    with pytest.raises(ConfigError, match=r"'oats' is mapped to grass and to shrub"):
-        Vocabulary.load(path)
 
 
 @pytest.mark.parametrize(

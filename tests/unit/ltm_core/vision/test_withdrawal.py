@@ -33,15 +33,6 @@ def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
     np.testing.assert_array_equal(labels[140:], before[140:])
 
 
-def test_a_forest_keeps_its_flat_trees() -> None:
-    image, labels, confidence = _answer()
-    labels[:290] = Label.TREE
-    before = labels.copy(), confidence.copy()
-    withdraw(image, labels, confidence, Withdrawal(tree_contrast=11))
-    np.testing.assert_array_equal(labels, before[0])
-    np.testing.assert_array_equal(confidence, before[1])
-
-
 def test_labels_of_low_probability_are_withdrawn() -> None:
     image, labels, confidence = _answer()
     before = confidence.copy()

@@ -47,14 +47,6 @@ def test_a_cell_that_the_terrain_covers_in_part_has_its_height() -> None:
     assert (landscape.band("slope")[0, 2:6] > 10).all()
 
 
-def test_cells_without_any_terrain_are_marked_and_told() -> None:
-    landscape = made()
-    dropped = landscape.bands[:, 6]
-    assert (dropped == NODATA).all()
-    assert landscape.dropped == int((landscape.band("fuel") == NODATA).sum()) > 8
-    assert f"{landscape.dropped} cells with a code have no elevation" in landscape.terrain_note()
-
-
 @pytest.mark.parametrize(("offset", "taken"), [(12.0, True), (-30.0, True), (700.0, False)])
 def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bool) -> None:
     rows, cols = np.indices(GRID.shape)

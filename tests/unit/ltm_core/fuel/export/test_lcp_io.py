@@ -65,11 +65,6 @@ def test_class_lists() -> None:
     assert struct.unpack_from("<103i", header, 44 + 412 * 9) == (0,) * 103
 
 
-def test_south_of_the_equator() -> None:
-    grid = GridGeometry(500_000.0, 6_200_000.0, 30.0, 13, 11, "EPSG:32756")
-    assert struct.unpack_from("<i", lcp_header(Landscape(landscape().bands, grid)), 8) == (-34,)
-
-
 def test_what_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot write|cannot be written"):
         write_lcp(tmp_path / "none/a.lcp", landscape())

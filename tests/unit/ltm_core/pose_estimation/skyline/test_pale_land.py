@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.pose_estimation.skyline.image_edges import image_skyline, pale_edges
-from ltm_core.vision.labels import Label
+from ltm_core.pose_estimation.skyline.image_edges import pale_edges
 
 HEIGHT, WIDTH = 210, 640
 COLUMNS = np.arange(1, WIDTH, 3)
@@ -71,18 +70,3 @@ def test_single_columns_are_not_believed() -> None:
     spots = np.where(np.arange(WIDTH) % 40 < 4, RANGE, CREST)
     found, v = edges(photo((spots, PALE), (CREST, NEAR)))
     np.testing.assert_array_equal(found, v)
-
-
-def test_a_skyline_has_both_edges_and_what_grows_on_the_nearer() -> None:
-    image = photo((RANGE, PALE), (CREST, NEAR))
-    rows = np.mgrid[0:HEIGHT, 0:WIDTH][0]
-    labels = np.where(rows < CREST, np.uint8(Label.SKY), np.uint8(Label.SHRUB)).astype(np.uint8)
-    skyline = image_skyline(image, labels)
-    pale = skyline.v < skyline.crest_v
-    assert pale.mean() > 0.8
-    at = skyline.u.astype(int)
-    np.testing.assert_allclose(skyline.crest_v, CREST[at], atol=0.8)
-    assert np.percentile(np.abs(skyline.v - RANGE[at])[pale], 95) < 1.0
-    assert (skyline.cover == Label.SHRUB).all()
-    kept = skyline.only(pale)
-    np.testing.assert_array_equal(kept.crest_v, skyline.crest_v[pale])

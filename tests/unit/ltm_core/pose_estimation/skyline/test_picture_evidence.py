@@ -51,19 +51,6 @@ def test_the_photo_s_skyline_is_found_to_a_part_of_a_pixel() -> None:
     assert (found.cover == Label.SHRUB).all()
 
 
-def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:
-    photo, labels = view(TRUE)
-    skyline = picture_evidence(photo, labels, CAMERA).skyline
-    assert skyline is not None
-    cloud = slice(int(skyline.v.min()) - 40, int(skyline.v.min()) - 25)
-    photo[cloud] = 120
-    response = picture_evidence(photo, labels, CAMERA).edges.response.max(axis=0)
-    assert response.shape == labels.shape
-    assert not response[: cloud.stop + 5].any()
-    at = response[np.rint(skyline.v).astype(int), skyline.u.astype(int)]
-    assert np.median(at) > 1.0
-
-
 def walls(near: float = 30.0, far: float = 90.0) -> Dem:
     """Flat ground at 100 m with two walls from west to east, 400 m and 1000 m north of y = 200."""
     geometry = GridGeometry(0.0, 1500.0, 5.0, 240, 300)

@@ -3,7 +3,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.camera import Camera
@@ -36,14 +35,6 @@ def test_without_any_heading() -> None:
     search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), PosePrior(start, UNKNOWN_DEG, 0.5, 0.5))
     assert search.verdict.word == "accepted", search.verdict.reason
     assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.1
-
-
-def test_a_wrong_focal_length_is_found() -> None:
-    photo, labels = view(TRUE)
-    wrong = replace(CAMERA, fx=CAMERA.fx * 1.06, fy=CAMERA.fy * 1.06)
-    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
-    search = find_pose(picture_evidence(photo, labels, wrong), terrain(), prior, focal_sigma=0.04)
-    assert result_of(search, prior, wrong).camera.fx == pytest.approx(CAMERA.fx, rel=0.005)
 
 
 def test_a_flat_skyline_leaves_the_pose_as_it_came() -> None:

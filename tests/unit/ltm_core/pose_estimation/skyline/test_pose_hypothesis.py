@@ -14,7 +14,6 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     judge,
     mean_of_both,
     merged_with_others,
-    widened_by_others,
 )
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
@@ -129,18 +128,6 @@ def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
     support: float, turn_deg: float, open_share: float, word: str
 ) -> None:
     assert word_of((0.1, 0.05, turn_deg), SkylineFit(support=support, open=open_share)) == word
-
-
-def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
-    best, others = hypothesis(60.0, -100.0), [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0)]
-    weight = math.exp(-2.0 / 2.0)
-    wider, *rest = widened_by_others([best, *others], CONFIG)
-    np.testing.assert_array_equal(wider.refined.pose.rotation, best.refined.pose.rotation)
-    away = (1.2**2 + weight * 0.6**2) / (2 + weight)
-    assert azimuth_sigma_deg(wider) == pytest.approx(math.sqrt(0.1**2 + away), rel=1e-3)
-    assert rest == others
-    assert widened_by_others([best], CONFIG) == [best]
-    assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
 
 
 def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
