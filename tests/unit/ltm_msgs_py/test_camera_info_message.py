@@ -42,12 +42,6 @@ def test_distortion_of_0_4_or_5_numbers_is_taken(d: list[float], expected: tuple
     assert msg_to_camera(msg).distortion == expected
 
 
-def test_a_region_of_interest_that_is_the_whole_image_is_taken() -> None:
-    msg = info()
-    msg.roi.width, msg.roi.height = msg.width, msg.height
-    assert msg_to_camera(msg) == CAMERA
-
-
 def _set(name: str, value: Any) -> Callable[[CameraInfo], None]:
     return lambda msg: setattr(msg, name, value)
 

@@ -61,12 +61,6 @@ def test_class_codes_that_int8_cannot_hold_are_refused_with_their_cell() -> None
         classes_to_msg(classes, GRID, 0)
 
 
-@pytest.mark.parametrize("classes", [CLASSES.T.copy(), CLASSES.astype(np.int16)])
-def test_a_grid_of_another_shape_or_type_is_refused(classes: np.ndarray) -> None:
-    with pytest.raises(MessageError, match=r"\(3, 4\) uint8"):
-        classes_to_msg(classes, GRID, 0)
-
-
 def _data(values: list[int]) -> Callable[[OccupancyGrid], None]:
     return lambda msg: setattr(msg, "data", array("b", values))
 

@@ -151,12 +151,6 @@ def test_big_endian_votes_come_out_native() -> None:
     np.testing.assert_array_equal(msg_to_votes(msg, GRID, NAMES, "east").counts, VOTES.counts)
 
 
-@pytest.mark.parametrize("names", [(), ("x", "a", "b"), ("confidence", "a", "b"), ("a", "a", "b"), ("a b", "c", "d")])
-def test_names_that_make_no_fields_are_refused(names: tuple[str, ...]) -> None:
-    with pytest.raises(MessageError, match="distinct identifiers"):
-        votes_to_msg(VOTES, names)
-
-
 def _set(name: str, value: int) -> Callable[[PointCloud2], None]:
     return lambda msg: setattr(msg, name, value)
 
@@ -211,8 +205,3 @@ def test_votes_count_where_they_stand() -> None:
     wider = GridGeometry(GRID.x_min - 30.0, GRID.y_max, 30.0, 8, 5)
     moved = replace(VOTES, geometry=wider, cols=VOTES.cols + np.int32(1))
     np.testing.assert_array_equal(msg_to_votes(votes_to_msg(moved, NAMES), GRID, NAMES, "east").cols, VOTES.cols)
-
-
-def test_votes_on_cells_that_do_not_coincide_are_refused() -> None:
-    with pytest.raises(MessageError, match="sender and receiver use different fuel grids"):
-        msg_to_votes(message(), GRID.translated(3.0, 0.0), NAMES, "east")

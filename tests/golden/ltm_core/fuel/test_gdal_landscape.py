@@ -12,7 +12,7 @@ import rasterio
 from scipy import ndimage
 
 from ltm_core.fuel.export.landscape import FLAT, Landscape, slope_and_aspect, terrain_bands
-from ltm_core.fuel.export.landscape_io import write_cog, write_elmfire, write_lcp
+from ltm_core.fuel.export.landscape_io import write_cog, write_lcp
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
 
@@ -44,17 +44,6 @@ def test_an_lcp(tmp_path: Path) -> None:
         assert tags[3]["FUEL_MODEL_VALUES"] == "91,102,145,165,188"
         assert source.tags()["DESCRIPTION"] == "of cameras"
         assert source.tags()["LATITUDE"] == "38"
-
-
-def test_an_elmfire_folder(tmp_path: Path) -> None:
-    made = landscape()
-    folder = write_elmfire(tmp_path / "inputs", made)
-    names = {"asp", "cbd", "cbh", "cc", "ch", "dem", "fbfm40", "slp", "adj", "phi"}
-    assert {p.stem for p in folder.iterdir()} == names
-    with rasterio.open(folder / "asp.tif") as source:
-        np.testing.assert_array_equal(source.read(1), made.band("aspect"))
-    with rasterio.open(folder / "adj.tif") as source:
-        assert (source.read(1) == 1).all()
 
 
 def test_a_cog(tmp_path: Path) -> None:

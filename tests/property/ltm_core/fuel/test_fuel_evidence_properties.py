@@ -82,15 +82,6 @@ def test_the_code_is_the_priors_where_its_life_form_holds(of: list[CellVotes], n
     np.testing.assert_array_equal(layers.code[masked], layers.prior[masked])
 
 
-@examples(15, in_fuzz=60)
-@given(frames(), networks)
-def test_one_frame_changes_nothing(frame: CellVotes, network: LabelErrors) -> None:
-    layers = counted(frame, network=network).layers()
-    assert not layers.changed.any()
-    known = layers.prior != NODATA
-    np.testing.assert_array_equal(layers.code[known], layers.prior[known])
-
-
 @examples(12, in_fuzz=40)
 @given(frames(), st.integers(2, 200), st.integers(0, 3599))
 def test_frames_of_an_hour_are_one_look(frame: CellVotes, repeats: int, seconds: int) -> None:

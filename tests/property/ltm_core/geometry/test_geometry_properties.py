@@ -120,11 +120,6 @@ def test_a_point_lies_in_its_cell_and_in_no_other(grid: GridGeometry, x: float, 
     assert bool(grid.contains(row, col)) == (grid.x_min <= x < grid.x_max and grid.y_min < y <= grid.y_max)
 
 
-@given(grids, metres, metres)
-def test_to_grid_and_back(grid: GridGeometry, x: float, y: float) -> None:
-    np.testing.assert_allclose(grid.to_map(*grid.to_grid(x, y)), (x, y), atol=1e-8)
-
-
 @given(grids, st.integers(-9, 60), st.integers(-9, 60))
 def test_the_centre_of_a_cell_is_in_it(grid: GridGeometry, row: int, col: int) -> None:
     assert [int(v) for v in grid.cell_of(*grid.to_map(row, col))] == [row, col]

@@ -273,13 +273,6 @@ def test_a_message_that_states_a_huge_size_is_not_unpacked(bag: Path, tmp_path: 
     assert [message.raw for message in BagReader(tmp_path / "other").messages()] == [first.raw, huge]
 
 
-def test_no_bag_is_no_bag(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no bag at"):
-        BagReader(tmp_path / "absent")
-    with pytest.raises(RecordingError, match=r"neither metadata\.yaml nor an \.mcap"):
-        BagReader(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

@@ -48,19 +48,6 @@ def test_resection_with_the_stated_position(shared_data: Path) -> None:
     assert np.median(errors.errors[seen]) <= 1.0
 
 
-def test_no_point_decides_alone(shared_data: Path) -> None:
-    result, tracer = fitted(shared_data)
-    points = result.points
-    for left_out in range(0, len(points.names), 3):
-        kept = [k for k in range(len(points.names)) if k != left_out]
-        names = tuple(points.names[k] for k in kept)
-        fewer = type(points)(names, points.places[kept], points.pixels[kept])
-        again = resect(fewer, STATED, POSITION, bend=tracer.bend)
-        change = np.subtract(again.pose.angles_deg, result.pose.angles_deg)
-        sigma = np.array([result.sigmas[name] for name in ("azimuth_deg", "pitch_deg", "roll_deg")])
-        assert (np.abs(change) < 4 * sigma).all(), points.names[left_out]
-
-
 def displaced(away: float, azimuth_deg: float, up: float) -> Float64Array:
     turned = np.radians(azimuth_deg)
     return np.add(POSITION, (away * np.sin(turned), away * np.cos(turned), up))
@@ -82,10 +69,6 @@ def found_again(points: ControlPoints, starts: list[Float64Array], bend: float) 
         turned = np.abs(np.subtract(result.pose.angles_deg, wanted.pose.angles_deg)).max()
         found += bool(result.fitted == free and off < 1.0 and turned < 0.01)
     return found
-
-
-def fewer(points: ControlPoints, kept: list[int]) -> ControlPoints:
-    return ControlPoints(tuple(points.names[k] for k in kept), points.places[kept], points.pixels[kept])
 
 
 def test_a_free_position_is_found_from_far_off(shared_data: Path) -> None:
