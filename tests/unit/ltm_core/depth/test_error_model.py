@@ -84,19 +84,6 @@ def test_a_shift_needs_evidence() -> None:
     assert fit.line.scale == pytest.approx(1 / 7.0, rel=0.1)
 
 
-def test_no_range_crowds_out_the_others() -> None:
-    rows = np.mgrid[0 : SIZE[0], 0 : SIZE[1]][0]
-    # Nine tenths of the photo at 30 m, and a slope behind.
-    depth = np.where(rows > 36, 30.0 + 0.001 * rows, 400.0 + 20.0 * (36 - rows)).astype(np.float32)
-    samples = ground_samples(depth, np.full_like(depth, 0.5), None, CLASSES.ground, 1e-3, CONFIG)
-    counts = np.unique(np.floor(2 * np.log2(samples.depth)), return_counts=True)[1]
-    assert len(counts) > 2
-    assert counts.max() <= 1.1 * CONFIG.sampling.crowd * np.median(counts)
-    near = samples.depth < 100
-    assert np.ptp(samples.rows[near]) > 0
-    assert np.ptp(samples.cols[near]) > 0.9 * SIZE[1]
-
-
 @pytest.mark.kernel
 @pytest.mark.parametrize("seed", range(3))
 def test_scale_and_shift_come_back_through_forty_percent_of_outliers(seed: int) -> None:

@@ -5,27 +5,20 @@ import numpy as np
 import pytest
 from scenes.called import called
 
-from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.error_model import (
-    OCTAVES,
     ErrorModel,
-    ErrorTables,
-    expected_prediction,
-    expected_predictions,
-    interpolation_table,
 )
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
 from ltm_core.depth.occlusion_prior import (
-    DepthDiscontinuities,
     OcclusionPrior,
     mixture_moments,
     occlusion_log_odds,
 )
-from ltm_core.depth.pixel_fusion import OWN, DecisionRules, FusionRow, average_row, network_chance, surely_terrain
+from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, average_row
 from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.depth.unseen_terrain import clear_unenclosed
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import Label, LabelSet
@@ -34,49 +27,6 @@ pytestmark = pytest.mark.kernel
 
 CONFIG = FusionConfig()
 RULES = DecisionRules.of(CONFIG.decision)
-
-
-def beyond_by_components(ground: Float32Array) -> BoolArray:
-    """(H, W) of unknown regions that touch sky or the image's edge, by OpenCV's components."""
-    unknown = np.isnan(ground)
-    _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
-    edge = cv2.dilate(np.isposinf(ground).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
-    edge[[0, -1]] = edge[:, [0, -1]] = True
-    return unknown & np.isin(regions, np.unique(regions[edge & unknown]))
-
-
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.45, 0.7, 1.0])
-def test_land_beyond_is_what_components_say(share: float) -> None:
-    rng = np.random.default_rng(int(share * 100))
-    for _ in range(10):
-        ground = rng.uniform(10, 900, (37, 53)).astype(np.float32)
-        ground[rng.random(ground.shape) < share] = np.nan
-        ground[rng.random(ground.shape) < 0.01] = np.inf
-        depth, sigma, source = np.ones_like(ground), np.ones_like(ground), np.ones(ground.shape, np.uint8)
-        clear_unenclosed(ground, depth, sigma, source)
-        expected = beyond_by_components(ground)
-        np.testing.assert_array_equal(np.isnan(depth), expected)
-        np.testing.assert_array_equal(np.isnan(sigma), expected)
-        np.testing.assert_array_equal(source == 0, expected)
-
-
-def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
-    rng = np.random.default_rng(3)
-    shift = rng.normal(0, 0.1, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
-    factor = rng.uniform(0.05, 0.2, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
-    tables = ErrorTables(shift, factor, np.float32(0.25))
-    depth = np.exp(rng.uniform(np.log(3.0), np.log(60_000.0), 400)).astype(np.float32)
-    inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
-    col = rng.integers(0, 5, len(inverse)).astype(np.int32)
-    less, sigma, part = (np.empty_like(inverse) for _ in range(3))
-    called(expected_predictions)(
-        inverse, called(interpolation_table)(tables)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
-    )
-    for u in range(len(inverse)):
-        one = called(expected_prediction)(1, int(col[u]), inverse[u], tables)
-        # Both logarithms are near ones: a fiftieth of a half octave.
-        assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
-        assert sigma[u] == pytest.approx(one[1], rel=0.03)
 
 
 @pytest.mark.parametrize("size", [(36, 64), (17, 29), (150, 260)])
@@ -112,20 +62,6 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
         one = called(upsample_pixel)(seen, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.03, 0.6])
-def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
-    rng = np.random.default_rng(6)
-    ground = np.full((41, 203), 100.0, np.float32)
-    other = rng.random(ground.shape) < share
-    ground[other] = rng.choice([50.0, 120.0, 126.0, 900.0, np.inf, np.nan], int(other.sum()))
-    edges = DepthDiscontinuities.of(ground, 1.25)
-    leaps = np.isfinite(ground[1:]) & ~(ground[:-1] < np.float32(1.25) * ground[1:])
-    rows, cols = np.nonzero(leaps[::-1])
-    np.testing.assert_array_equal(edges.rows, len(leaps) - rows)
-    np.testing.assert_array_equal(edges.cols, cols)
-    assert (len(edges) > 0) == (share > 0)
 
 
 def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Float32Array:
@@ -183,23 +119,6 @@ def test_labels_are_heard_about_a_place() -> None:
     assert np.unique(unlabelled).tolist() == [classes.occluder_log_odds[255]]
     one = cv2.blur(classes.occluder_log_odds[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
     assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
-
-
-def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
-    rng = np.random.default_rng(1)
-    passed = 0
-    for _ in range(4000):
-        true = np.float32(1 / rng.uniform(80, 2000))
-        spread = np.float32(true * rng.uniform(0.05, 0.5))
-        joint = np.float32(spread**2 * rng.uniform(1.0, OWN))
-        off = np.float32(np.sqrt(joint) * rng.uniform(0.7, 6.0))
-        near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
-        if called(surely_terrain)(odds, off, joint, spread, RULES):
-            passed += 1
-            # As high as nothing: at its foot.
-            assert called(network_chance)(near, off, joint, spread, np.float32(1e-6), odds, RULES) < RULES.open
-    assert 400 < passed < 3600
 
 
 @pytest.mark.parametrize("likely", [0.25, 0.5, 0.7])

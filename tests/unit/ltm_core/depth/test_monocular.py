@@ -33,24 +33,11 @@ def green_at_network() -> Float32Array:
     return np.asarray(blocks.mean(axis=(1, 3)) / 255.0, np.float32)
 
 
-@pytest.mark.parametrize("kind", ["relative_inverse", "affine_invariant"])
-def test_relative_kinds_come_as_the_network_gives_them(tmp_path: Path, kind: str) -> None:
-    depth = DepthNetwork.open(write_depth_network(tmp_path, kind)).predict(photo(), CAMERA)
-    assert depth.kind == kind
-    np.testing.assert_allclose(depth.values, green_at_network(), atol=0.003)
-
-
 def test_metres_follow_the_focal_length_of_the_network_input(tmp_path: Path) -> None:
     path = write_depth_network(tmp_path, output={"kind": "metric", "name": "depth", "canonical_focal_px": 10.0})
     depth = DepthNetwork.open(path).predict(photo(), CAMERA)
     # 120 px over a third of the width is 40; the vertical 50 px do not count, as the photo is stretched.
     np.testing.assert_allclose(depth.values, green_at_network() * 40.0 / 10.0, rtol=0.02)
-
-
-def test_inverse_metres_are_turned_over(tmp_path: Path) -> None:
-    output = {"kind": "metric", "name": "depth", "inverse": True, "canonical_focal_px": WIDTH}
-    depth = DepthNetwork.open(write_depth_network(tmp_path, output=output)).predict(photo(), CAMERA)
-    np.testing.assert_allclose(depth.values, 40.0 / WIDTH / green_at_network(), rtol=0.02)
 
 
 def test_a_network_that_wants_the_camera_matrix_gets_it_in_its_own_pixels(tmp_path: Path) -> None:

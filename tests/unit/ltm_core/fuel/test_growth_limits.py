@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.fuel.life_form import PARTS, GroundLimits, GrowthLimits
+from ltm_core.fuel.life_form import GroundLimits, GrowthLimits
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -119,18 +119,6 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
     cells = set(zip(few.rows.tolist(), few.cols.tolist(), strict=True))
     kept = [k for k, cell in enumerate(zip(plain.rows.tolist(), plain.cols.tolist(), strict=True)) if cell in cells]
     np.testing.assert_array_equal(few.counts[:, Label.BARE], plain.counts[kept][:, Label.BARE])
-
-
-def test_each_part_of_a_cell_is_asked() -> None:
-    """The slope is that of 30 m about the middle of a part. Of the wall's last cell the four middles have 30, 30, 26.25
-    and 18.75 m of wall about them, and level ground for the rest: 60, 60, 56.6 and 47.3 degrees."""
-    ground = GroundLimits(GrowthLimits(tree_line_m=1e4), FUEL, hillside(WALL_DEG), LABELS)
-    last = 3 * FUEL.width + round(TOP / 30) - 1
-    assert not ground.learn(np.array([last - 4, last + 2]))[Label.TREE]
-    assert ground.learn(np.array([last - 5, last]))[[Label.GRASS, Label.SHRUB, Label.TREE]].all()
-    parts = (int(ground.masks[0].ravel()[last]) >> np.arange(PARTS * PARTS)) & 1
-    assert parts.reshape(PARTS, PARTS).tolist() == [[1, 1, 1, 0]] * PARTS
-    assert not ground.masks[1].any()
 
 
 def test_frames_of_one_camera_and_each_alone_have_the_same_votes() -> None:
