@@ -8,7 +8,7 @@ import pytest
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.lens import LensPrior, corner_radius, radial_trend
+from ltm_core.pose_estimation.lens import LensPrior, corner_radius
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.visibility.footprint import pixel_rays
@@ -23,19 +23,6 @@ def points(count: int, noise: float, seed: int = 3) -> ControlPoints:
     pixels = np.column_stack([rng.uniform(40, 1880, count), rng.uniform(40, 1040, count)])
     places = POSE.position + pixel_rays(LENS, pixels) @ POSE.rotation.T * rng.uniform(200, 2500, (count, 1))
     return ControlPoints(tuple(f"p{k}" for k in range(count)), places, pixels + rng.normal(0, noise, pixels.shape))
-
-
-@pytest.mark.parametrize("k", [-0.26, 0.0, 0.1])
-def test_a_radial_trend_is_that_of_the_residuals(k: float) -> None:
-    """The radial term shifts a point at radius r by f k r^3, a wrong focal length in proportion to r. The fit must
-    separate the two."""
-    r = np.linspace(-0.6, 0.6, 41)
-    by_focal, by_k = 1000 * r[:, None], 1000 * r**3
-    trend = radial_trend(7.0 * r + k * by_k, by_focal, by_k, np.ones(41))
-    assert trend.k == pytest.approx(k, abs=1e-9)
-    part = by_k - by_focal[:, 0] * (by_focal[:, 0] @ by_k) / (by_focal[:, 0] @ by_focal[:, 0])
-    assert trend.sigma == pytest.approx(1 / np.linalg.norm(part), rel=1e-6)
-    assert trend.clear == (k != 0.0)
 
 
 def test_a_free_lens_is_found_and_a_fixed_one_is_named() -> None:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.depth_score import score_depth
 
 from ltm_core.scoring.depth import DepthTally
 
@@ -23,22 +22,3 @@ def test_known_errors_by_range() -> None:
     assert beyond.median == pytest.approx(100, rel=0.004)
     assert whole.bias == pytest.approx(23)
     assert tally.coverage == 1.0
-
-
-def test_frame_by_frame_is_all_at_once() -> None:
-    random = np.random.default_rng(3)
-    truths = [random.uniform(5, 4000, (7, 13)).astype(np.float32) for _ in range(5)]
-    estimates = [t + random.normal(0.4, 9, t.shape).astype(np.float32) for t in truths]
-    for truth, estimate in zip(truths, estimates, strict=True):
-        truth[random.random(truth.shape) < 0.1] = INF
-        estimate[random.random(truth.shape) < 0.1] = np.nan
-    tally = DepthTally()
-    for truth, estimate in zip(truths, estimates, strict=True):
-        tally.add(estimate, truth)
-    for found, expected in zip(tally.scores(), score_depth(estimates, truths), strict=True):
-        assert (found.near, found.far, found.pixels) == (expected.near, expected.far, expected.pixels)
-        for name in ("rmse", "mae", "bias"):
-            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-5, nan_ok=True)
-        # Between the two middle errors of an even number any value is a median: allow their distance.
-        assert found.median == pytest.approx(expected.median, rel=0.05, nan_ok=True)
-    assert 0.85 < tally.coverage < 0.95

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.base.errors import ConfigError, PoseError
-from ltm_core.cameras.camera_config import PoseConfig
+from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
@@ -66,21 +65,10 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"crs": "EPSG:4326"}, ["crs", "projected in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
-        (
-            {"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 999}}}},
-            ["azimuth_deg", "999", "0 to 360"],
-        ),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "pitch_deg": -95}}}}, ["-95", "-90"]),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "roll_deg": 200}}}}, ["200", "180"]),
         ({"expert": {"refraction": 1.0}}, ["refraction", "got 1.0"]),
         ({"cameras": {"a": {"image": "mjpeg"}}}, ["cameras.a.image", "got 'mjpeg'"]),
-        ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "azimuth_deg": 0}}}}, ["either z or height_above_ground"]),
-        (
-            {"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "height_above_ground": 2, "azimuth_deg": 0}}}},
-            ["either z or height_above_ground"],
-        ),
-        ({"cameras": {"a": {"calibration": {"width": 8, "height": 6}}}}, ["either hfov_deg or fx"]),
-        ({"cameras": {"a": {"calibration": {"width": 8, "height": 6, "fx": 5, "hfov_deg": 60}}}}, ["not both"]),
         ({"cameras": {"a": {"calibration": {"width": 0, "height": 6, "fx": 5}}}}, ["width", "got 0"]),
     ],
 )
@@ -103,30 +91,6 @@ def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path
     assert site.alerts.ca == tmp_path / "ca.crt"
     assert load(tmp_path, alerts={"mqtt": "mqtt://[::1]:1883"}, health={"port": 9000}).health.port == 9000  # type: ignore[union-attr]
     assert load(tmp_path).health is None
-
-
-def test_poses(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    heights = np.array([[10, 20, 30], [40, 50, 60]], np.float32)
-    dem = Dem(heights, GridGeometry(0.0, 20.0, 10.0, 3, 2))  # in the map frame
-    place = {"x": 346_015.0, "y": 3_783_005.0, "azimuth_deg": 214.0, "pitch_deg": -4.0, "roll_deg": 1.5}
-    above = PoseConfig(**place, height_above_ground=7.5).pose(dem, site.frame)
-    np.testing.assert_allclose(above.position, [15.0, 5.0, 57.5])
-    np.testing.assert_allclose(above.angles_deg, [214.0, -4.0, 1.5])
-    np.testing.assert_allclose(PoseConfig(**place, z=900.0).pose(dem, site.frame).position, [15.0, 5.0, 900.0])
-    with pytest.raises(PoseError, match=r"no terrain under the camera at \(1, 3783005\): give its z"):
-        PoseConfig(**place | {"x": 1.0}, height_above_ground=7.5).pose(dem, site.frame)
-
-
-def test_a_camera_under_the_ground(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    dem = Dem(np.full((2, 3), 900.0, np.float32), GridGeometry(0.0, 20.0, 10.0, 3, 2))
-    place = {"x": 346_015.0, "y": 3_783_005.0, "azimuth_deg": 214.0}
-    with pytest.raises(PoseError, match=r"\(346015, 3783005\): z = 880 m is 20.00 m under the ground.* 900.00 m"):
-        PoseConfig(**place, z=880.0).pose(dem, site.frame)
-    feet = Dem(dem.elevation / 0.3048, dem.geometry)
-    with pytest.raises(PoseError, match=r"if the DEM's heights are feet, the ground is at 900 m"):
-        PoseConfig(**place, z=912.0).pose(feet, site.frame)
 
 
 def test_an_origin_far_from_the_dem(tmp_path: Path) -> None:

@@ -3,12 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.base.types import BoolArray
 from ltm_core.surface.neighbours import (
     WIDE,
-    Estimates,
-    mean_of_neighbours,
-    own_shift,
     regions,
     stand_rise,
 )
@@ -18,32 +15,11 @@ pytestmark = pytest.mark.kernel
 SHAPE = (50, 70)
 
 
-def estimates(off: Float64Array, sigma: float, relative_variance: float, usable: BoolArray) -> Estimates:
-    weight, even = (np.where(usable, 1 / s**2, 0).astype(np.float32) for s in (sigma, relative_variance))
-    return Estimates(np.where(usable, off, 0).astype(np.float32), weight, even, usable)
-
-
 @pytest.fixture
 def stand() -> BoolArray:
     inside = np.zeros(SHAPE, np.bool_)
     inside[8:40, 20:61] = True
     return inside
-
-
-def test_open_ground_beside_a_stand_takes_no_part_in_its_growth(stand: BoolArray) -> None:
-    cells = estimates(np.where(stand, 4.0, 0.25), 2.0, 0.5, np.ones(SHAPE, np.bool_))
-    shift, _ = mean_of_neighbours(cells, stand, 1.0)
-    np.testing.assert_allclose(shift, np.where(stand, 4.0, 0.25), atol=1e-4)
-
-
-def test_a_cell_keeps_its_own_detail_where_neighbours_differ_beyond_their_noise() -> None:
-    rng = np.random.default_rng(4)
-    everything, mean = np.ones(SHAPE, np.bool_), np.full(SHAPE, 5.0, np.float32)
-    rough = rng.uniform(1.0, 9.0, SHAPE)
-    for sigma, kept in ((0.1, True), (30.0, False)):
-        own = own_shift(estimates(rough, sigma, sigma, everything), np.full(SHAPE, sigma**2, np.float32), mean, 1.0)
-        near = np.abs(own - rough) < 0.05
-        assert near.mean() > 0.99 if kept else np.allclose(own, 5.0)
 
 
 def test_a_region_goes_on_through_what_nobody_sees_of_a_stand_and_not_over_what_is_as_it_was() -> None:

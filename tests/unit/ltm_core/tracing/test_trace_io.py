@@ -57,22 +57,6 @@ def test_the_camera_stands_above_the_ground_in_a_near_frame(tmp_path: Path, dem:
     assert setup.camera == Camera.from_fov(64, 40, 55)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (POSE + "azimut_deg: 3\n", "azimut_deg: unknown key"),
-        (POSE.replace("hfov_deg: 55", "hfov_deg: 55, fx: 800"), "either hfov_deg or fx"),
-        (POSE + "  z: 900\n", "either z or height_above_ground"),
-        (POSE.replace("  height_above_ground: 14\n", ""), "either z or height_above_ground"),
-        (POSE.replace("azimuth_deg: 75", "azimuth_deg: .nan"), "azimuth_deg"),
-        (POSE.replace("  azimuth_deg: 75\n", ""), "azimuth_deg: missing"),
-    ],
-)
-def test_refuses_pose_files_that_cannot_be_meant(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        config_of(tmp_path, text)
-
-
 def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
     beside = POSE.replace("400060.5", "399000")
     with pytest.raises(PoseError, match=r"camera at \(399000, 3799930.25\): .*check position.*x 400000 to 400263"):

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from scenes.networks import changed, write_classifier, write_depth_network
+from scenes.networks import changed, write_classifier
 from scenes.public_exports import depth_anything, depth_anything_3, segformer
 from typer.testing import CliRunner
 
@@ -151,16 +151,6 @@ def test_a_file_that_is_no_network_is_rejected(tmp_path: Path, data_folder: Path
     with pytest.raises(ModelError, match=r"net\.onnx"):
         add(tmp_path / "net.onnx")
     assert not data_folder.exists()
-
-
-def test_the_kind_decides_which_key_of_a_site_a_network_is_for(tmp_path: Path) -> None:
-    labels, depth = (NetworkManifest.load(write(tmp_path)) for write in (write_classifier, write_depth_network))
-    assert labels.require(depth=False) is labels
-    assert depth.require(depth=True) is depth
-    for wrong, role in ((labels, True), (depth, False)):
-        with pytest.raises(ModelError, match=rf"'{wrong.name}'.*`{'model' if role else 'depth_model'}`"):
-            wrong.require(depth=role)
-    assert "`depth_model: depth`" in add(tmp_path / "depth.yaml")
 
 
 def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path, data_folder: Path) -> None:
