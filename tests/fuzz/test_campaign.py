@@ -27,7 +27,7 @@ OF_SLOW = {
     **dict.fromkeys(("network", "node_terrain", "node_viewer"), 10),
 }
 """How many cases, by what they cost: a minute of one core together. Not so long, but so many: on each machine the same
-are run. `make test` runs the first third, in which a reader that has become careless stumbles at once, and the slow
+are run. `make test` runs the first fifth, in which a reader that has become careless stumbles at once, and the slow
 tests run the rest."""
 LONGEST_S = 120.0
 
@@ -37,7 +37,7 @@ LONGEST_S = 120.0
 def test_no_error_but_ours(name: str, part: str, tmp_path: Path) -> None:
     kept = Path(os.environ.get("LTM_FUZZ_KEPT", tmp_path))
     count = (OF_FAST | OF_SLOW).get(name, CASES)
-    first = -(-count // 3)
+    first = -(-count // 5)
     tally = suite.cases(name, range(first) if part == "first" else range(first, count), LONGEST_S, kept)
     assert tally.cases
     assert not tally.faults, suite.report({name: tally})

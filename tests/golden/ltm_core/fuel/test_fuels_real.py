@@ -10,7 +10,6 @@ import pytest
 import rasterio
 from rasterio.warp import Resampling, reproject
 
-from ltm_core.base.errors import RasterError
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
@@ -73,15 +72,6 @@ def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
                 np.testing.assert_array_equal(source.read(), made.bands)
             back = load_prior(PriorConfig(path=path), own)
             np.testing.assert_array_equal(back.codes, prior.codes)
-
-
-def test_codes_that_no_system_has(shared_data: Path) -> None:
-    folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
-    _, grid = raster(folder / "fbfm40b.tif")
-    with pytest.raises(RasterError, match="256 \\(114001 cells\\)"):
-        load_prior(PriorConfig(path=folder / "fbfm40b.tif"), grid)
-    known = load_prior(PriorConfig(path=folder / "fbfm40b.tif", unknown_codes="nodata"), grid).codes != NODATA
-    assert (~known).sum() == 114_001 + (raster(folder / "fbfm40b.tif")[0] == NODATA).sum()
 
 
 def test_a_landfire_download(shared_data: Path) -> None:

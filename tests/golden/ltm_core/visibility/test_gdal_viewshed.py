@@ -24,25 +24,7 @@ def gdal_seen(dem: Dem, row: int, col: int, above: float, folder: Path) -> BoolA
         pytest.skip("needs gdal_viewshed (Debian: apt-get install gdal-bin)")
     dem.save(folder / "dem.tif")
     x, y = (str(float(v)) for v in dem.geometry.to_map(row, col))
-    options = [
-        "-q",
-        "-md",
-        "0",
-        "-ox",
-        x,
-        "-oy",
-        y,
-        "-oz",
-        str(above),
-        "-tz",
-        "0",
-        "-cc",
-        "0.87",
-        "-vv",
-        "1",
-        "-iv",
-        "0",
-    ]
+    options = f"-q -md 0 -ox {x} -oy {y} -oz {above} -tz 0 -cc 0.87 -vv 1 -iv 0".split()
     subprocess.run([program, *options, str(folder / "dem.tif"), str(folder / "seen.tif")], check=True)
     with rasterio.open(folder / "seen.tif") as source:
         seen: BoolArray = source.read(1) > 0

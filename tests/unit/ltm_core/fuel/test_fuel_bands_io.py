@@ -70,17 +70,7 @@ def test_names(name: str, quantity: str | None) -> None:
 
 ORDERS = {
     "WindNinja's": ("fbfm40", "cover", "height", "bulk_density", "base_height"),
-    "both systems": (
-        "elevation",
-        "slope",
-        "aspect",
-        "fbfm13",
-        "fbfm40",
-        "cover",
-        "height",
-        "base_height",
-        "bulk_density",
-    ),
+    "both systems": (*LANDSCAPE[:3], "fbfm13", *LANDSCAPE[3:]),
     "FlamMap's": LANDSCAPE,
     "FlamMap's with ground fuel": (*LANDSCAPE, "other", "other"),
     "alphabetic": tuple(sorted(LANDSCAPE)),
