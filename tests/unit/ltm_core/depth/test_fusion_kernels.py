@@ -6,19 +6,14 @@ import pytest
 from scenes.called import called
 
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.depth.error_model import (
-    ErrorModel,
-)
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
 from ltm_core.depth.occlusion_prior import (
     OcclusionPrior,
     mixture_moments,
     occlusion_log_odds,
 )
 from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, average_row
-from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import Label, LabelSet
@@ -27,41 +22,6 @@ pytestmark = pytest.mark.kernel
 
 CONFIG = FusionConfig()
 RULES = DecisionRules.of(CONFIG.decision)
-
-
-@pytest.mark.parametrize("size", [(36, 64), (17, 29), (150, 260)])
-def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None:
-    """Smaller and larger than the photo, with a hole."""
-    rng = np.random.default_rng(size[0])
-    rgb = rng.integers(0, 255, (120, 200, 3)).astype(np.uint8)
-    inverse = np.exp(cv2.GaussianBlur(rng.normal(-5, 3, size), (0, 0), 3.0)).astype(np.float32)
-    near, back = inverse * np.float32(1.2), inverse * np.float32(0.8)
-    inverse[3:6, 4:9] = np.nan
-    seen = NetworkView.of(ScaleFit(inverse, near, back, ErrorModel.none(), 0.01, None, ""), rgb, CONFIG)
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    gain, offset, near, back = (
-        cv2.resize(a, (200, 120), interpolation=cv2.INTER_LINEAR)
-        for a in (*guided_coefficients(inverse, grey, CONFIG.upsampling), near, back)
-    )
-    expected = offset + gain * grey
-    expected = np.where(expected > near, near, expected)
-    expected = np.where(expected < back, back, expected)
-    row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
-    found = np.empty((120, 200), np.float32)
-    for v in range(120):
-        called(upsample_row)(seen, v, row, out)
-        found[v] = out[0]
-        np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
-        np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
-    known = ~np.isnan(expected)
-    assert 0.5 < known.mean() < 1.0
-    # A pixel whose weight of a neighbour is 0 may still see that it is none.
-    assert (np.isnan(found) == np.isnan(expected)).mean() > 0.98
-    both = known & ~np.isnan(found)
-    np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
-    for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
-        one = called(upsample_pixel)(seen, v, u)
-        assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
 
 
 def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Float32Array:

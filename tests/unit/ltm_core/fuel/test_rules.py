@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from scenes.evidence_scene import ASSUMED, HOUR, LABELS, NOW, visibility, votes
 
@@ -9,7 +7,7 @@ from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
+from ltm_core.fuel.rules import FusionRules, supported_changes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label
 
@@ -65,34 +63,6 @@ def test_a_hole_in_what_has_changed_is_filled_where_it_leans_to_the_same_and_edg
     np.testing.assert_array_equal(supported_changes(wanted, odds, None, RULES), wanted > 0)
     never = RULES.model_copy(update={"fill_rounds": 0})
     np.testing.assert_array_equal(supported_changes(wanted, odds, None, never, leaning), wanted > 0)
-
-
-def windows(shape: tuple[int, int], reach: int) -> Iterator[tuple[slice, slice, slice, slice]]:
-    """Parts of a map, and these with all that has a say in them."""
-    rng = np.random.default_rng(5)
-    for _ in range(40):
-        row, col = rng.integers(0, shape[0] - 3), rng.integers(0, shape[1] - 3)
-        top, left = max(row - reach, 0), max(col - reach, 0)
-        yield (slice(row, row + 3), slice(col, col + 3), slice(top, row + 3 + reach), slice(left, col + 3 + reach))
-
-
-def test_seen_through_any_window_it_is_the_same() -> None:
-    rng = np.random.default_rng(4)
-    shape = 60, 50
-    odds = np.where(rng.random(shape) < 0.55, rng.gamma(1.5, 0.9, shape), 0.0)
-    wanted = np.where(odds > 0, rng.choice(np.array([1, 3], np.uint8), shape, p=[0.2, 0.8]), np.uint8(0))
-    leaning = np.where(wanted > 0, wanted, np.uint8(3) * (rng.random(shape) < 0.5).astype(np.uint8))
-    whole = supported_changes(wanted, odds, None, RULES, leaning)
-    assert (whole & (wanted == 0)).sum() > 50  # filled
-    assert 0.2 < whole[wanted > 0].mean() < 0.9
-    for rows, cols, around_rows, around_cols in windows(shape, reach_of(RULES)):
-        around = around_rows, around_cols
-        part = supported_changes(wanted[around], odds[around], None, RULES, leaning[around])
-        inside = part[
-            rows.start - around_rows.start : rows.stop - around_rows.start,
-            cols.start - around_cols.start : cols.stop - around_cols.start,
-        ]
-        np.testing.assert_array_equal(inside, whole[rows, cols])
 
 
 WIDE = GridGeometry(15.0, 315.0, 30.0, 12, 12)

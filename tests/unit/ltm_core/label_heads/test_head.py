@@ -48,28 +48,6 @@ def test_a_head_tells_apart_what_its_map_does() -> None:
     np.testing.assert_array_equal(_scores(head, samples).argmax(axis=1), [0, 0, 1, 1])
 
 
-def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
-    rng = np.random.default_rng(7)
-    labels = np.repeat(np.array([0, 1], np.uint8), (90, 60))
-    shares = np.array([0.6, 0.4])
-
-    def photo(told_by: int) -> PhotoSamples:
-        features = rng.normal(0.0, 0.5, (150, 2))
-        features[:, told_by] += np.where(labels == 0, 1.0, -1.0)
-        return PhotoSamples("a", labels, np.zeros((150, 2)), features, shares)
-
-    usual, odd, channels = photo(0), photo(1), {"last": 1, "s2": 1}
-    both = PhotoSamples(
-        "a", np.tile(labels, 2), np.zeros((300, 2)), np.concatenate([usual.features, odd.features]), shares
-    )
-    without, with_odd = fit_head([usual], channels), fit_head([both], channels)
-    found = fit_head([usual, usual, odd], channels)
-    np.testing.assert_allclose(found.weights, (without.weights + 2 * with_odd.weights) / 3, atol=1e-3)
-    assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
-    of_one_view = fit_head([usual, odd], channels, one_view=True)  # areas of one photo are no photos
-    np.testing.assert_allclose(of_one_view.weights, with_odd.weights, atol=1e-3)
-
-
 def _striped(magenta_right: bool, seed: int) -> tuple[UInt8Array, UInt8Array]:
     """Sky over two halves: magenta, which a person calls built, and brown earth."""
     rng = np.random.default_rng(seed)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float64Array
-from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
-from ltm_core.locating.wrong_camera import NONE_TURNED, FireMemory, judged, slip_density
+from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
+from ltm_core.locating.wrong_camera import NONE_TURNED, FireMemory, judged
 
 DEG = math.radians(1.0)
 SIGMA = 0.06 * DEG
@@ -40,22 +40,6 @@ def test_fires_tell_together_what_one_does_not() -> None:
     assert math.degrees(two.turn) == pytest.approx(2.0, abs=0.02)
     assert math.degrees(two.sigma) == pytest.approx(0.1 / math.sqrt(2), rel=0.1)
     assert two.fires == 2
-
-
-def test_of_angles_that_explain_alike_the_likelier_slip_counts() -> None:
-    """Three narrow peaks of one height: the shares are the densities of slips there."""
-    at = {"a": 2.0, "b": -1.0, "c": 6.0}
-    fires = [alike(*at.values())]
-    density = {name: float(slip_density(np.array([turn * DEG]), STEP)[0]) for name, turn in at.items()}
-    free = judged(fires, 0.9)
-    total = sum(density.values())
-    assert free.suspicion == pytest.approx({name: one / total for name, one in density.items()}, rel=0.03)
-    assert free.wrong is None
-    weighed = density | {"c": 100 * density["c"]}
-    lost = judged(fires, 0.7, lost={"c"})
-    total = sum(weighed.values())
-    assert lost.suspicion == pytest.approx({name: one / total for name, one in weighed.items()}, rel=0.03)
-    assert (lost.wrong, lost.by) == ("c", ("pictures",))
 
 
 def test_of_two_cameras_one_fire_names_none() -> None:

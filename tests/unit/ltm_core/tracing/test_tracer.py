@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from scenes.kernel_counts import compiled
-from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, tilted_plane
+from scenes.rasters import rough_terrain, tilted_plane
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
@@ -67,31 +67,6 @@ def test_tilted_plane(curvature: bool, azimuth_deg: float, pitch_deg: float, rol
     assert_ranges(traced.range, expected)
 
 
-def test_ridge_hides_the_valley_behind_it() -> None:
-    scene = ridge()
-    pose = Pose.from_angles((-150.0, 20.0, 275.0), 90.0, -3.0, 0.0)
-    camera = Camera(width=5, height=301, fx=300.0, fy=300.0, cx=2.0, cy=150.0)
-    column = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND).trace(camera, pose).range[:, 2]
-
-    ray = (camera.rays() @ pose.rotation.T)[:, 2]
-    x, z = pose.position[0], pose.position[2]
-    slope = ray[:, 2] / ray[:, 0]
-    expected = np.where(slope >= 0, np.inf, np.nan)
-    for x0, x1, z0, z1 in reversed(list(zip(RIDGE_X, RIDGE_X[1:], RIDGE_Z, RIDGE_Z[1:], strict=False))):
-        rise = (z1 - z0) / (x1 - x0)
-        with np.errstate(divide="ignore"):
-            at = (z0 - z + rise * (x - x0)) / (slope - rise) + x
-        here = (at > x) & (at >= x0) & (at <= x1)
-        expected[here] = ((at - x) / ray[:, 0])[here]
-    assert_ranges(column, expected)
-    # Bottom to top: the near slope, then across the gap behind the crest to the far slope, then sky.
-    ground = x + expected * ray[:, 0]
-    seen = ground[np.isfinite(expected)]
-    assert (seen < 0).any()
-    assert (seen > 300).any()
-    assert not ((seen > 0) & (seen < 300)).any()
-
-
 def test_curvature_and_refraction_lower_the_far_ground() -> None:
     flat = Dem(np.full((40, 500), 100.0, np.float32), GridGeometry(0.0, 4000.0, 100.0, 500, 40))
     slope = -0.004
@@ -106,24 +81,6 @@ def test_curvature_and_refraction_lower_the_far_ground() -> None:
         r = length / np.hypot(1, slope)
         assert 50 + slope * r + (1 - k) * r * r / (2 * radius) == pytest.approx(0.0, abs=0.01)
     assert traced[0] < traced[2] < traced[1]
-
-
-def test_a_bent_ray_that_only_grazes_the_plain_hits_it() -> None:
-    """It dips a centimetre under the plain in the middle of a block, and is above it at both of the block's edges."""
-    plain = Dem(np.zeros((40, 300), np.float32), GridGeometry(-50.0, 4000.0, 100.0, 300, 40))
-    bend = ray_bend(True, 0.13)
-    lowest_at = 4480.0
-    slope = -2 * bend * lowest_at
-    height = slope * slope / (4 * bend) - 0.01
-    # Columns are x / 100: the camera at 47.2, the lowest point at 92, between block edges 88 and 96.
-    dips, clears = (
-        TerrainTracer(plain, possible=NOTHING_BEYOND).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[
-            0
-        ]
-        for more in (0.0, 0.02)
-    )
-    assert dips == pytest.approx((lowest_at - np.sqrt(0.01 / bend)) * np.hypot(1, slope), abs=0.01)
-    assert np.isposinf(clears)
 
 
 def test_straight_down_and_straight_up() -> None:

@@ -4,9 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
 from ltm_core.base.types import Float32Array, UInt8Array
@@ -51,15 +48,6 @@ def test_the_crest_keeps_its_classes_and_a_cloud_does_not() -> None:
     np.testing.assert_allclose(odds[11:], full, rtol=1e-5)
     np.testing.assert_allclose(odds[3:5, 40:60], full, rtol=1e-5)
     np.testing.assert_allclose(odds[:, 100:], full, rtol=1e-5)
-
-
-@given(
-    arrays(np.float32, (5, 4, 7), elements=st.floats(-20, 20, width=32)),
-    arrays(np.float32, (5, 2, 3), elements=st.floats(-20, 20, width=32)),
-)
-def test_sky_is_as_likely_as_it_was_whatever_the_second_look_says(fine: Float32Array, coarse: Float32Array) -> None:
-    found = probabilities(with_coarse_look(fine, coarse, 0.5, SKY))
-    np.testing.assert_allclose(found[0], probabilities(fine)[0], atol=1e-4)
 
 
 def photo() -> UInt8Array:

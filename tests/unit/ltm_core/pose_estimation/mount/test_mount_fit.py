@@ -8,11 +8,10 @@ import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.mount import mount_fit
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
@@ -46,19 +45,6 @@ def test_presets_of_one_head_share_its_mount() -> None:
     # Both turn a camera that looks level up and down; the lean is about axes that all share, the zero about its own.
     np.testing.assert_allclose(fit.rotation, -lean, atol=np.radians(0.1))
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
-
-
-@pytest.mark.parametrize(("azimuths", "floor_deg"), [((63.0,), 1.0), ((63.0, 63.0), 1.0), ((63.0, 150.0), 0.5**0.5)])
-def test_a_floor_of_pitch_is_in_a_picture_s_pose_once(
-    azimuths: tuple[float, ...], floor_deg: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And directions have it each by itself."""
-    _, priors, searches = zip(*(searched(azimuth, 2.5) for azimuth in azimuths), strict=True)
-    monkeypatch.setattr(mount_fit, "MOUNT_FLOOR_DEG", (0.0, 1.0, 0.0))
-    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.05)
-    slopes = angle_slopes(priors[0].pose)
-    turns = slopes @ fit.pose_covariance(0)[3:, 3:] @ slopes.T
-    assert np.degrees(np.sqrt(turns[1, 1])) == pytest.approx(floor_deg, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigma_deg", "word"), [(0.08, "ambiguous"), (0.2, "accepted")])
