@@ -174,3 +174,12 @@ def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None
 def test_kernels_of_a_release_whose_source_was_changed_are_not_loaded(release: Path) -> None:
     (release / "kernels/origin.py").write_text(ORIGIN.format(offset=0.25))
     assert hits(release) == "2.25 0 "
+
+
+def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:
+    first = use_own_cache(tmp_path)
+    assert first is not None
+    gone = first.with_name(first.name[:-4] + "gone")
+    gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
+    (tmp_path / "a.py").write_text("import numba  # edited")
+    assert use_own_cache(tmp_path) is not None

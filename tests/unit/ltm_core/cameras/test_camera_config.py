@@ -9,10 +9,11 @@ import pytest
 import yaml
 
 from ltm_core.base.errors import ConfigError, PoseError
-from ltm_core.cameras.camera_config import PoseConfig
+from ltm_core.cameras.camera_config import PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import pose_covariance
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
@@ -94,3 +95,24 @@ def test_a_magnetic_azimuth_needs_its_day() -> None:
     lon, lat = (float(v) for v in FRAME.to_lonlat(310.0, 120.0))
     true = 214.0 + magnetic_declination_deg(lon, lat, day, 912.5)
     assert azimuth == pytest.approx(FRAME.true_to_grid_deg(true, 310.0, 120.0))
+
+
+def test_what_one_leaves_out_another_gives() -> None:
+    fixed = PartialPose(
+        x=1.0, y=2.0, position_sigma=0.5, z=3.0, azimuth_deg=90.0, azimuth_sigma_deg=0.2, pitch_deg=-4.0
+    )
+    row = PartialPose(height_above_ground=8.0, azimuth_deg=100.0, azimuth_ref="true", pitch_sigma_deg=1.0)
+    both = row.over(fixed)
+    assert (both.x, both.position_sigma, both.z, both.height_above_ground) == (1.0, 0.5, None, 8.0)
+    assert (both.azimuth_deg, both.azimuth_ref, both.azimuth_sigma_deg) == (100.0, "true", None)
+    assert (both.pitch_deg, both.pitch_sigma_deg, both.roll_deg) == (-4.0, 1.0, None)
+    assert row.over(None) is row
+
+
+def test_sigmas_become_a_covariance() -> None:
+    stated = PoseConfig(**POSE, position_sigma=5.0, azimuth_sigma_deg=8.0)
+    pose = stated.pose(dem_of(), FRAME)
+    covariance = stated.covariance(pose, 0.5, 0.3)
+    assert covariance is not None
+    np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 0.5, 8.0, 0.3, 0.3))
+    assert PoseConfig(**POSE).covariance(pose, 0.5, 0.3) is None

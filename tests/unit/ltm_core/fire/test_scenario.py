@@ -88,3 +88,9 @@ def test_a_model_that_has_gone_says_so_and_closes(tmp_path: Path, monkeypatch: p
     with Pyretechnics() as model, pytest.raises(FireModelError, match="out of memory"):
         model.head_rates(codes, Wind(10.0, 45.0), Moisture.parse("D1L1"))
     assert model.version == "1.0"
+
+
+@pytest.mark.parametrize("text", [None, "", "D5L1", "6,7,8", "6,7,8,60,much", "6,7,8,60,-3", "6,7,8,60,nan"])
+def test_no_moisture_is_told_with_what_there_is(text: str | None) -> None:
+    with pytest.raises(ConfigError, match=r"D2L2 .*6,7,8,60,90"):
+        Moisture.parse(text)

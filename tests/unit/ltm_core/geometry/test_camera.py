@@ -81,3 +81,14 @@ def test_resized_shows_the_same_from_edge_to_edge() -> None:
 def test_no_camera(values: tuple, message: str) -> None:
     with pytest.raises(CameraError, match=message):
         Camera(*values)
+
+
+def test_scaled_needs_a_step() -> None:
+    with pytest.raises(CameraError, match="got 0"):
+        BARREL.scaled(0)
+
+
+@pytest.mark.parametrize("hfov_deg", [0.0, 180.0, -5.0, float("nan")])
+def test_no_field_of_view(hfov_deg: float) -> None:
+    with pytest.raises(CameraError, match="field of view"):
+        Camera.from_fov(64, 40, hfov_deg)

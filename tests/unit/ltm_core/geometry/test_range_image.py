@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltm_core.base.errors import ImageError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.range_image import RangeImage
+from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 CAMERA = Camera(4, 3, 5.0, 4.0, 1.0, 2.0)
 POSE = Pose.from_angles((100.0, 200.0, 50.0), 90.0)  # east: x right is south, y down is down
@@ -73,3 +74,14 @@ def test_cells() -> None:
     moved = RangeImage(slant, camera, down, geometry=geometry.translated(0.0, -1.0)).cells()
     assert moved[1, 1].tolist() == [1, 1]
     assert RangeImage(slant, camera, down, geometry=geometry.translated(50.0, 0.0)).cells().max() == -1
+
+
+def test_refused() -> None:
+    with pytest.raises(ImageError, match=r"\(4, 3\) does not fit a camera of 3 x 4"):
+        RangeImage(RANGES.T, CAMERA, POSE)
+    with pytest.raises(ImageError, match=r"depth image of shape \(4, 3\)"):
+        RangeImage.from_depth(RANGES.T, CAMERA, POSE)
+    with pytest.raises(ImageError, match=r"depth image of shape \(4, 3\)"):
+        DepthImage(RANGES.T, CAMERA, POSE)
+    with pytest.raises(ImageError, match="no raster"):
+        RangeImage(RANGES, CAMERA, POSE).cells()

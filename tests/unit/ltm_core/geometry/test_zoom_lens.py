@@ -54,3 +54,16 @@ def test_a_zoom_beside_the_table_is_refused_with_both_ends() -> None:
     with pytest.raises(CameraError, match=r"zoom 2000 lies outside the lens's table, 1 to 1200"):
         lens.camera(2000.0)
     assert lens.camera(1201.0) == lens.camera(1200.0)
+
+
+def test_a_lens_of_one_zoom_has_one_camera() -> None:
+    lens = LensConfig(width=640, height=480, zoom=(ZoomPoint(zoom=1, hfov_deg=50),)).lens()
+    assert lens.camera(7.0) == lens.camera(1.0)
+    assert lens.scaled({7.0: 1.1}).camera(1.0).fx == pytest.approx(1.1 * lens.camera(1.0).fx)
+
+
+def test_written_and_read_again_it_is_the_same() -> None:
+    lens = LensConfig(width=1920, height=1080, zoom=points(1, 300, 1200, k1=-0.1)).lens()
+    again = LensConfig.model_validate(lens.config().model_dump()).lens()
+    assert again.camera(200.0).fx == pytest.approx(lens.camera(200.0).fx, rel=1e-6)
+    assert again.camera(200.0).distortion == lens.camera(200.0).distortion

@@ -179,3 +179,13 @@ def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> 
     photo, _ = _striped(True, 11)
     found = Segmenter(manifest, head=head).segment(photo).labels
     assert (found == truth)[truth != UNLABELLED].mean() > 0.9
+
+
+def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
+    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
+    with pytest.raises(ModelError, match="one photo"):
+        teach_head(Segmenter.open(), frames[:1], "x", "")
+    with pytest.raises(ModelError, match="no decoder maps"):
+        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
+    with pytest.raises(ModelError, match="classes are the labels"):
+        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")

@@ -96,3 +96,24 @@ def test_the_pose_of_the_stamp_itself_or_the_last_before_it() -> None:
     assert azimuth(poses.at(1399, 99)) == 13.0
     assert poses.at(1399, 98) is None
     assert poses.at(999, 10_000) is None
+
+
+def test_what_a_turned_camera_kept_apart_is_one_track_once_it_is_named() -> None:
+    """`a` is turned and marks first; with it one right camera agrees by chance, and the other one no more."""
+    tracks = Tracks(Locator(hills(), 0.0))
+    valley = np.array([-100.0, 2100.0, 0.0])
+    tracks.add(seen("a", valley, 0, turned_deg=0.6))
+    tracks.add(seen("b", valley, 1))
+    tracks.add(seen("c", valley, 2))
+    assert [track.cameras for track in tracks.tracks] == [["a", "b"], ["c"]]
+    assert tracks.fires.verdict.wrong is None
+    tracks.fires.lost.add("a")  # as its pictures say
+    assert tracks.rename().wrong == "a"
+    by_number = sorted(tracks.tracks, key=lambda track: track.number)
+    assert [(track.number, {*track.cameras}) for track in by_number] == [(1, {"b", "c"}), (2, {"a"})]
+    (whole,) = (track for track in tracks.tracks if "b" in track.cameras)
+    assert whole.location.posterior.mean == pytest.approx(tuple(valley[:2]), abs=20)
+    assert tracks.rename().wrong == "a"
+    assert len(tracks.tracks) == 2
+    again, _, _ = tracks.add(seen("c", valley, 4))
+    assert again is whole

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float64Array
+from ltm_core.fuel.codes import FuelSystem, code_color, fuel_models
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, FLAME, FLAME_DIFFERENCE, PROBABILITY, arrival_scale
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES
-from ltm_core.pictures.legend import scale_colors
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas
+from ltm_core.pictures.legend import scale_colors, text_width
 from ltm_core.pictures.locating import STATE_COLORS
 from ltm_core.pictures.trace import _COUNTS
+from ltm_core.raster.dem import Dem
 from ltm_core.surface.surface_io import CHANGE_COLORS
 from ltm_core.visibility.point_visibility import PointState
 from ltm_core.vision.labels import LabelSet
@@ -122,3 +125,22 @@ def test_brightness_alone_orders_depth_and_flames(vision: str) -> None:
         steps = np.diff(seen_as(colors, vision)[:, 0])
         assert (steps <= 0.2).all(), "near to far, and short to deadly, become darker"
         assert steps.sum() < -60
+
+
+def test_fuel_models_are_written_because_their_colours_do_not_differ() -> None:
+    models = fuel_models()
+    for system in FuelSystem:
+        named = {models.name(code): code_color(code) for code in sorted(models.codes(system))}
+        for vision in VISIONS:
+            worst, pair = least(named, vision)
+            print(f"{system.value}, {vision}: at least {worst:.1f} CIEDE2000 ({pair}); names are written")
+    geometry = GridGeometry(0.0, 480.0, 30.0, 24, 16)
+    dem = Dem(np.full((16, 24), 300.0, np.float32), geometry)
+    codes = np.full(geometry.shape, 101, np.int16)
+    codes[:, 12:] = 182
+    canvas = FuelCanvas(geometry, dem, (), geometry.bounds, width=480)
+    names = canvas._names(codes[canvas._row, canvas._col])
+    assert [name for name, *_ in names] == ["GR1", "TL2"]
+    for (name, x, _, _), (left, right) in zip(names, ((0, 240), (240, 480)), strict=True):
+        half = text_width(name, 11) / 2
+        assert left <= x - half < x + half <= right

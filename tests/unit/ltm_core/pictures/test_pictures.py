@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes.rasters import rough_terrain, standing
 
+from ltm_core.base.errors import ImageError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -15,6 +16,7 @@ from ltm_core.pictures import (
     label_colors,
     overlay_depth,
     overlay_labels,
+    terrain_map_picture,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
 from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, scale_colors
@@ -164,3 +166,25 @@ def test_error_colors() -> None:
     assert small.sum() < 60 < 400 < large.sum()
     assert tuple(sky) == SKY_COLOR
     assert tuple(missed) == tuple(unknown) == (190, 192, 196)
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
+def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
+    with pytest.raises(ImageError, match="near < far"):
+        RangeScale(near, far)
+
+
+def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
+    with pytest.raises(ImageError, match="31 x 17"):
+        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
+
+
+def test_map_refuses_rasters_that_do_not_fit() -> None:
+    dem = plane(20, 30, 0.0, 0.0)
+    geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
+    with pytest.raises(RasterError, match=r"\(4, 5\)"):
+        FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
+    with pytest.raises(RasterError, match="one CRS"):
+        FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
+    with pytest.raises(RasterError, match="seen cells"):
+        terrain_map_picture(dem, np.zeros((20, 29), bool))

@@ -158,3 +158,10 @@ def test_saved_and_opened(tmp_path: Path) -> None:
     assert opened.geometry == dem.geometry
     with pytest.raises(RasterError, match="needs a CRS"):
         DEM.save(tmp_path / "local.tif")
+
+
+@pytest.mark.parametrize("shape", [(4, 3), (3, 4, 1), (1, 4)])
+def test_shape_and_geometry(shape: tuple[int, ...]) -> None:
+    geometry = GridGeometry(0.0, 0.0, 1.0, 4, 1 if shape == (1, 4) else 3)
+    with pytest.raises(RasterError, match=r"shape|2 x 2"):
+        Dem(np.zeros(shape, np.float32), geometry)

@@ -233,3 +233,9 @@ def test_a_mosaic_names_the_file_that_it_lacks(tmp_path: Path) -> None:
     with pytest.raises(RasterError, match=r"west\.tif"), open_raster(tmp_path / "d.vrt"):
         pass
     assert GridGeometry(400_000.0, 3_800_000.0, 30.0, 60, 40, "EPSG:32611") == Dem.open(tmp_path / "east.tif").geometry
+
+
+def test_bands_without_names_are_doubted(tmp_path: Path) -> None:
+    dem = Dem.open(write(tmp_path / "d.tif", GROUND, OTHER))
+    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
+    assert [doubt.code for doubt in dem.doubts] == ["band"]

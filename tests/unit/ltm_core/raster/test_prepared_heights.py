@@ -159,3 +159,24 @@ def test_a_terrain_with_changed_cells_owns_only_the_pages_of_these(raster: Path)
     assert (is_mapped(written), written.elevation[40, 60]) == (True, 5.0)
     heights_path(raster).unlink()
     assert not is_mapped(surface.surface_over(given))
+
+
+def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
+    left, of_another = (raster.with_name(f".dem.tif.ltm-heights.{pid}") for pid in (2**22 + 1, os.getppid()))
+    for path in (left, of_another):
+        path.write_bytes(b"cut short")
+    prepare_heights(raster)
+    assert (left.exists(), of_another.exists()) == (False, True)
+
+
+@pytest.mark.parametrize("why", ["too small", "no room"])
+def test_what_another_state_left_does_not_stay(raster: Path, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare_heights(raster)
+    heights(900.0).save(raster.with_name("other.tif"))
+    raster.with_name("other.tif").replace(raster)
+    monkeypatch.setattr(module, *{"too small": ("LEAST_CELLS", 1 << 40), "no room": ("SPARE_BYTES", 1 << 60)}[why])
+    assert prepare_heights(raster) is None
+    assert not heights_path(raster).exists()
+    heights_path(raster).write_bytes(b"of somebody else")
+    assert prepare_heights(raster) is None
+    assert heights_path(raster).exists()

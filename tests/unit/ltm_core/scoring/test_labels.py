@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltm_core.base.errors import ImageError
 from ltm_core.scoring.labels import score_labels
 
 TRUTH = np.array([[0, 0, 1, 1, 1], [2, 2, 2, 255, 255]], np.uint8)
@@ -23,3 +24,8 @@ def test_scores_are_those_counted_by_hand() -> None:
     assert score.mean_iou == pytest.approx((1 / 3 + 2 / 4 + 2 / 3) / 3)
     assert score.mean_f1 == pytest.approx((2 / 4 + 4 / 6 + 4 / 5) / 3), "a class that nobody has is left out"
     assert score.macro_f1([1, 2, 3]) == pytest.approx((4 / 6 + 4 / 5) / 2)
+
+
+def test_label_images_of_two_shapes_are_refused() -> None:
+    with pytest.raises(ImageError, match=r"\(2, 4\).*\(2, 5\)"):
+        score_labels(TRUTH, FOUND[:, :4], 3)

@@ -176,3 +176,9 @@ def test_what_is_read_again_is_the_callers_own_and_tells_its_own_place() -> None
     for place in ("one.yaml", "two.yaml"):
         with pytest.raises(ConfigError, match=place):
             parse_yaml("cameras: [", place)
+
+
+def test_bytes_that_are_no_text(tmp_path: Path) -> None:
+    (tmp_path / "fuel.yaml").write_bytes(b"phase: \xff\xfe")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_yaml(tmp_path / "fuel.yaml", FuelConfig)

@@ -158,3 +158,11 @@ def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(
     with TileStore.open(path, SCHEMA) as store:
         assert_same(store.read((1, 1)), tile(3))
         assert store.counted("a", 2)
+
+
+def test_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not exist"):
+        TileStore.open(tmp_path / "no" / "map.ltm", SCHEMA)
+    with pytest.raises(ConfigError, match="no such store"):
+        TileStore.open_read_only(tmp_path / "map.ltm", "weather")
+    assert list(tmp_path.iterdir()) == []

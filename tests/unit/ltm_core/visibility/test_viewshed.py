@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from scenes.rasters import ridge, rough_terrain, standing, tilted_plane
 
+from ltm_core.base.errors import PoseError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -136,3 +137,29 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr().out
     assert "roving" in said
     assert "seen by 2 or more" in said
+
+
+def test_range_resolution_and_unknown_ground() -> None:
+    plane = tilted_plane(0.0, 0.0).dem
+    elevation = plane.elevation.copy()
+    elevation[:20] = np.nan
+    dem = Dem(elevation, plane.geometry)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
+    near = viewshed(PointVisibility(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
+    assert near.geometry.shape == (53, 75)
+    row, col = np.mgrid[0:53, 0:75]
+    x, y = near.geometry.to_map(row, col)
+    known = np.isfinite(dem.elevation_at(x, y))
+    assert np.array_equal(near.count == -1, ~known)
+    assert np.array_equal(near.count[known] == 1, np.hypot(x - 1, y - 1)[known] <= 100.0)
+
+
+def test_bad_arguments() -> None:
+    sight = PointVisibility(tilted_plane(0.0, 0.0).dem)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
+    with pytest.raises(PoseError, match="at least one camera"):
+        viewshed(sight, [])
+    with pytest.raises(PoseError, match="0 or more metres"):
+        viewshed(sight, [view], target_height=-1.0)
+    with pytest.raises(RasterError, match="positive metres"):
+        viewshed(sight, [view], resolution=0.0)

@@ -131,3 +131,8 @@ def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: obj
     site = load_site(site_with(tmp_path, polygons))
     with pytest.raises(ConfigError, match=said):
         site_scene_filter(site, "mast")
+
+
+def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
+    scene = site_scene_filter(write_small_site(tmp_path, recording=False).site, "tower")
+    assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None

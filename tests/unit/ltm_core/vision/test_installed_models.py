@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from scenes.networks import changed, write_classifier
+from scenes.networks import changed, write_classifier, write_depth_network
 from scenes.public_exports import depth_anything, depth_anything_3, segformer
 from typer.testing import CliRunner
 
@@ -279,3 +279,9 @@ def test_every_recipe_has_a_licence_and_an_address_and_can_be_exported_or_downlo
     with pytest.raises(ModelError, match=r"depth-anything-v2-small"):
         ltm("add", "depth-nothing")
     assert install_io.merged({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
+
+
+def test_the_depth_of_one_file_with_labels_and_depth_is_chosen_by_its_output(tmp_path: Path) -> None:
+    write_depth_network(tmp_path, two_heads=True)
+    add(tmp_path / "depth.onnx", "--set", "output.name=depth", "--set", "output.kind=metric", "--set", "normalise=unit")
+    assert NetworkManifest.find("depth").output.name == "depth"

@@ -6,7 +6,9 @@ from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
-from ltm_core.vision.mask_proposals import Proposal, propose_mask
+from ltm_core.vision.areas import NamedArea
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +50,16 @@ def test_pictures_of_two_sizes_are_not_of_one_camera() -> None:
         propose_mask([tower_picture(1), tower_picture(2)[:-8]])
     with pytest.raises(ImageError, match="no images"):
         propose_mask([])
+
+
+def test_what_is_drawn_or_erased_later_is_no_part_of_a_drawn_mask() -> None:
+    def area(kind: str, left: int, right: int, image: str = "a.jpg") -> NamedArea:
+        return NamedArea(image=image, kind=kind, polygon=((left, 5), (right, 5), (right, 20), (left, 20)))
+
+    areas = [area("tree", 0, 39), area("masked", 10, 29), area("unlabelled", 25, 34), area("shrub", 5, 12)]
+    areas += [area("unlabelled", 15, 18, "b.jpg"), area("masked", 32, 33), area("unlabelled", 30, 39)]
+    (found,) = drawn_proposals(areas, LabelSet.load().names, (30, 40))
+    expected = np.zeros((30, 40), np.bool_)
+    expected[5:21, 13:25] = True
+    np.testing.assert_array_equal(found.hidden, expected)
+    assert found.kind == "masked"

@@ -10,7 +10,7 @@ from scenes.rasters import rough_terrain
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import PoseError
+from ltm_core.base.errors import ConfigError, PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
@@ -311,3 +311,23 @@ def test_the_command_writes_a_pose_that_trace_reads(
     assert '"pose_covariance"' in (tmp_path / "report.json").read_text()
     trace_command(dem=[dem], pose=fitted, out=tmp_path / "traced")
     assert (tmp_path / "traced" / "depth.tif").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"free": ("p1",)}, "cannot fit p1"),
+        ({"sigma_px": 0.0}, "must be positive"),
+        ({"position_sigma": -1.0}, "positive metres"),
+        ({"position": (0.0, np.nan, 0.0)}, "three finite metres"),
+    ],
+)
+def test_bad_arguments(change: dict[str, object], message: str) -> None:
+    with pytest.raises(PoseError, match=message):
+        resect(scattered(), START, **({"position": POSE.position} | change))  # type: ignore[arg-type]
+
+
+def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
+    (tmp_path / "guess.yaml").write_text("pose: {x: 1, y: 2, z: 3}\ncalibration: {width: 320, height: 200, fx: 260}\n")
+    with pytest.raises(ConfigError, match="--crs"):
+        pose_command(points=tmp_path / "no.csv", guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
