@@ -15,7 +15,7 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.error_model import expected_prediction, interpolation_table
-from ltm_core.depth.expected_surface import FusionSettings, expect
+from ltm_core.depth.expected_surface import FusionSettings, fitted
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
@@ -65,23 +65,21 @@ def frame_samples(
     `true`: (h, w) depth of what is seen, of every n-th pixel from the first; `over`: (H, W) of a canopy raster.
     """
     classes = ClassPriors.of(label_set, config)
-    known = expect(traced, network, rgb, labels, classes, settings, config)
-    if known.view is None or known.standing is None:
+    seen, spread, fit = fitted(traced, network, labels, classes, settings, config)
+    if fit is None or fit.trouble:
         return None
     ground, step = traced.depth(), round(rgb.shape[1] / true.shape[1])
+    view = NetworkView.of(fit, rgb, config)
+    standing = OcclusionPrior.of(ground, labels, classes, traced.camera, traced.pose, view.shape, config)
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
-    depth, sigma = known.depth.copy(), known.sigma.copy()
+    depth, sigma = seen.copy(), spread.copy()
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    crests = refine_occlusion_boundaries(
-        rgb, ground, depth, sigma, labels, classes, traced.camera, config, known.view, edges
-    )
-    above = _above_crests(crests.rows, crests.cols, crests.raised, ground, known.depth, known.view, true, step)
+    crests = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
+    above = _above_crests(crests.rows, crests.cols, crests.raised, ground, seen, view, true, step)
     return FrameSamples(
-        _standing(depth, sigma, known.view, known.standing, labels, ids, classes, true, step, config),
+        _standing(depth, sigma, view, standing, labels, ids, classes, true, step, config),
         _outline(above, labels, ids, traced.camera.fy),
-        _empty(len(CLASSES) + 1)
-        if over is None
-        else _canopy(known.depth, known.sigma, over, known.view, labels, ids, true, step),
+        _empty(len(CLASSES) + 1) if over is None else _canopy(seen, spread, over, view, labels, ids, true, step),
     )
 
 

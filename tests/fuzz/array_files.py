@@ -14,7 +14,6 @@ from fuzz.target import Target
 from ltm_core.base.errors import ConfigError
 from ltm_core.storage.config_io import load_arrays
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
 
 
 def _network(folder: Path) -> list[bytes]:
@@ -39,17 +38,6 @@ def _npz(folder: Path) -> list[bytes]:
     return files
 
 
-def _depth_map(folder: Path) -> list[bytes]:
-    (folder / "a").mkdir()
-    file = io.BytesIO()
-    np.save(file, np.random.default_rng(6).uniform(1, 60_000, (9, 14)).astype(np.float32))
-    return [file.getvalue()]
-
-
-def _read_depth_map(folder: Path) -> None:
-    read_depth_map(folder, "a", 5, (90, 140))
-
-
 def _read_npz(folder: Path) -> None:
     load_arrays(folder / "a.npz", ("names", "embeddings"), 1 << 20, ConfigError)
 
@@ -57,5 +45,4 @@ def _read_npz(folder: Path) -> None:
 ARRAY_FILES = (
     Target("network", "colors.onnx", _network, _read_network),
     Target("npz", "a.npz", _npz, _read_npz),
-    Target("depth_map", "a/5.npy", _depth_map, _read_depth_map),
 )

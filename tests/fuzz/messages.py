@@ -58,43 +58,13 @@ from ltm_ros.runtime.stamp_join import JoinConfig
 from ltm_ros.runtime.topics import TERRAIN_SURFACE
 
 _FLOATS = (
-    0.0,
-    -0.0,
-    1.0,
-    -1.0,
-    1e-320,
-    1e-30,
-    1e6,
-    1e15,
-    1e30,
-    1e300,
-    -1e300,
-    float("inf"),
-    float("-inf"),
-    float("nan"),
+    0.0, -0.0, 1.0, -1.0, 1e-320, 1e-30, 1e6, 1e15, 1e30, 1e300, -1e300, float("inf"), float("-inf"), float("nan"),
     90.0,
-)
+)  # fmt: skip
 _TEXTS = (
-    "",
-    "map",
-    "nan",
-    "x" * 5000,
-    "../../x",
-    "é",
-    "\U0001f525",
-    "rgb8",
-    "mono8",
-    "mono16",
-    "32FC1",
-    "16UC1",
-    "32FC3",
-    "bayer_rggb8",
-    "plumb_bob",
-    "jpeg",
-    "{}",
-    "[" * 3000,
-    '{"unlabelled": 255, "labels": []}',
-)
+    "", "map", "nan", "x" * 5000, "../../x", "é", "\U0001f525", "rgb8", "mono8", "mono16", "32FC1", "16UC1",
+    "32FC3", "bayer_rggb8", "plumb_bob", "jpeg", "{}", "[" * 3000, '{"unlabelled": 255, "labels": []}',
+)  # fmt: skip
 
 
 def spoil_message(rng: random.Random, message: Any) -> None:
@@ -315,10 +285,7 @@ def _segmentation(small: SmallSite, folder: Path) -> Handler[Any]:
 
 def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
     config = TopoDepthConfig(
-        site=str(small.path),
-        camera="tower",
-        model=str(folder / "depth.yaml"),
-        surfaces=str(folder / "surfaces"),
+        site=str(small.path), camera="tower", model=str(folder / "depth.yaml"), surfaces=str(folder / "surfaces")
     )
     return TopoDepthHandler(config, _outlet(), Health())
 
@@ -441,8 +408,7 @@ MESSAGES = (
     Play(
         "depth",
         _play(
-            _depth,
-            {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"},
+            _depth, {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"}
         ),
     ).target(1.5),
     Play(

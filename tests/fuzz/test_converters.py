@@ -35,22 +35,9 @@ FRESH = bool(os.environ.get("LTM_FUZZ"))
 """In `make fuzz`: new examples each time, and many; else the same ones."""
 GRID = GridGeometry(10.0, 400.0, 30.0, 14, 9)
 _WORDS = [
-    "",
-    "map",
-    "x",
-    "y",
-    "z",
-    "row",
-    "rgb8",
-    "mono8",
-    "mono16",
-    "32FC1",
-    "16UC1",
-    "plumb_bob",
-    "jpeg",
-    "grass",
+    "", "map", "x", "y", "z", "row", "rgb8", "mono8", "mono16", "32FC1", "16UC1", "plumb_bob", "jpeg", "grass",
     "{}",
-]
+]  # fmt: skip
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 
 
@@ -94,26 +81,17 @@ def _covariance(message: Any) -> None:
 
 
 CONVERTERS: list[tuple[Any, Callable[[Any], object]]] = [
-    (CameraInfo, msg_to_camera),
-    (CameraInfo, stamp_of),
-    (PoseStamped, msg_to_pose),
-    (PoseWithCovarianceStamped, msg_to_pose),
-    (PoseWithCovarianceStamped, _covariance),
-    (Image, msg_to_array),
-    (Image, msg_to_rgb),
-    (Image, msg_to_depth),
-    (CompressedImage, compressed_size),
-    (CompressedImage, compressed_to_rgb),
-    (OccupancyGrid, msg_to_classes),
-    (OccupancyGrid, lambda message: tile_window(msg_to_classes(message)[1], GRID)),
-    (PointCloud2, msg_to_columns),
+    (CameraInfo, msg_to_camera), (CameraInfo, stamp_of), (PoseStamped, msg_to_pose),
+    (PoseWithCovarianceStamped, msg_to_pose), (PoseWithCovarianceStamped, _covariance), (Image, msg_to_array),
+    (Image, msg_to_rgb), (Image, msg_to_depth), (CompressedImage, compressed_size),
+    (CompressedImage, compressed_to_rgb), (OccupancyGrid, msg_to_classes),
+    (OccupancyGrid, lambda message: tile_window(msg_to_classes(message)[1], GRID)), (PointCloud2, msg_to_columns),
     (PointCloud2, msg_to_changed),
     (PointCloud2, lambda message: msg_to_votes(message, GRID, LabelSet.load().names, "north")),
     (PointCloud2, lambda message: msg_to_fuel_cells(message, GRID)),
-    (PolygonStamped, lambda message: region_of(message, GRID)),
-    (String, msg_to_model),
+    (PolygonStamped, lambda message: region_of(message, GRID)), (String, msg_to_model),
     (DiagnosticArray, stamp_of),
-]
+]  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -6,9 +6,7 @@ import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import yaml
 from scenes.networks import write_classifier, write_swapping_head
 from scenes.rasters import rough_terrain
@@ -39,10 +37,6 @@ from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
-from ltm_lab.frames.truth_frames_io import read_truth_frames
-from ltm_lab.resources import lab_config
-from ltm_lab.simulator.scenario import Scenario
-from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.launching.graph import describe
@@ -66,10 +60,6 @@ def _texts(*texts: str) -> Callable[[Path], list[bytes]]:
 
 def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
     return lambda folder: [config_path(name).read_bytes() for name in names]
-
-
-def _of_laboratory(*names: str) -> Callable[[Path], list[bytes]]:
-    return lambda folder: [lab_config(name).read_bytes() for name in names]
 
 
 def _site(folder: Path) -> list[bytes]:
@@ -146,29 +136,6 @@ def _metadata(folder: Path) -> list[bytes]:
     return [(folder / _METADATA_FILE).read_bytes()]
 
 
-def _frames(folder: Path) -> list[bytes]:
-    """An index of simulated frames, with one frame's picture and truth beside it."""
-    import cv2
-
-    cv2.imwrite(str(folder / "a.png"), np.zeros((8, 12, 3), np.uint8))
-    ranges = np.full((4, 6), 200.0, np.float32)
-    np.savez(folder / "a.npz", range_surface=ranges, range_ground=ranges, labels=np.ones((4, 6), np.uint8))
-    camera = {"width": 12, "height": 8, "fx": 10.0, "fy": 10.0, "cx": 5.5, "cy": 3.5, "distortion": [0.0] * 5}
-    small = camera | {"width": 6, "height": 4, "fx": 5.0, "fy": 5.0, "cx": 2.5, "cy": 1.5}
-    entry = {
-        "camera_name": "mast", "stamp_ns": 5, "image": "a.png", "truth": "a.npz",
-        "camera": camera, "truth_camera": small,
-        "position": [1.0, 2.0, 3.0], "azimuth_deg": 5.0, "pitch_deg": -3.0, "roll_deg": 0.0, "date": "",
-    }  # fmt: skip
-    index = {"scenario": "x", "crs": "EPSG:26911", "origin": [480_000.0, 4_150_000.0], "curvature": True, "dates": []}
-    return [json.dumps(index | {"frames": [entry]}).encode()]
-
-
-def _used(frames: Any) -> None:
-    for frame in frames:
-        assert frame.photo.size > frame.surface.size == frame.changed.size
-
-
 def _yaml(
     name: str, seeds: Callable[[Path], list[bytes]], read: Callable[[Path], object], file: str = "x.yaml"
 ) -> Target:
@@ -198,12 +165,6 @@ TEXT_FILES = (
     _yaml("label_errors", _shipped("models/reliability/landscape_v2_8c764a89d188.yaml"), stated_errors),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
-    _yaml(
-        "scenario",
-        _of_laboratory("scenarios/demo.yaml", "scenarios/felled_44.yaml"),
-        lambda path: load_yaml(path, Scenario),
-    ),
-    _yaml("training", _of_laboratory("training/quick.yaml"), lambda path: load_yaml(path, TrainingConfig)),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
     _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),
     _yaml(
@@ -259,5 +220,4 @@ TEXT_FILES = (
         lambda path: read_burns(path, GridGeometry(480_000.0, 4_150_000.0, 30.0, 70, 50, "EPSG:26911")),
         "burns.geojson",
     ),
-    _yaml("simulated_index", _frames, lambda path: _used(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

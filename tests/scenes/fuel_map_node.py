@@ -12,10 +12,7 @@ from ltm_core.fuel.evidence import EvidenceMap
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
-from scenes.fuel_frames import (
-    camera_of,
-    message,
-)
+from scenes.fuel_frames import camera_of, message
 from scenes.outlets import Kept
 
 

@@ -36,11 +36,7 @@ def jpeg(image: UInt8Array) -> bytes:
 
 
 def movie(
-    frames: Sequence[UInt8Array],
-    fps: int = 2,
-    created: datetime | None = None,
-    location: str = "",
-    turned: int = 0,
+    frames: Sequence[UInt8Array], fps: int = 2, created: datetime | None = None, location: str = "", turned: int = 0
 ) -> bytes:
     """`location`: ISO 6709, as phones write it. `turned`: degrees clockwise by which players turn the frames. Without
     `created` the date is 0, that of a camera without a clock."""

@@ -6,10 +6,7 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_lab.simulator.changes import (
-    Change,
-    MaskConfig,
-)
+from ltm_lab.simulator.changes import Change, MaskConfig
 from ltm_lab.simulator.landcover import SHRUB, LandCover, Stand
 from ltm_lab.simulator.stand import stand_at
 from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain

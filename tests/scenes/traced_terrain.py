@@ -1,4 +1,4 @@
-"""Terrain that tracers are compared on: ridged, wooded, holed or real; random cameras over it; what counts as equal."""
+"""Real terrain that tracers are compared on; random cameras over it; what counts as equal."""
 
 from __future__ import annotations
 
@@ -10,20 +10,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_lab.bench.mountains import ridged_terrain
 from scenes.rasters import with_holes
-
-
-def with_trees(dem: Dem, seed: int) -> Dem:
-    """`dem` as a surface model: trees of 4 to 20 m, a few cells wide, on a third of it."""
-    rng = np.random.default_rng(seed)
-    elevation = dem.elevation.copy()
-    rows, cols = elevation.shape
-    for _ in range(rows * cols // 40):
-        row, col = rng.integers(0, rows), rng.integers(0, cols)
-        radius, tall = rng.integers(1, 4), rng.uniform(4, 20)
-        elevation[max(row - radius, 0) : row + radius, max(col - radius, 0) : col + radius] += np.float32(tall)
-    return Dem(elevation, dem.geometry)
 
 
 def random_pose(dem: Dem, rng: np.random.Generator) -> Pose:
@@ -40,26 +27,6 @@ def random_pose(dem: Dem, rng: np.random.Generator) -> Pose:
 
 def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
     return Camera.from_fov(width, height, float(rng.uniform(5, 90)))
-
-
-def ridged(size: int) -> Dem:
-    return ridged_terrain(size)
-
-
-def treed(size: int) -> Dem:
-    return with_trees(ridged_terrain(size), 1)
-
-
-def holed(size: int) -> Dem:
-    return with_holes(ridged_terrain(size), 2, enclosed=size // 20, specks=size // 3)
-
-
-def treed_and_holed(size: int) -> Dem:
-    return with_holes(with_trees(ridged_terrain(size), 3), 4, enclosed=size // 20, specks=size // 3, margin=False)
-
-
-def margin_only(size: int) -> Dem:
-    return with_holes(ridged_terrain(size), 5, enclosed=0, specks=0)
 
 
 def big_tujunga(data: Path) -> Dem:

@@ -30,13 +30,5 @@ def cast_votes(
         raise ImageError(f"labels of {labels.shape} and ranges of {ranges.range.shape} are not of one image")
     caster = VoteCaster(geometry, dem, votes_for, max_range, ranges.bend)
     return caster.cast(
-        ranges.range,
-        ranges.camera,
-        ranges.pose,
-        labels,
-        stamp_ns,
-        source,
-        confidence,
-        covariance,
-        along_axis=False,
+        ranges.range, ranges.camera, ranges.pose, labels, stamp_ns, source, confidence, covariance, along_axis=False
     )

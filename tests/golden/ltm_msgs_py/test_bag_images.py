@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb
 
@@ -23,10 +22,3 @@ def test_a_half_grey_image_of_a_bag_is_rejected(shared_data: Path) -> None:
         else:
             shapes.append(compressed_to_rgb(image).shape)
     assert len(shapes) == 2
-
-
-def test_photos_of_towers_are_complete(shared_data: Path) -> None:
-    photos = sorted((shared_data / "hpwren_towers").glob("*.jpg"))
-    assert photos
-    for path in photos:
-        assert decode_rgb(path.read_bytes(), path.name).shape[2] == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image, PointCloud2, PointField
 
-from ltm_core.base.errors import ImageError, MessageError
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -28,7 +25,6 @@ quick = settings(max_examples=60, deadline=None)
 
 stamps = st.integers(0, LATEST_NS)
 finite = st.floats(-1e6, 1e6)
-uint32s = st.integers(0, 2**32 - 1)
 
 
 def on_the_wire(msg: Any) -> Any:
@@ -119,57 +115,3 @@ def test_columns_of_points(data: st.DataObject, count: int) -> None:
     assert {name: column.tobytes() for name, column in back.items()} == {
         name: column.tobytes() for name, column in given_columns.items()
     }
-
-
-@quick
-@given(
-    st.sampled_from([*sorted(ENCODINGS), "yuv422", ""]),
-    st.integers(0, 5),
-    st.integers(0, 5),
-    st.integers(0, 70),
-    st.binary(max_size=200),
-    st.booleans(),
-)
-def test_any_image_is_read_or_refused(
-    encoding: str, height: int, width: int, step: int, content: bytes, big: bool
-) -> None:
-    msg = Image(height=height, width=width, step=step, encoding=encoding, is_bigendian=int(big))
-    msg.data = array("B", content)
-    try:
-        pixels = msg_to_array(msg)
-    except ImageError:
-        return
-    assert pixels.shape[:2] == (height, width)
-    assert len(content) == height * step
-
-
-fields = st.builds(
-    PointField,
-    name=st.sampled_from(["x", "y", "z", "row", "col", "grass", "rgb", "label", ""]),
-    offset=st.one_of(st.integers(0, 40), uint32s),
-    datatype=st.integers(0, 10),
-    count=st.integers(0, 3),
-)
-
-
-@quick
-@given(
-    st.lists(fields, max_size=9),
-    st.one_of(st.integers(0, 4), uint32s),
-    st.one_of(st.integers(0, 4), uint32s),
-    st.one_of(st.integers(0, 40), uint32s),
-    st.one_of(st.integers(0, 160), uint32s),
-    st.binary(max_size=320),
-    st.booleans(),
-)
-def test_any_point_cloud_is_read_or_refused(
-    given_fields: list[PointField], height: int, width: int, point_step: int, row_step: int, content: bytes, big: bool
-) -> None:
-    msg = PointCloud2(height=height, width=width, point_step=point_step, row_step=row_step, is_bigendian=big)
-    msg.fields = given_fields
-    msg.data = array("B", content)
-    try:
-        columns = msg_to_columns(msg)
-    except MessageError:
-        return
-    assert {len(column) for column in columns.values()} == {height * width}

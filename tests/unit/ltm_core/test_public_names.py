@@ -1,5 +1,3 @@
-"""The public names of `ltm_core`, and the module paths that keep working."""
-
 from __future__ import annotations
 
 import ast

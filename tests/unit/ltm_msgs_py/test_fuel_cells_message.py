@@ -1,5 +1,3 @@
-"""The cells of a fuel map as points: what goes out comes in, and nothing that lies elsewhere."""
-
 from __future__ import annotations
 
 from array import array

@@ -1,12 +1,9 @@
 from __future__ import annotations
 
 import io
-import struct
-import zlib
 from array import array
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -20,7 +17,6 @@ from ltm_msgs_py.image import (
     compressed_to_msg,
     compressed_to_rgb,
     decode_rgb,
-    depth_to_msg,
     encode_rgb,
     image_to_msg,
     msg_to_array,
@@ -46,20 +42,22 @@ def raw_message(data: bytes, encoding: str, height: int, width: int, step: int, 
     return msg
 
 
-@pytest.mark.parametrize("encoding", sorted(ENCODINGS))
-def test_every_encoding_round_trips_bit_by_bit(encoding: str) -> None:
-    image = pixels(encoding)
-    msg = image_to_msg(image, encoding, 12_000_000_034, "east_optical")
-    assert (msg.height, msg.width, msg.step) == (H, W, image.strides[0])
-    assert (msg.header.stamp.sec, msg.header.stamp.nanosec, msg.header.frame_id) == (12, 34, "east_optical")
-    back = msg_to_array(msg)
-    assert back.dtype == image.dtype
-    np.testing.assert_array_equal(back, image)
-
-
 def test_strided_images_are_written_in_their_own_order() -> None:
     image = pixels("rgb8")[::-1, ::2]
     np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, "rgb8", 0, "")), image)
+    reused = image_to_msg(np.ascontiguousarray(image[::-1]), "rgb8", 0, "")
+    np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, "rgb8", 0, "", out=reused)), image)
+
+
+def test_a_message_handed_back_keeps_its_buffer_and_takes_everything_new() -> None:
+    first = image_to_msg(pixels("rgb8"), "rgb8", 1, "a")
+    buffer = first.data
+    image = pixels("rgb8")[::-1].copy()
+    msg = image_to_msg(image, "rgb8", 2_000_000_000, "b", out=first)
+    assert msg is first
+    assert msg.data is buffer
+    assert (msg.header.frame_id, msg.header.stamp.sec) == ("b", 2)
+    np.testing.assert_array_equal(msg_to_rgb(msg), image)
 
 
 def test_rgb8_and_32fc1_are_read_without_a_copy() -> None:
@@ -146,11 +144,6 @@ def test_depth_in_millimetres_becomes_metres_with_zero_unknown() -> None:
     np.testing.assert_allclose(msg_to_depth(msg), np.float32([[np.nan, 1.5, 65.535]]), rtol=1e-7)
 
 
-def test_depth_keeps_sky_and_unknown() -> None:
-    depth = np.float32([[1.25, np.inf, np.nan]])
-    np.testing.assert_array_equal(msg_to_depth(depth_to_msg(depth, 0, "")), depth)
-
-
 @pytest.mark.parametrize("encoding", ["nv12", "64FC1", "", "32FC1", "rgb8; jpeg"])
 def test_colour_encodings_not_taken_are_named_with_those_that_are(encoding: str) -> None:
     with pytest.raises(ImageError, match="supported: rgb8, bgr8") as caught:
@@ -192,11 +185,6 @@ def test_arrays_that_do_not_fit_their_encoding_are_refused(image: NDArray[Any], 
         image_to_msg(image, encoding, 0, "")
 
 
-def test_an_unknown_encoding_cannot_be_written() -> None:
-    with pytest.raises(ImageError, match="yuv422"):
-        image_to_msg(pixels("rgb8"), "yuv422", 0, "")
-
-
 def smooth() -> UInt8Array:
     v, u = np.mgrid[0:48, 0:80]
     return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
@@ -211,11 +199,6 @@ def test_png_is_exact_and_jpeg_close() -> None:
     assert png.header.stamp.nanosec == 7
 
 
-def test_compressed_bytes_travel_verbatim() -> None:
-    data = encode_rgb(smooth())
-    assert bytes(compressed_to_msg(data, "jpeg", 0, "").data) == data
-
-
 def test_exif_orientation_does_not_turn_the_pixels() -> None:
     stream = io.BytesIO()
     picture = PillowImage.fromarray(smooth())
@@ -226,27 +209,6 @@ def test_exif_orientation_does_not_turn_the_pixels() -> None:
     assert decoded.shape == smooth().shape
 
 
-def jpeg_with_thumbnail() -> bytes:
-    """A JPEG whose EXIF holds a whole JPEG, so that an end marker stands before the image's own data."""
-    stream = io.BytesIO()
-    payload = b"Exif\0\0" + encode_rgb(smooth()[:16, :16])
-    PillowImage.fromarray(smooth()).save(stream, "JPEG", exif=payload)
-    return stream.getvalue()
-
-
-@pytest.mark.parametrize("kept", [0.35, 0.6, 0.95])
-@pytest.mark.parametrize("kind", ["jpeg", "png", "thumbnail"])
-def test_images_cut_short_are_refused_with_size_and_format(kind: str, kept: float) -> None:
-    rng = np.random.default_rng(0)
-    noise = cv2.GaussianBlur(rng.integers(0, 256, (120, 200, 3), np.uint8), (5, 5), 2)
-    whole = jpeg_with_thumbnail() if kind == "thumbnail" else encode_rgb(noise, kind)
-    data = whole[: int(len(whole) * kept)]
-    msg = CompressedImage(format="jpeg" if kind == "thumbnail" else kind)
-    msg.data = array("B", data)
-    with pytest.raises(ImageError, match=f"{len(data)} bytes of {msg.format}"):
-        compressed_to_rgb(msg)
-
-
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8", bytes(500), b"GIF89a" + bytes(50), b"\x00" * 12 + b"\x89PNG"])
 def test_what_is_neither_jpeg_nor_png_is_refused(data: bytes) -> None:
     msg = CompressedImage(format="16UC1; compressedDepth png")
@@ -255,54 +217,6 @@ def test_what_is_neither_jpeg_nor_png_is_refused(data: bytes) -> None:
         compressed_to_rgb(msg)
     with pytest.raises(ImageError, match=f"{len(data)} bytes"):
         compressed_to_msg(data, "jpeg", 0, "")
-
-
-def test_jpeg_garbage_with_the_right_ends_is_refused() -> None:
-    msg = CompressedImage(format="jpeg")
-    msg.data = array("B", b"\xff\xd8\xff\xda\x00\x04" + bytes(300) + b"\xff\xd9")
-    with pytest.raises(ImageError, match="308 bytes of jpeg"):
-        compressed_to_rgb(msg)
-
-
-def test_a_png_that_claims_ten_gigapixels_is_refused() -> None:
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0))
-    msg = CompressedImage(format="png")
-    msg.data = array("B", b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b""))
-    with pytest.raises(ImageError, match="bytes of png"):
-        compressed_to_rgb(msg)
-
-
-def test_a_png_chunk_longer_than_the_file_is_refused_before_it_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """OpenCV would take the gigabyte that such a chunk states."""
-    png = encode_rgb(smooth(), "png")
-    at = png.index(b"IDAT") - 4
-    monkeypatch.setattr("cv2.imdecode", lambda *_: pytest.fail("decoded"))
-    with pytest.raises(ImageError, match="truncated: its chunks state more bytes than it has"):
-        decode_rgb(png[:at] + (0x40000000).to_bytes(4, "big") + png[at + 4 :])
-
-
-def test_a_jpeg_that_claims_gigapixels_is_refused_before_it_is_decoded() -> None:
-    data = bytearray(encode_rgb(smooth(), "jpeg"))
-    frame = data.index(b"\xff\xc0")
-    data[frame + 5 : frame + 9] = struct.pack(">HH", 9_500, 9_000)
-    msg = CompressedImage(format="jpeg")
-    msg.data = array("B", bytes(data))
-    with pytest.raises(ImageError, match="states a size of 9000 x 9500: more than 64 million pixels"):
-        compressed_to_rgb(msg)
-
-
-@pytest.mark.parametrize(("image_format", "quality"), [("gif", 90), ("jpeg", 0), ("jpeg", 101)])
-def test_compression_that_there_is_not_is_refused(image_format: str, quality: int) -> None:
-    with pytest.raises(ImageError, match=image_format):
-        encode_rgb(smooth(), image_format, quality)
-
-
-def test_a_format_that_is_not_the_datas_is_refused() -> None:
-    with pytest.raises(ImageError, match="that is png"):
-        compressed_to_msg(encode_rgb(smooth(), "png"), "jpeg", 0, "")
 
 
 def test_a_jpeg_of_many_scans_is_not_decoded() -> None:

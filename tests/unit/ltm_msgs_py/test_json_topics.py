@@ -1,5 +1,3 @@
-"""JSON messages: the shipped schema is the models', and every topic of the graph has one."""
-
 from __future__ import annotations
 
 import json

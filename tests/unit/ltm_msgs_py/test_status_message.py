@@ -1,5 +1,3 @@
-"""States and counts as diagnostic_msgs, the correction of a mount that needs one, and places as NavSatFix."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""A pose of which an angle is not known is told as one, and places nothing."""
-
 from __future__ import annotations
 
 import math
@@ -18,12 +16,6 @@ from ltm_msgs_py.pose import UNKNOWN_VARIANCES, msg_to_covariance, pose_to_msg
 
 POSE = Pose.from_angles((0.0, 0.0, 31.6), 40.0, 0.0, 0.0)
 SURE = (5.0, 10.0, 8.2, 1.0, 1.0)
-
-
-def test_they_are_the_sigmas_of_an_angle_that_may_be_any() -> None:
-    rng = np.random.default_rng(5)
-    assert np.std(rng.uniform(-180, 180, 200_000)) == pytest.approx(UNKNOWN_AZIMUTH_SIGMA_DEG, rel=0.01)
-    assert np.std(rng.uniform(-90, 90, 200_000)) == pytest.approx(UNKNOWN_PITCH_SIGMA_DEG, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -68,16 +68,6 @@ def test_fields_are_those_of_the_contract() -> None:
     assert not msg.is_dense  # a height is NaN
 
 
-def test_votes_round_trip() -> None:
-    back = msg_to_votes(message(), GRID, NAMES, "east")
-    np.testing.assert_array_equal(back.rows, VOTES.rows)
-    np.testing.assert_array_equal(back.cols, VOTES.cols)
-    np.testing.assert_array_equal(back.counts, VOTES.counts)
-    np.testing.assert_array_equal(back.z, VOTES.z)
-    assert back.counts.dtype == np.uint32
-    assert (back.geometry, back.stamp_ns, back.source) == (GRID, VOTES.stamp_ns, "east")
-
-
 def test_how_well_cells_are_seen_survives_to_the_wire_s_precision() -> None:
     back = msg_to_votes(message(), GRID, NAMES, "east")
     assert back.confidence is not None
@@ -147,14 +137,6 @@ def test_points_stand_on_their_cells() -> None:
     np.testing.assert_array_equal(xyz[:, 1], [300, 270, 270, 180])
 
 
-def test_no_votes_at_all_are_votes() -> None:
-    empty = CellVotes(
-        GRID, np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 3), np.uint32), np.empty(0, np.float32), 5, "e"
-    )
-    back = msg_to_votes(votes_to_msg(empty, NAMES), GRID, NAMES, "e")
-    assert back.counts.shape == (0, 3)
-
-
 def test_classes_are_found_by_name_whatever_their_order() -> None:
     back = msg_to_votes(message(), GRID, ("tree", "grass", "shrub"), "east")
     np.testing.assert_array_equal(back.counts, VOTES.counts[:, [2, 0, 1]])
@@ -169,28 +151,12 @@ def test_big_endian_votes_come_out_native() -> None:
     np.testing.assert_array_equal(msg_to_votes(msg, GRID, NAMES, "east").counts, VOTES.counts)
 
 
-@pytest.mark.parametrize("names", [("grass", "shrub"), ("grass", "shrub", "tree", "bare")])
-def test_names_that_are_not_as_many_as_classes_cannot_be_written(names: tuple[str, ...]) -> None:
-    with pytest.raises(MessageError, match="count 3 classes"):
-        votes_to_msg(VOTES, names)
-
-
-@pytest.mark.parametrize("names", [(), ("x", "a", "b"), ("confidence", "a", "b"), ("a", "a", "b"), ("a b", "c", "d")])
-def test_names_that_make_no_fields_are_refused(names: tuple[str, ...]) -> None:
-    with pytest.raises(MessageError, match="distinct identifiers"):
-        votes_to_msg(VOTES, names)
-
-
 def _set(name: str, value: int) -> Callable[[PointCloud2], None]:
     return lambda msg: setattr(msg, name, value)
 
 
 def _field(index: int, name: str, value: int | str) -> Callable[[PointCloud2], None]:
     return lambda msg: setattr(msg.fields[index], name, value)
-
-
-def _no_points_of(msg: PointCloud2, step: int) -> None:
-    msg.width, msg.row_step, msg.point_step, msg.data = 0, 0, step, array("B")
 
 
 def _swap_first_two(msg: PointCloud2) -> None:
@@ -202,35 +168,24 @@ def _swap_first_two(msg: PointCloud2) -> None:
     ("change", "complaint"),
     [
         (_set("point_step", 27), "'bearing_deg' at offset 26 exceeds its point of 27"),
-        (_set("point_step", 0), "point_step 0"),
-        (_set("point_step", 29), "row_step must be at least width"),
         (_set("point_step", 2**32 - 1), "holds 112 bytes"),
-        (lambda m: _no_points_of(m, 2**31), "point_step 2147483648"),
-        (_set("row_step", 111), "holds 112 bytes"),
         (_set("width", 5), "holds 112 bytes"),
         (_set("width", -4), "width -4"),
-        (_set("height", 2), "holds 112 bytes"),
         (_set("height", -1), "height -1"),
         (_set("width", 2**32 - 1), "state 4294967295 cells in 112 bytes; the fuel grid has 35"),
-        (_set("height", 2**20), "the fuel grid has 35"),
         (lambda m: setattr(m, "data", array("B", bytes(10_000_000))), "in 10000000 bytes; the fuel grid has 35"),
         (lambda m: m.data.pop(), "holds 111 bytes"),
         (lambda m: m.fields.clear(), "no fields"),
         (lambda m: m.fields.pop(1), "lacks the field 'y'"),
         (_field(4, "name", "cactus"), "fields cactus"),
-        (_field(4, "name", "row"), "fields row"),
         (_field(4, "name", "grass"), "duplicate field 'grass'"),
         (_field(4, "datatype", PointField.INT16), "'shrub' is int16, must be uint16"),
         (_field(6, "datatype", PointField.INT8), "'confidence' is int8, must be uint8"),
         (lambda m: m.fields.pop(7), "lacks the field 'cos_incidence'"),
-        (_field(0, "datatype", PointField.FLOAT64), "'x' is float64"),
         (_field(0, "datatype", 0), "datatype 0"),
-        (_field(0, "datatype", 9), "datatype 9"),
         (_field(0, "count", 2), "count 2"),
         (_field(0, "offset", 2**32 - 4), "exceeds its point"),
         (lambda m: set_value(m, 2, "y", 330.0), r"point 2 at \(-480.0, 330.0\) is outside a fuel grid of \(5, 7\)"),
-        (lambda m: set_value(m, 2, "y", 150.0), "outside a fuel grid"),
-        (lambda m: set_value(m, 2, "x", 1e30), "outside a fuel grid"),
         (lambda m: set_value(m, 2, "x", float("nan")), "outside a fuel grid"),
         (lambda m: set_value(m, 2, "x", -570.0), r"point 2 is cell \(1, 0\)"),
         (_swap_first_two, "not in row-major order"),
@@ -250,8 +205,3 @@ def test_votes_count_where_they_stand() -> None:
     wider = GridGeometry(GRID.x_min - 30.0, GRID.y_max, 30.0, 8, 5)
     moved = replace(VOTES, geometry=wider, cols=VOTES.cols + np.int32(1))
     np.testing.assert_array_equal(msg_to_votes(votes_to_msg(moved, NAMES), GRID, NAMES, "east").cols, VOTES.cols)
-
-
-def test_votes_on_cells_that_do_not_coincide_are_refused() -> None:
-    with pytest.raises(MessageError, match="sender and receiver use different fuel grids"):
-        msg_to_votes(message(), GRID.translated(3.0, 0.0), NAMES, "east")

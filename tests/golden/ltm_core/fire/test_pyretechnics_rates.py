@@ -12,14 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
-from scipy.ndimage import uniform_filter
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fire.effect import FireScenario, Moisture, Wind
 from ltm_core.fire.pyretechnics import Pyretechnics, interpreter
 from ltm_core.fuel.codes import fuel_models
-from ltm_core.fuel.export.landscape import Landscape, terrain_bands
+from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry
 
 
@@ -136,34 +134,3 @@ def test_arrival_differs_where_and_only_where_the_changed_cells_can_matter(model
     behind = (slice(39, 42), slice(91, 100))
     assert (np.nan_to_num(now.arrival[behind], nan=99.0) > was.arrival[behind] + 0.05).all()
     assert not now.burned[36:45, 80:90].any()
-
-
-def test_a_strip_taken_out_of_the_santa_ana_mountains(model: Pyretechnics, shared_data: Path) -> None:
-    """As on the flat field, on 1600 x 1600 real cells."""
-    folder = shared_data / "fuels_socal_santaana_gridfire"
-
-    def layer(name: str) -> np.ndarray:
-        with rasterio.open(folder / f"{name}.tif") as source:
-            return source.read(1)
-
-    with rasterio.open(folder / "dem.tif") as source:
-        grid = GridGeometry(source.transform.c, source.transform.f, 30.0, source.width, source.height, "EPSG:32611")
-    heights = np.pad(layer("dem").astype(float), 1, constant_values=np.nan)
-    cover, fuel = layer("cc"), layer("fbfm40")
-    canopy = [cover, layer("ch"), np.where(cover > 0, 15, 0), np.where(cover > 0, 11, 0)]
-    before = np.concatenate([terrain_bands(heights, 30.0), np.array([fuel, *canopy], np.int16)])
-    row, col = (int(v) for v in np.unravel_index(uniform_filter((fuel > 100) * 1.0, 161).argmax(), fuel.shape))
-    after = before.copy()
-    strip = slice(row + 30, row + 45), slice(col - 35, col + 10)
-    after[(3, *strip)] = 99
-    scenario = FireScenario(row, col, Wind(8.0, 20.0), Moisture.parse("D1L2"), 6.0)
-    was, now = (model.spread(Landscape(bands, grid), scenario) for bands in (before, after))
-    reached = float(np.nanmin(was.arrival[strip]))
-    sooner = was.burned & (was.arrival < reached)
-    assert sooner.sum() > 300
-    np.testing.assert_allclose(now.arrival[sooner], was.arrival[sooner], atol=2 / 60)
-    behind = slice(row + 46, row + 60), slice(col - 25, col)
-    assert was.burned[behind].mean() > 0.9
-    later = np.nan_to_num(now.arrival, nan=99.0) - np.nan_to_num(was.arrival, nan=99.0)
-    assert (later[behind][was.burned[behind]] > 0.25).all()
-    assert now.burned.sum() < 0.8 * was.burned.sum()

@@ -10,7 +10,6 @@ import pytest
 import rasterio
 from rasterio.warp import Resampling, reproject
 
-from ltm_core.base.errors import RasterError
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
@@ -19,7 +18,7 @@ from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior, PriorConfig
-from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
@@ -73,29 +72,6 @@ def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
                 np.testing.assert_array_equal(source.read(), made.bands)
             back = load_prior(PriorConfig(path=path), own)
             np.testing.assert_array_equal(back.codes, prior.codes)
-
-
-def test_codes_that_no_system_has(shared_data: Path) -> None:
-    folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
-    _, grid = raster(folder / "fbfm40b.tif")
-    with pytest.raises(RasterError, match="256 \\(114001 cells\\)"):
-        load_prior(PriorConfig(path=folder / "fbfm40b.tif"), grid)
-    known = load_prior(PriorConfig(path=folder / "fbfm40b.tif", unknown_codes="nodata"), grid).codes != NODATA
-    assert (~known).sum() == 114_001 + (raster(folder / "fbfm40b.tif")[0] == NODATA).sum()
-
-
-def test_an_elmfire_folder(shared_data: Path) -> None:
-    """Its codes come in two revisions, of which one is named; the rest is known by its names."""
-    folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
-    codes, grid = raster(folder / "fbfm40r5.tif")
-    with pytest.raises(RasterError, match=r"fbfm40b.tif, fbfm40r5.tif"):
-        load_prior(PriorConfig(path=folder), grid)
-    config = PriorConfig(path=folder, fbfm40=folder / "fbfm40r5.tif")
-    prior, heights = load_prior(config, grid), prior_heights(config, grid)
-    np.testing.assert_array_equal(prior.codes, codes)
-    assert prior.canopy is not None
-    assert heights is not None
-    np.testing.assert_array_equal(heights, raster(folder / "dem.tif")[0])
 
 
 def test_a_landfire_download(shared_data: Path) -> None:

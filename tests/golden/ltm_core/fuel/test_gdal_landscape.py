@@ -11,12 +11,9 @@ import pytest
 import rasterio
 from scipy import ndimage
 
-from ltm_core.fuel.codes import FuelSystem
-from ltm_core.fuel.export.landscape import FLAT, LANDSCAPE_BANDS, Landscape, slope_and_aspect, terrain_bands
-from ltm_core.fuel.export.landscape_io import write_cog, write_elmfire, write_landscape, write_lcp
+from ltm_core.fuel.export.landscape import FLAT, Landscape, slope_and_aspect, terrain_bands
+from ltm_core.fuel.export.landscape_io import write_cog, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import PriorConfig
-from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(531_783.25, 4_280_398.25, 30.0, 37, 29, "EPSG:32610")
@@ -49,25 +46,6 @@ def test_an_lcp(tmp_path: Path) -> None:
         assert source.tags()["LATITUDE"] == "38"
 
 
-def test_a_geotiff_landscape(tmp_path: Path) -> None:
-    made = landscape()
-    with rasterio.open(write_landscape(tmp_path / "a.tif", made)) as source:
-        assert (source.count, source.nodata, set(source.dtypes)) == (8, NODATA, {"int16"})
-        assert source.descriptions == LANDSCAPE_BANDS
-        np.testing.assert_array_equal(source.read(), made.bands)
-
-
-def test_an_elmfire_folder(tmp_path: Path) -> None:
-    made = landscape()
-    folder = write_elmfire(tmp_path / "inputs", made)
-    names = {"asp", "cbd", "cbh", "cc", "ch", "dem", "fbfm40", "slp", "adj", "phi"}
-    assert {p.stem for p in folder.iterdir()} == names
-    with rasterio.open(folder / "asp.tif") as source:
-        np.testing.assert_array_equal(source.read(1), made.band("aspect"))
-    with rasterio.open(folder / "adj.tif") as source:
-        assert (source.read(1) == 1).all()
-
-
 def test_a_cog(tmp_path: Path) -> None:
     layer = np.arange(700 * 600, dtype=np.int32).reshape(700, 600)
     geometry = GridGeometry(0.0, 21_000.0, 30.0, 600, 700, "EPSG:5070")
@@ -76,16 +54,6 @@ def test_a_cog(tmp_path: Path) -> None:
         assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert source.overviews(1)
         np.testing.assert_array_equal(source.read(1), layer)
-
-
-@pytest.mark.parametrize("name", ["a.lcp", "a.tif"])
-def test_both_come_back_as_a_prior(tmp_path: Path, name: str) -> None:
-    made = landscape()
-    (write_lcp if name.endswith("lcp") else write_landscape)(tmp_path / name, made)
-    prior = load_prior(PriorConfig(path=tmp_path / name), GRID)
-    assert prior.system is FuelSystem.FBFM40
-    np.testing.assert_array_equal(prior.codes, made.band("fuel"))
-    np.testing.assert_array_equal(prior.canopy, made.bands[4:])
 
 
 @pytest.mark.skipif(shutil.which("gdaldem") is None, reason="gdaldem is not installed")

@@ -72,9 +72,7 @@ def write(path: Path, dtype: str, nodata: float) -> None:
         for row in range(0, SIDE, 512):
             strip = heights[row : row + 512]
             sink.write(
-                np.where(np.isnan(strip), nodata, strip).astype(dtype),
-                1,
-                window=Window(0, row, SIDE, len(strip)),
+                np.where(np.isnan(strip), nodata, strip).astype(dtype), 1, window=Window(0, row, SIDE, len(strip))
             )
 
 

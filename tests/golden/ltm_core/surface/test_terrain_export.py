@@ -13,7 +13,6 @@ import rasterio
 import yaml
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
@@ -105,34 +104,3 @@ def test_the_surface_is_that_of_the_site_with_its_changes(site_file: Path) -> No
     np.testing.assert_allclose(height, expected, atol=1e-3)
     assert np.isnan(sigma[0, 0])
     assert np.isfinite(sigma[280, 75])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--format", "surface", "--out", "{}/s.tif"], "give the site file with --site"),
-        (["--site", "{}/site.yaml", "--format", "lcp", "--out", "{}/s.lcp"], "--format change or --format surface"),
-        (["--site", "{}/site.yaml", "--format", "change", "--out", "{}/c.png"], r"GeoTIFF \(\.tif\)"),
-        (["--site", "{}/site.yaml", "--format", "change", "--out", "{}/absent/c.tif"], "create it first"),
-        (
-            ["--site", "{}/site.yaml", "--format", "change", "--out", "{}/c.tif", "--as-of", "2024-01-01"],
-            "current state",
-        ),
-        (["--site", "{}/bare.yaml", "--format", "change", "--out", "{}/c.tif"], "no section `terrain`"),
-        (["--site", "{}/other.yaml", "--format", "change", "--out", "{}/c.tif"], "not a terrain of site ridge"),
-    ],
-)
-def test_what_cannot_be_exported_is_told(site_file: Path, arguments: list[str], said: str) -> None:
-    folder = site_file.parent
-    document = yaml.safe_load(site_file.read_text())
-    (folder / "other.yaml").write_text(yaml.safe_dump(document | {"terrain": {"resolution": 5.0}}))
-    document.pop("terrain")
-    (folder / "bare.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(ConfigError, match=said):
-        CliRunner().invoke(
-            cli,
-            ["export", str(folder / "terrain.sqlite"), *(each.format(folder) for each in arguments)],
-            catch_exceptions=False,
-        )
-    assert not list(folder.glob("[cs].*"))
-    assert load_site(site_file).terrain is not None

@@ -14,8 +14,6 @@ from ltm_core.base.types import Float64Array
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 
-embreex = pytest.importorskip("embreex")
-
 
 def embree_ranges(dem: Dem, origin: Float64Array, rays: Float64Array) -> Float64Array:
     """Range of the first triangle on each ray; +inf where there is none."""
@@ -58,21 +56,3 @@ def test_percentiles_against_embree(seed: int) -> None:
     assert p50 < 0.05
     assert p90 < 0.6
     assert p99 < 5.0
-
-
-def test_on_a_surface_of_flat_cells_they_agree_everywhere() -> None:
-    """Cells that are planes have one surface, bilinear or triangles: nothing but float32 may differ."""
-    rows, cols = np.mgrid[0:90, 0:131]
-    rng = np.random.default_rng(33)
-    profile = np.cumsum(rng.normal(0, 0.8, 131)) + 400
-    z = profile[cols] - 0.35 * rows
-    shape = rough_terrain(33, shape=(90, 131))
-    dem = Dem(z.astype(np.float32), shape.geometry)
-    origin = standing(dem, 44.3, 61.7, 9.0)
-    rays = directions(rng, 6000)
-    ours = TerrainTracer(dem, curvature=False).trace_rays(origin, rays)
-    theirs = embree_ranges(dem, origin, rays)
-    both = np.isfinite(ours) & np.isfinite(theirs)
-    assert both.sum() > 2000
-    assert np.percentile(np.abs(ours[both] - theirs[both]), 99.5) < 0.02
-    assert (np.isfinite(ours) == np.isfinite(theirs)).mean() > 0.999

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import LtmError
-from ltm_core.base.types import BoolArray, Float32Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
@@ -26,41 +24,6 @@ SNOTINDEN = 1594.0
 """Metres: the highest ground about the glacier."""
 RIM = 1700.0
 """Metres: the canyon's rim about river mile 22."""
-
-
-def came_back(dem: Dem, camera: Camera, pose: Pose, ranges: Float32Array) -> BoolArray:
-    """Which rays with a range have been over known ground and then over none, by small steps: those that were given up
-    before unknown ground had bounds.
-    """
-    directions = camera.rays() @ pose.rotation.T
-    left, entered = np.zeros(ranges.shape, np.bool_), np.zeros(ranges.shape, np.bool_)
-    step = dem.geometry.resolution / 2
-    for at in np.arange(0.0, float(np.nanmax(np.where(np.isfinite(ranges), ranges, np.nan))), step):
-        under_way = np.isfinite(ranges) & (ranges > at)
-        points = pose.position[:2] + at * directions[..., :2]
-        known = np.isfinite(dem.elevation_at(points[..., 0], points[..., 1]))
-        left |= under_way & entered & ~known
-        entered |= under_way & known
-    return left
-
-
-@pytest.mark.slow
-def test_stripes_over_a_ragged_survey(shared_data: Path) -> None:
-    try:
-        canyon = read_canyon(shared_data / "grandcanyon_rm22")
-    except LtmError as error:
-        pytest.skip(str(error))
-    camera, pose = canyon.resection.camera.scaled(8), canyon.resection.pose
-    hits = before = now = 0
-    for date, dem in canyon.surveys.items():
-        free = TerrainTracer(dem, possible=NOTHING_BEYOND).trace(camera, pose).range
-        hit = np.isfinite(free)
-        given_up = came_back(dem, camera, pose, free)[hit]
-        unknown = np.isnan(TerrainTracer(dem).trace(camera, pose).range[hit])
-        print(f"{date}: {hit.sum()} rays hit, given up before {given_up.mean():.2%}, now {unknown.mean():.2%}")
-        hits, before, now = hits + int(hit.sum()), before + int(given_up.sum()), now + int(unknown.sum())
-    print(f"all: {hits} rays hit, given up before {before / hits:.2%}, now {now / hits:.2%}")
-    assert now < 0.4 * before
 
 
 def test_no_rock_wall_beyond_a_survey_is_sky(shared_data: Path) -> None:

@@ -82,15 +82,6 @@ def test_the_code_is_the_priors_where_its_life_form_holds(of: list[CellVotes], n
     np.testing.assert_array_equal(layers.code[masked], layers.prior[masked])
 
 
-@examples(15, in_fuzz=60)
-@given(frames(), networks)
-def test_one_frame_changes_nothing(frame: CellVotes, network: LabelErrors) -> None:
-    layers = counted(frame, network=network).layers()
-    assert not layers.changed.any()
-    known = layers.prior != NODATA
-    np.testing.assert_array_equal(layers.code[known], layers.prior[known])
-
-
 @examples(12, in_fuzz=40)
 @given(frames(), st.integers(2, 200), st.integers(0, 3599))
 def test_frames_of_an_hour_are_one_look(frame: CellVotes, repeats: int, seconds: int) -> None:
@@ -136,15 +127,6 @@ def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile:
     one, other = quiet.layers(at_ns=at), disturbed.layers(at_ns=at)
     for name in ("code", "life_form", "evidence", "p_max"):
         np.testing.assert_array_equal(vars(other)[name][elsewhere], vars(one)[name][elsewhere], err_msg=name)
-
-
-@examples(12, in_fuzz=40)
-@given(st.lists(frames(), min_size=1, max_size=6))
-def test_evidence_only_fades(of: list[CellVotes]) -> None:
-    fuel_map = counted(*of)
-    now, *later = (fuel_map.layers(at_ns=fuel_map.newest_ns + days * 86400 * 10**9).evidence for days in (0, 100, 4000))
-    assert (later[0] <= now).all()
-    assert (later[1] <= later[0]).all()
 
 
 def test_counts_of_a_forged_frame_do_not_overflow() -> None:

@@ -110,11 +110,6 @@ def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, qua
     assert one.cells.estimate[0, 0]["looks"] == pytest.approx(1 + kept, rel=1e-5)
 
 
-def test_looks_of_one_day_all_count() -> None:
-    one = seen_by([(1_000_000_000 + 7200 * i, 1, 1.0 + 0.1 * i, 4.0, False) for i in range(4)])
-    assert one.cells.estimate[0, 0]["dz"] == pytest.approx(1.15, rel=1e-3)
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.floats(1.0, 8.0), st.floats(0.01, 30.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(1, 2**32 - 1))
 def test_what_a_camera_repeats_falls_with_cameras_only(

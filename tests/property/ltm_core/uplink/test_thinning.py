@@ -37,18 +37,3 @@ def test_a_little_room_is_made_among_the_older_half(frames: list[tuple[int, int,
     older = order[: (len(order) + 1) // 2]
     if len(np.unique(views[older])) < len(older):
         assert set(np.flatnonzero(gone)) <= set(older.tolist())
-
-
-@given(FRAMES, st.randoms(use_true_random=False))
-def test_the_order_in_which_frames_are_listed_does_not_matter(
-    frames: list[tuple[int, int, int]], random: object
-) -> None:
-    unique = list({frame[0]: frame for frame in frames}.values())
-    shuffled = unique.copy()
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
-    left = []
-    for listed in (unique, shuffled):
-        stamps, views, sizes = (np.array(column, np.int64) for column in zip(*listed, strict=True))
-        gone = thinned(stamps, views, sizes, int(sizes.sum()) // 3)
-        left.append(set(stamps[~gone].tolist()))
-    assert left[0] == left[1]

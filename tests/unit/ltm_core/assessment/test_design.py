@@ -1,5 +1,3 @@
-"""The sample: sizes of strata, equal chances, spread, reproducibility."""
-
 from __future__ import annotations
 
 import numpy as np

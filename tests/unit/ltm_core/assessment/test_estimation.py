@@ -1,5 +1,3 @@
-"""Accuracies and areas: against the worked examples that the field's papers print."""
-
 from __future__ import annotations
 
 import numpy as np

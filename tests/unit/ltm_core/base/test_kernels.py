@@ -1,5 +1,3 @@
-"""Running kernels on several threads."""
-
 from __future__ import annotations
 
 import threading

@@ -1,12 +1,10 @@
-"""Numbers for people: no negative zero, and differences that agree with the numbers beside them."""
-
 from __future__ import annotations
 
 import math
 
 import pytest
 
-from ltm_core.base.number_text import NOTHING, counted, difference, number, percent
+from ltm_core.base.number_text import NOTHING, difference, number
 
 
 @pytest.mark.parametrize(
@@ -25,9 +23,3 @@ def test_a_difference_is_of_the_numbers_as_they_are_shown(before: float, after: 
     assert difference(before, after) == text
     shown = [int(number(value).replace(",", "")) for value in (before, after)]
     assert int(text.replace(",", "")) == shown[1] - shown[0]
-
-
-def test_counts_and_shares() -> None:
-    assert [counted(n, "camera") for n in (0, 1, 2000)] == ["0 cameras", "1 camera", "2,000 cameras"]
-    assert percent(0.2345) == "23.4 %"
-    assert percent(math.nan) == NOTHING

@@ -1,5 +1,3 @@
-"""Finding the files that ship with the project."""
-
 from __future__ import annotations
 
 import sys

@@ -1,5 +1,3 @@
-"""One syntax for poses and calibrations, whichever file they stand in."""
-
 from __future__ import annotations
 
 from datetime import date
@@ -11,7 +9,7 @@ import pytest
 import yaml
 
 from ltm_core.base.errors import ConfigError, PoseError
-from ltm_core.cameras.camera_config import CalibrationConfig, PartialCalibration, PartialPose, PoseConfig
+from ltm_core.cameras.camera_config import PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.grid import GridGeometry
@@ -118,9 +116,3 @@ def test_sigmas_become_a_covariance() -> None:
     assert covariance is not None
     np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 0.5, 8.0, 0.3, 0.3))
     assert PoseConfig(**POSE).covariance(pose, 0.5, 0.3) is None
-
-
-def test_a_size_is_both_numbers() -> None:
-    with pytest.raises(ValueError, match="both width and height"):
-        PartialCalibration(width=3)
-    assert CalibrationConfig(width=8, height=6, hfov_deg=90).camera() == Camera.from_fov(8, 6, 90)

@@ -1,5 +1,3 @@
-"""Angles and heights in another unit."""
-
 from __future__ import annotations
 
 import math
@@ -26,13 +24,6 @@ def test_radians_are_doubted(azimuths: list[float], part: str) -> None:
 @pytest.mark.parametrize("azimuths", [[], [0.0], [3], [0, 3, 5], [3.7, 6.4], [212.0], [-7.5, 1.5]])
 def test_what_degrees_look_like(azimuths: list[float]) -> None:
     assert doubt_of_radians(azimuths) is None
-
-
-def test_one_right_azimuth_in_57_is_doubted() -> None:
-    """As the documentation states."""
-    spread = [(k + 0.5) * 360 / 3600 for k in range(3600)]
-    doubted = sum(doubt_of_radians([azimuth]) is not None for azimuth in spread)
-    assert doubted / 3600 == pytest.approx(2 * math.pi / 360, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""What a network says where the depth is known, and what that means for a pixel; and robust lines."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -8,12 +6,11 @@ from scenes.called import called
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.base.types import Float64Array
-from ltm_core.depth.error_model import estimate_errors, expected_prediction, invert, octaves
+from ltm_core.depth.error_model import estimate_errors, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import fit_scale, fitted_line, robust_line, robust_offset
-from ltm_core.depth.topodepth import DepthSource, FusionVerdict, fuse
+from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.vision.labels import LabelSet
 
 CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
@@ -70,39 +67,6 @@ def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> 
         assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
-def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
-    samples = spread_samples()
-    answers = estimate_errors(0.8 / samples.depth, samples, SIZE, CONFIG)
-    less, _ = called(expected_prediction)(3, 4, np.float32(1 / 300.0), answers.tables)
-    true, sigma = called(invert)(3, 4, np.float32(1 / 300.0) - less, answers.tables)
-    assert 1 / true == pytest.approx(300.0, rel=0.02)
-    assert 0 < sigma * 300.0 < 0.1
-
-
-def test_beyond_all_samples_a_network_is_believed_less() -> None:
-    samples = spread_samples()
-    near = samples.part(samples.depth < 400.0)
-    answers = estimate_errors(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE, CONFIG)
-    assert (
-        answers.tables.factor[0, 0, octaves(np.array(6000.0))]
-        > 4 * answers.tables.factor[0, 0, octaves(np.array(200.0))]
-    )
-
-
-def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() -> None:
-    """All of them: no contradiction. One spot among ground that it sees aright: something stands there."""
-    scene = depth_scene()
-    network = scene.network()
-    inverse = (network.values - 0.2) / 40.0
-    beyond = (inverse < 1 / 900.0) & (inverse > 1e-5)
-    values = np.where(beyond, 1 / 500.0, inverse).astype(np.float32)
-    result = fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, scene.labels, CLASSES)
-    assert result.verdict is FusionVerdict.OK
-    far = np.isfinite(scene.truth) & (scene.truth > 1000) & ~scene.stand
-    assert np.median(np.abs(result.depth[far] / scene.truth[far] - 1)) < 0.01
-    assert (result.source[far] == DepthSource.NETWORK).mean() < 0.02
-
-
 def test_a_shift_needs_evidence() -> None:
     """Ground of one range only cannot tell a shift; a network of true inverse depths keeps its 0 at infinity."""
     scene = depth_scene()
@@ -118,88 +82,3 @@ def test_a_shift_needs_evidence() -> None:
     assert fit.line is not None
     assert fit.line.shift == 0.0
     assert fit.line.scale == pytest.approx(1 / 7.0, rel=0.1)
-
-
-@pytest.mark.parametrize("noise", [0.1, 0.2])
-def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> None:
-    """The network is noisy, not the terrain: a line fitted to depth by what the network says would be near flat."""
-    rng = np.random.default_rng(8)
-    samples = spread_samples()
-    samples = samples.part((samples.depth > 300) & (samples.depth < 420))
-    values = np.full((36, 64), np.nan, np.float32)
-    values[:] = 1 / 360.0 / 0.014
-    at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
-    values[at] = 1 / samples.depth / 0.014
-    values *= 1 + noise * rng.standard_normal(values.shape)
-    line = fitted_line("relative_inverse", values[at].astype(np.float64), samples, CONFIG)
-    assert line is not None
-    assert line.shift == 0.0
-    assert line.scale == pytest.approx(0.014, rel=0.1)
-
-
-def test_no_range_crowds_out_the_others() -> None:
-    rows = np.mgrid[0 : SIZE[0], 0 : SIZE[1]][0]
-    # Nine tenths of the photo at 30 m, and a slope behind.
-    depth = np.where(rows > 36, 30.0 + 0.001 * rows, 400.0 + 20.0 * (36 - rows)).astype(np.float32)
-    samples = ground_samples(depth, np.full_like(depth, 0.5), None, CLASSES.ground, 1e-3, CONFIG)
-    counts = np.unique(np.floor(2 * np.log2(samples.depth)), return_counts=True)[1]
-    assert len(counts) > 2
-    assert counts.max() <= 1.1 * CONFIG.sampling.crowd * np.median(counts)
-    near = samples.depth < 100
-    assert np.ptp(samples.rows[near]) > 0
-    assert np.ptp(samples.cols[near]) > 0.9 * SIZE[1]
-
-
-@pytest.mark.kernel
-@pytest.mark.parametrize("seed", range(3))
-def test_scale_and_shift_come_back_through_forty_percent_of_outliers(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    x = rng.uniform(0.1, 0.9, 3000)
-    y = 0.02 * x - 0.001 + rng.normal(0, 1e-4, x.shape)
-    wrong = rng.random(x.shape) < 0.4
-    # One-sided and structured, as trees before the ground are: a second line, and scatter.
-    y[wrong] = np.where(rng.random(wrong.sum()) < 0.5, 0.03 * x[wrong] + 0.004, rng.uniform(0.0, 0.05, wrong.sum()))
-    line = robust_line(x, y, seed=seed)
-    assert line is not None
-    assert line.scale == pytest.approx(0.02, rel=0.01)
-    assert line.shift == pytest.approx(-0.001, abs=4e-5)
-    assert line.sigma == pytest.approx(1e-4, rel=0.3)
-    assert 0.52 < line.inlier_ratio < 0.65
-    assert (line.inliers & wrong).sum() < 0.04 * len(x)
-
-
-@pytest.mark.kernel
-def test_weights_decide_whose_error_counts() -> None:
-    rng = np.random.default_rng(3)
-    x = rng.uniform(1.0, 10.0, 2000)
-    y = 3.0 * x + 2.0 + x**2 * rng.normal(0, 0.2, x.shape)
-    plain, weighted = robust_line(x, y), robust_line(x, y, weight=1.0 / x**2)
-    assert plain is not None
-    assert weighted is not None
-    assert abs(weighted.shift - 2.0) < 0.1 < abs(plain.shift - 2.0)
-
-
-@pytest.mark.kernel
-def test_no_line_through_too_few_points_or_a_constant() -> None:
-    assert robust_line(np.arange(5.0), np.arange(5.0)) is None
-    assert robust_line(np.full(50, 0.3), np.arange(50.0)) is None
-    assert robust_offset(np.arange(4.0)) is None
-
-
-@pytest.mark.kernel
-def test_an_exact_line_keeps_all_its_points() -> None:
-    x = np.linspace(0.0, 1.0, 40)
-    line = robust_line(x, 5.0 * x + 1.0, floor=1e-9)
-    assert line is not None
-    assert line.inlier_ratio == 1.0
-    assert (line.scale, line.shift) == (pytest.approx(5.0), pytest.approx(1.0))
-
-
-@pytest.mark.kernel
-def test_an_offset_is_where_most_values_lie() -> None:
-    rng = np.random.default_rng(5)
-    values = np.concatenate([rng.normal(1.7, 0.05, 600), rng.uniform(2.0, 6.0, 400)])
-    offset = robust_offset(values)
-    assert offset is not None
-    assert offset.shift == pytest.approx(1.7, abs=0.01)
-    assert offset.sigma == pytest.approx(0.05, rel=0.35)

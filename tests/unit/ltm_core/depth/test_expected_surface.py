@@ -1,5 +1,3 @@
-"""What terrain, labels and photo let expect of a pixel: cover, and where outlines run."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -35,22 +33,6 @@ def test_cover_brings_the_surface_nearer_by_its_height() -> None:
     # Half a metre of the terrain's height is a hundredth of the camera's, and so of the depth; cover is half unsure.
     expected = np.hypot(0.01 * ground[part], 0.5 * (ground - surface)[part])
     assert np.median(sigma[part] / expected) == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.parametrize("height", [3.0, 4.4, 6.0])
-def test_cover_nearly_as_high_as_the_eye_is_drawn_without_stripes(height: float) -> None:
-    """Around the height from which on the ground is no longer brought to the top, rows may not take turns."""
-    rows, _ = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
-    down = np.maximum((rows - CAMERA.cy) / CAMERA.fy, 1e-9)
-    ground = np.where(rows > CAMERA.cy + 20, 20.0 / down, np.inf).astype(np.float32)
-    pose = replace(depth_scene().traced.pose, rotation=np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
-    cover = np.zeros(256, np.float32)
-    cover[3] = height
-    trees = np.full(ground.shape, 3, np.uint8)
-    surface, _ = expected_surface(ground, trees, cover, CAMERA, pose, 0.0, 0.5, CONFIG)
-    nearer = (ground / surface)[int(CAMERA.cy) + 30 : -60, ::7]
-    assert (nearer >= 1).all()
-    assert np.abs(np.diff(nearer, axis=0)).max() < 0.03
 
 
 def test_an_edge_moves_to_where_the_photo_has_it() -> None:

@@ -1,5 +1,3 @@
-"""The kernels of fusion against plain statements of what they compute."""
-
 from __future__ import annotations
 
 import cv2
@@ -7,28 +5,15 @@ import numpy as np
 import pytest
 from scenes.called import called
 
-from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.error_model import (
-    OCTAVES,
-    ErrorModel,
-    ErrorTables,
-    expected_prediction,
-    expected_predictions,
-    interpolation_table,
-)
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
 from ltm_core.depth.occlusion_prior import (
-    DepthDiscontinuities,
     OcclusionPrior,
-    ground_contact,
     mixture_moments,
     occlusion_log_odds,
 )
-from ltm_core.depth.pixel_fusion import OWN, DecisionRules, FusionRow, average_row, network_chance, surely_terrain
-from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.depth.unseen_terrain import clear_unenclosed
+from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, average_row
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import Label, LabelSet
@@ -37,98 +22,6 @@ pytestmark = pytest.mark.kernel
 
 CONFIG = FusionConfig()
 RULES = DecisionRules.of(CONFIG.decision)
-
-
-def beyond_by_components(ground: Float32Array) -> BoolArray:
-    """(H, W) of unknown regions that touch sky or the image's edge, by OpenCV's components."""
-    unknown = np.isnan(ground)
-    _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
-    edge = cv2.dilate(np.isposinf(ground).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
-    edge[[0, -1]] = edge[:, [0, -1]] = True
-    return unknown & np.isin(regions, np.unique(regions[edge & unknown]))
-
-
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.45, 0.7, 1.0])
-def test_land_beyond_is_what_components_say(share: float) -> None:
-    rng = np.random.default_rng(int(share * 100))
-    for _ in range(10):
-        ground = rng.uniform(10, 900, (37, 53)).astype(np.float32)
-        ground[rng.random(ground.shape) < share] = np.nan
-        ground[rng.random(ground.shape) < 0.01] = np.inf
-        depth, sigma, source = np.ones_like(ground), np.ones_like(ground), np.ones(ground.shape, np.uint8)
-        clear_unenclosed(ground, depth, sigma, source)
-        expected = beyond_by_components(ground)
-        np.testing.assert_array_equal(np.isnan(depth), expected)
-        np.testing.assert_array_equal(np.isnan(sigma), expected)
-        np.testing.assert_array_equal(source == 0, expected)
-
-
-def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
-    rng = np.random.default_rng(3)
-    shift = rng.normal(0, 0.1, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
-    factor = rng.uniform(0.05, 0.2, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
-    tables = ErrorTables(shift, factor, np.float32(0.25))
-    depth = np.exp(rng.uniform(np.log(3.0), np.log(60_000.0), 400)).astype(np.float32)
-    inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
-    col = rng.integers(0, 5, len(inverse)).astype(np.int32)
-    less, sigma, part = (np.empty_like(inverse) for _ in range(3))
-    called(expected_predictions)(
-        inverse, called(interpolation_table)(tables)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
-    )
-    for u in range(len(inverse)):
-        one = called(expected_prediction)(1, int(col[u]), inverse[u], tables)
-        # Both logarithms are near ones: a fiftieth of a half octave.
-        assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
-        assert sigma[u] == pytest.approx(one[1], rel=0.03)
-
-
-@pytest.mark.parametrize("size", [(36, 64), (17, 29), (150, 260)])
-def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None:
-    """Smaller and larger than the photo, with a hole."""
-    rng = np.random.default_rng(size[0])
-    rgb = rng.integers(0, 255, (120, 200, 3)).astype(np.uint8)
-    inverse = np.exp(cv2.GaussianBlur(rng.normal(-5, 3, size), (0, 0), 3.0)).astype(np.float32)
-    near, back = inverse * np.float32(1.2), inverse * np.float32(0.8)
-    inverse[3:6, 4:9] = np.nan
-    seen = NetworkView.of(ScaleFit(inverse, near, back, ErrorModel.none(), 0.01, None, ""), rgb, CONFIG)
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    gain, offset, near, back = (
-        cv2.resize(a, (200, 120), interpolation=cv2.INTER_LINEAR)
-        for a in (*guided_coefficients(inverse, grey, CONFIG.upsampling), near, back)
-    )
-    expected = offset + gain * grey
-    expected = np.where(expected > near, near, expected)
-    expected = np.where(expected < back, back, expected)
-    row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
-    found = np.empty((120, 200), np.float32)
-    for v in range(120):
-        called(upsample_row)(seen, v, row, out)
-        found[v] = out[0]
-        np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
-        np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
-    known = ~np.isnan(expected)
-    assert 0.5 < known.mean() < 1.0
-    # A pixel whose weight of a neighbour is 0 may still see that it is none.
-    assert (np.isnan(found) == np.isnan(expected)).mean() > 0.98
-    both = known & ~np.isnan(found)
-    np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
-    for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
-        one = called(upsample_pixel)(seen, v, u)
-        assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.03, 0.6])
-def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
-    rng = np.random.default_rng(6)
-    ground = np.full((41, 203), 100.0, np.float32)
-    other = rng.random(ground.shape) < share
-    ground[other] = rng.choice([50.0, 120.0, 126.0, 900.0, np.inf, np.nan], int(other.sum()))
-    edges = DepthDiscontinuities.of(ground, 1.25)
-    leaps = np.isfinite(ground[1:]) & ~(ground[:-1] < np.float32(1.25) * ground[1:])
-    rows, cols = np.nonzero(leaps[::-1])
-    np.testing.assert_array_equal(edges.rows, len(leaps) - rows)
-    np.testing.assert_array_equal(edges.cols, cols)
-    assert (len(edges) > 0) == (share > 0)
 
 
 def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Float32Array:
@@ -169,30 +62,6 @@ def test_the_higher_a_thing_would_have_to_be_the_less_likely_it_stands() -> None
     assert odds_at(standing, 116, 78.0) == pytest.approx(odds_at(standing, 116, 81.0) - 1.0, abs=0.3)
 
 
-def test_a_camera_that_looks_down_sees_heights_shortened() -> None:
-    level, down = standing_of(None, (12, 20)), standing_of(None, (12, 20), -60.0)
-    np.testing.assert_array_equal(level.feet, down.feet)
-    assert down.focal == pytest.approx(0.5 * level.focal)
-
-
-def test_a_foot_is_where_the_ground_is_first_as_near() -> None:
-    """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
-    is seen before it below that, as far as rows tell; what is nearer than all has none."""
-    rows = np.arange(0, 120, 4)
-    column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
-    for seen in (250.0, 600.0, 150.0, 100.0):
-        foot = called(ground_contact)(np.float32(1 / seen), column, 40)
-        assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
-
-
-@pytest.mark.parametrize("looks", [(0.0, 90.0), (-75.0, 0.0)])
-def test_of_a_camera_on_its_side_or_that_looks_down_no_height_is_asked(looks: tuple[float, float]) -> None:
-    """Its columns are not plumb: what is seen there is as likely anywhere, and where the network sees it."""
-    standing = standing_of(None, (12, 20), *looks)
-    everywhere = [odds_at(standing, row, 100.0) for row in range(0, 120, 7)]
-    assert everywhere == pytest.approx([everywhere[0]] * len(everywhere))
-
-
 def test_labels_are_heard_about_a_place() -> None:
     """In the middle of a meadow nothing stands; beside a wood, on either side, it may; sky says nothing."""
     classes = ClassPriors.of(LabelSet.load())
@@ -210,23 +79,6 @@ def test_labels_are_heard_about_a_place() -> None:
     assert np.unique(unlabelled).tolist() == [classes.occluder_log_odds[255]]
     one = cv2.blur(classes.occluder_log_odds[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
     assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
-
-
-def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
-    rng = np.random.default_rng(1)
-    passed = 0
-    for _ in range(4000):
-        true = np.float32(1 / rng.uniform(80, 2000))
-        spread = np.float32(true * rng.uniform(0.05, 0.5))
-        joint = np.float32(spread**2 * rng.uniform(1.0, OWN))
-        off = np.float32(np.sqrt(joint) * rng.uniform(0.7, 6.0))
-        near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
-        if called(surely_terrain)(odds, off, joint, spread, RULES):
-            passed += 1
-            # As high as nothing: at its foot.
-            assert called(network_chance)(near, off, joint, spread, np.float32(1e-6), odds, RULES) < RULES.open
-    assert 400 < passed < 3600
 
 
 @pytest.mark.parametrize("likely", [0.25, 0.5, 0.7])

@@ -1,5 +1,3 @@
-"""What a network measures by itself, beside what fusion makes of it."""
-
 from __future__ import annotations
 
 from dataclasses import astuple
@@ -43,15 +41,6 @@ def test_it_tells_what_it_sees_where_the_terrain_says_otherwise(seen: tuple[Fuse
     assert (off < 2 * measured.sigma[inside]).mean() > 0.95
     # Fused depth believes the terrain in part, or at all.
     assert np.median(fused.depth[2::4, 2::4][inside]) > 1.4 * NEAR
-
-
-def test_at_the_edge_between_two_depths_it_is_unsure(seen: tuple[FusedDepth, BoolArray]) -> None:
-    fused, patch = seen
-    inside = cv2.erode(patch.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    edge = patch & ~(cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
-    sigma = fused.measured().sigma
-    # NaN is as unsure as can be.
-    assert np.median(np.nan_to_num(sigma[edge], nan=np.inf)) > 1.5 * np.median(sigma[inside])
 
 
 def test_sky_and_what_is_as_good_as_unknown_are_no_measurement(seen: tuple[FusedDepth, BoolArray]) -> None:

@@ -1,8 +1,4 @@
-"""A wrong pose told by the labels' skyline, and what must not be taken for one."""
-
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +8,6 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.pose_check import PoseCheck, check_pose
-from ltm_core.geometry.camera import Camera
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -66,14 +61,6 @@ def test_labels_of_a_coarse_network_are_no_wrong_pose(cells: int) -> None:
         assert told.suspected or cell > 20
 
 
-def test_trees_on_a_far_crest_are_no_wrong_pose() -> None:
-    labels = depth_scene().labels.copy()
-    for _ in range(4):  # 5 m and more at 1200 m
-        above = np.roll(labels, -1, axis=0)
-        labels = np.where((labels == SKY) & (above != SKY), TREE, labels)
-    assert not checked(0.0, labels).suspected
-
-
 def test_a_wood_along_the_skyline_is_no_wrong_pose() -> None:
     """Its tops are the photo's clearest edge, half a degree above the traced one; only the label tells that."""
     scene = depth_scene()
@@ -89,30 +76,3 @@ def test_a_wood_along_the_skyline_is_no_wrong_pose() -> None:
     assert unlabelled.suspected
     assert unlabelled.pitch_deg == pytest.approx(-0.5, abs=0.15)
     assert not check_pose(*given, labels, CLASSES).suspected
-
-
-@pytest.mark.parametrize(("metres", "suspected"), [(11.5, False), (30.0, True)])
-def test_a_straight_ridge_under_high_trees_is_no_wrong_pose(metres: float, suspected: bool) -> None:
-    """Trees of 8 m and more along all of a ridge that falls to one side, where land beyond the DEM looks out over it:
-    a ridge may as well be moved along itself, but no tree is 30 m high."""
-    camera = Camera.from_fov(480, 200, 50.0)
-    rows, cols = np.mgrid[0:200, 0:480]
-    crest = 70.0 + 0.2 * cols[0]
-    ground = np.where(rows > crest, 560.0, np.inf).astype(np.float32)
-    high = np.random.default_rng(5).uniform(8.0, metres, 60).repeat(8) * camera.fy / 560.0
-    high[440:] = 17.0 * camera.fy / 560.0
-    labels = np.where(rows > crest, 2, np.where(rows > crest - high, TREE, SKY)).astype(np.uint8)
-    grey = np.full((200, 480, 3), 120, np.uint8)
-    check = check_pose(grey, ground, camera, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, labels, CLASSES)
-    assert check.columns > 0.9 * 480
-    assert check.suspected == suspected
-
-
-def test_without_a_known_skyline_labels_say_nothing() -> None:
-    scene = depth_scene()
-    beyond = scene.traced.range.copy()
-    beyond[np.isinf(beyond)] = np.nan
-    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
-    unknown = replace(scene.traced, range=beyond).depth()
-    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, scene.labels, CLASSES)
-    assert (check.columns, check.suspected) == (0, False)

@@ -1,31 +1,24 @@
-"""Fusion of traced and network depth: better than either, sharp at edges, never silent about a wrong pose."""
-
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
-from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.expected_surface import FusionSettings, expected_surface
 from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config
-from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
-from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.geometry.range_image import RangeImage
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 
 CLASSES = ClassPriors.of(LabelSet.load())
-SETTINGS, CONFIG = FusionSettings(), FusionConfig()
 
 
 def fused(scene: DepthScene, network: NetworkDepth | None, labels: UInt8Array | None = None) -> FusedDepth:
@@ -72,52 +65,6 @@ def test_sigma_says_how_wrong_the_depth_is() -> None:
     assert np.isnan(result.sigma[~np.isfinite(result.depth)]).all()
 
 
-def test_sigma_holds_for_what_stands_before_the_ground() -> None:
-    """Crowns at 60 m before ground at five times that: of them networks are more than twice as unsure as of ground."""
-    scene = depth_scene()
-    network, rng = scene.network(noise=0.05), np.random.default_rng(7)
-    ground = scene.traced.depth()
-    small = ground[2::4, 2::4]
-    crowns = np.zeros(small.shape, np.bool_)
-    crowns[:, 40:60] = np.isfinite(small[:, 40:60]) & (small[:, 40:60] > 300)
-    values, labels = network.values.copy(), scene.labels.copy()
-    noisy = 1 + 0.13 * rng.standard_normal(int(crowns.sum()))
-    values[crowns] = 40.0 / 60.0 * noisy + 0.2
-    labels[crowns.repeat(4, 0).repeat(4, 1)] = 3
-    result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
-    inside = cv2.erode(crowns.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
-    inside &= result.source == DepthSource.NETWORK
-    assert inside.sum() > 2000
-    assert (np.abs(result.depth[inside] - 60.0) < result.sigma[inside]).mean() > 0.68
-
-
-def test_what_may_as_well_not_be_there_has_the_mean_of_both_depths_and_says_so() -> None:
-    """A network sees something reach 32 m up before ground that is half as far again: as trees it is believed but for
-    the top, where few trees are so high; shrubs of that height are none."""
-    scene = depth_scene()
-    ground = scene.traced.depth()
-    foot = int(np.argmin(ground[:, 200] > 180))
-    thing = np.zeros(ground.shape, np.bool_)
-    thing[foot - int(32 * CAMERA.fy / 180) : foot, 160:240] = True
-    small = thing[2::4, 2::4]
-    values = scene.network(noise=0.05).values.copy()
-    values[small] = 40.0 / 180.0 + 0.2
-    inside = cv2.erode(small.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
-    inside &= ground > 270
-    assert inside.sum() > 3000
-    for label, near, between in ((Label.TREE, 0.62, 0.3), (Label.SHRUB, 0.0, 0.0)):
-        labels = np.where(thing, np.uint8(label), scene.labels)
-        result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
-        depth, sigma, far = (image[inside] for image in (result.depth, result.sigma, ground))
-        torn = (depth > 220) & (depth < 0.75 * far)
-        # Shares of the stand, in rows of the network: how high trees are believed to reach comes from
-        # fitted constants, so that the bound is one such row of fifteen.
-        assert (depth < 220).mean() == pytest.approx(near, abs=1 / 15)
-        assert torn.mean() == pytest.approx(between, abs=1 / 15)
-        both = (depth - 3 * sigma < 180) & (depth + 3 * sigma > far)
-        assert both[torn].all()
-
-
 @pytest.mark.parametrize("kind", ["affine_invariant", "metric"])
 def test_networks_of_the_other_kinds_are_fitted_too(kind: str) -> None:
     scene = depth_scene()
@@ -144,25 +91,6 @@ def test_noise_is_no_depth(kind: str) -> None:
     assert result.verdict is FusionVerdict.NETWORK_UNUSABLE
     assert "explains only" in result.reason or "fit one scale" in result.reason or "against" in result.reason
     assert rmse(result.depth, scene.traced.depth(), ~scene.stand & np.isfinite(scene.traced.range)) < 20.0
-
-
-def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> None:
-    scene = depth_scene()
-    network = scene.network(noise=0.005)
-    rng = np.random.default_rng(8)
-    blocks = rng.random((9, 16)) < 0.4
-    hidden = np.repeat(np.repeat(blocks, 10, 0), 10, 1)
-    near = np.where(hidden, 40.0 / rng.uniform(30, 60, hidden.shape) + 0.2, network.values)
-    ground = scene.traced.depth()
-    surface, sigma = expected_surface(
-        ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG
-    )
-    samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy, CONFIG)
-    fit = fit_scale(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width), CONFIG)
-    assert fit.trouble == ""
-    assert fit.line is not None
-    assert fit.line.scale == pytest.approx(1 / 40.0, rel=0.03)
-    assert fit.line.shift == pytest.approx(-0.2 / 40.0, abs=1.5e-4)
 
 
 @pytest.mark.parametrize("turn", [0.6, -1.0, 2.0])
@@ -264,32 +192,6 @@ def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kep
     assert gone.sum() > 500
     assert np.abs(result.depth[gone] / scene.truth[gone] - 1).max() < 0.05
     assert (result.ground[scene.stand] > result.depth[scene.stand]).mean() > 0.9
-
-
-def test_depths_that_were_sent_fuse_as_the_ranges_that_they_come_from() -> None:
-    scene = depth_scene()
-    sent = DepthImage(scene.traced.depth(), scene.traced.camera, scene.traced.pose)
-    here = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=scene.traced)
-    there = fuse(sent, None, scene.photo, scene.labels, CLASSES, surface=sent)
-    np.testing.assert_array_equal(there.depth, here.depth)
-    np.testing.assert_array_equal(there.sigma, here.sigma)
-
-
-def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
-    scene = depth_scene()
-    with pytest.raises(ImageError, match=r"label image of \(360, 639\) does not fit"):
-        fuse(scene.traced, None, scene.photo, scene.labels[:, 1:], CLASSES)
-    with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
-        fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
-    for group, wrong in (("cover", {"tree": -1.0}), ("cover", {"palm": 3.0}), ("decision", {"open": "often"})):
-        with pytest.raises(ValueError, match=rf"{group}\.{next(iter(wrong))}"):
-            FusionConfig.model_validate({group: wrong})
-
-
-def test_an_unknown_constant_in_the_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "net_fusion.yaml").write_text("decision: {opne: 0.2}\n")
-    with pytest.raises(ConfigError, match="opne"):
-        load_yaml(tmp_path / "net_fusion.yaml", FusionConfig)
 
 
 def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:

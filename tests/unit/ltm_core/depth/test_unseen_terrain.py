@@ -1,19 +1,14 @@
-"""Fusion where a mast, a caption and a corner of the lens stand before the terrain; unknown ground and labelled sky."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, TREE, depth_scene
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
-from ltm_core.depth.unseen_terrain import edges_seen, hidden_at, unknown_share, with_labelled_sky
-from ltm_core.geometry.range_image import DepthImage
+from ltm_core.depth.unseen_terrain import hidden_at, unknown_share, with_labelled_sky
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
@@ -60,50 +55,6 @@ def test_hidden_pixels_have_no_depth_and_spoil_none() -> None:
     assert error < 1.1 * np.abs(plain.depth[clear] - truth[clear]).mean() + 0.1
 
 
-def test_without_the_mask_the_mast_does_harm() -> None:
-    """That the scene is one in which masks matter."""
-    hidden = mast()
-    assert np.isfinite(fused(hidden).depth[hidden]).any()
-
-
-def test_nothing_is_measured_where_it_is_hidden() -> None:
-    hidden, plain = mast(), fused(None).measured()
-    found = fused(hidden, hidden)
-    measured, metres = found.measured(), found.network_depth()
-    assert metres is not None
-    small = hidden_at(hidden, *measured.depth.shape)
-    assert np.isnan(measured.depth[small]).all()
-    assert np.isnan(measured.sigma[small]).all()
-    assert np.isnan(metres[small]).all()
-    assert np.isfinite(measured.depth[~small]).mean() > 0.9 * np.isfinite(plain.depth[~small]).mean()
-    doubtful = np.zeros((3, 4), np.bool_)
-    doubtful[2, 1] = True
-    less = found.measured(doubtful)
-    assert np.isnan(less.depth[hidden_at(doubtful, *less.depth.shape)]).all()
-    assert np.isfinite(less.depth).sum() < np.isfinite(measured.depth).sum()
-
-
-def test_traced_depth_that_lacks_the_hidden_pixels_gives_the_same() -> None:
-    """As it comes from the node `depth`, which keeps to the mask too."""
-    scene, hidden = depth_scene(), mast()
-    traced = scene.traced.depth().copy()
-    traced[hidden] = np.nan
-    labels = np.where(hidden, np.uint8(255), scene.labels)
-    given = DepthImage(traced, CAMERA, scene.traced.pose)
-    found = fuse(given, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    assert found.verdict is FusionVerdict.OK
-    assert np.isnan(found.depth[hidden]).all()
-    whole = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    seen = ~hidden & np.isfinite(whole.depth)
-    assert (np.abs(found.depth[seen] / whole.depth[seen] - 1) < 0.02).mean() > 0.98
-
-
-def test_a_mask_over_most_of_the_picture_is_no_unknown_ground() -> None:
-    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
-    hidden[:, :400] = True
-    assert fused(hidden, hidden).verdict is FusionVerdict.OK
-
-
 def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -> None:
     scene, hidden = depth_scene(), mast()
     labels = np.where(hidden, np.uint8(255), scene.labels)
@@ -119,29 +70,6 @@ def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -
     assert np.isfinite(traced[hidden]).any(), "the tracer's own array is left as it was"
 
 
-def test_a_mask_of_another_size_is_refused() -> None:
-    scene = depth_scene()
-    with pytest.raises(ImageError, match="mask of"):
-        fuse(scene.traced, None, scene.photo, None, CLASSES, hidden=np.zeros((9, 16), np.bool_))
-
-
-def test_edges_at_the_border_of_the_mask_are_none_of_the_terrain() -> None:
-    rows, cols = np.array([9, 7, 5, 5], np.int32), np.array([1, 1, 1, 4], np.int32)
-    hidden = np.zeros((12, 6), np.bool_)
-    hidden[5:7, :3] = True
-    seen = edges_seen(DepthDiscontinuities(rows, cols, 1.3), hidden)
-    assert list(zip(seen.rows, seen.cols, strict=True)) == [(9, 1), (5, 4)]
-
-
-def test_a_hidden_pixel_hides_all_that_covers_it() -> None:
-    hidden = np.zeros((6, 8), np.bool_)
-    hidden[5, 2] = True
-    expected = np.zeros((2, 4), np.bool_)
-    expected[1, 1] = True
-    np.testing.assert_array_equal(hidden_at(hidden, 2, 4), expected)
-    np.testing.assert_array_equal(hidden_at(expected, 6, 8), expected.repeat(3, 0).repeat(2, 1))
-
-
 SKY, LAND = 0, 4
 nan, inf = np.nan, np.inf
 
@@ -154,11 +82,6 @@ def test_unknown_under_sky_becomes_sky() -> None:
     expected = [[inf, inf, inf, nan], [inf, inf, inf, nan], [nan, 9, inf, nan], [7, nan, 5, nan]]
     np.testing.assert_array_equal(found, np.array(expected, np.float32))
     assert np.isnan(depth[0, 0])
-
-
-def test_what_is_known_stays_as_it_is() -> None:
-    depth = np.array([[inf, inf, 4], [3, nan, 2]], np.float32)
-    assert with_labelled_sky(depth, np.array([[0, LAND, 0], [0, 0, 0]], np.uint8), SKY) is depth
 
 
 def picture() -> np.ndarray:
@@ -185,7 +108,3 @@ def test_where_it_lies_tells_the_reason(part: tuple[slice, slice], name: str, re
     assert share.whole == getattr(share, name)
     assert reason in share.reason
     assert f"{np.isnan(depth).mean():.0%}" in share.reason
-
-
-def test_a_picture_that_is_known() -> None:
-    assert unknown_share(picture()).whole == 0.0

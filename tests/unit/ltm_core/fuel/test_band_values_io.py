@@ -1,5 +1,3 @@
-"""Nodata, units and plausible values of canopy and code bands as other programs write them."""
-
 from __future__ import annotations
 
 import struct
@@ -12,7 +10,6 @@ import rasterio
 import rasterio.shutil
 
 from ltm_core.base.errors import RasterError
-from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_lcp
 from ltm_core.fuel.life_form import NODATA
@@ -121,23 +118,6 @@ def test_implausible_canopy_is_rejected(
         canopy(tmp_path, quantity, write(tmp_path / name, [values], "int16", -9999))
 
 
-def test_a_few_implausible_cells_become_unknown_with_a_remark(tmp_path: Path) -> None:
-    global_grid = GridGeometry(GRID.x_min, GRID.y_max, 30.0, 40, 10, GRID.crs)
-    cover = np.full((10, 40), 45.0)
-    cover[3, 3] = 140
-    for name, values in (("cc.tif", cover), ("fbfm40.tif", np.full((10, 40), 165))):
-        with rasterio.open(
-            tmp_path / name, "w", driver="GTiff", width=40, height=10, count=1, dtype="int16", crs=GRID.crs,
-            transform=global_grid.transform(),
-        ) as sink:  # fmt: skip
-            sink.write(values.astype(np.int16), 1)
-    prior = load_prior(PriorConfig(path=tmp_path), global_grid)
-    assert prior.canopy is not None
-    assert prior.canopy[0, 3, 3] == NODATA
-    assert (prior.canopy[0] == 45).sum() == 399
-    assert "140" in prior.remarks[0]
-
-
 def test_crown_bases_above_the_tops_are_rejected(tmp_path: Path) -> None:
     """As with base heights in m x 10 beside heights in metres that are written as m x 10."""
     tops, bases = ([[0, 20, 35, 30]], [[0, 40, 90, 60]])
@@ -165,21 +145,6 @@ def test_other_quantities_are_no_codes_whatever_the_remedy(
     path = write(tmp_path / "mine.tif", [values], dtype)
     with pytest.raises(RasterError, match=found):
         load_prior(PriorConfig(path=path, unknown_codes=others), GRID)
-
-
-def test_indices_of_a_colour_table_are_no_codes(tmp_path: Path) -> None:
-    grid = GridGeometry(GRID.x_min, GRID.y_max, 30.0, 40, 1, GRID.crs)
-    for start, system in ((1, None), (14, FuelSystem.FBFM40)):  # an analyst's own models are codes
-        with rasterio.open(
-            tmp_path / "mine.tif", "w", driver="GTiff", width=40, height=1, count=1, dtype="uint8", crs=GRID.crs,
-            transform=grid.transform(),
-        ) as sink:  # fmt: skip
-            sink.write(np.arange(start, start + 40, dtype=np.uint8)[None], 1)
-        if system is None:
-            with pytest.raises(RasterError, match="1, 2, 3"):
-                load_prior(PriorConfig(path=tmp_path / "mine.tif"), grid)
-        else:
-            assert load_prior(PriorConfig(path=tmp_path / "mine.tif"), grid).system is system
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""Areas that burned, from GeoJSON onto the fuel grid."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""FBFM40 and FBFM13: a life form stays its own; changed cells take the climate's codes; own models stay."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -63,13 +61,6 @@ def test_fuel_types_of_two_maps() -> None:
     np.testing.assert_array_equal(of_one_fuel_type(fbfm40, fbfm13), wanted)
 
 
-def test_models_of_which_no_fuel_type_is_known_contradict_nothing() -> None:
-    """An analyst's own of either map, and buildings that a site keeps as ELMFIRE marks them."""
-    fbfm40 = np.array([[102, 91, 20, 256, 256, 102, -1]], np.int16)
-    fbfm13 = np.array([[14, 89, 91, 91, 256, 256, 4]], np.int16)
-    assert of_one_fuel_type(fbfm40, fbfm13).all()
-
-
 @pytest.mark.parametrize("climate", CLIMATES)
 def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> None:
     changed = FuelClimate.named(climate).changed
@@ -88,13 +79,6 @@ def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> 
     found = surface_codes(layers, replace(prior, fbfm13=own), FuelClimate.named(climate), F13)
     assert found[0].tolist() == [getattr(changed.fbfm13, key) for key in keys]
     assert (found[1] == 7).all()
-
-
-def test_without_a_prior_every_seen_cell_is_the_climates() -> None:
-    seen = np.array([[LifeForm.SHRUB, LifeForm.TREE, 255]], np.uint8)
-    climate = FuelClimate.named("dry")
-    layers = layers_of_classes(seen, None, climate)
-    assert surface_codes(layers, None, climate, F13).tolist() == [[4, 8, NODATA]]
 
 
 @pytest.mark.parametrize("climate", CLIMATES)

@@ -1,8 +1,5 @@
-"""Evidence over frames: what changes a cell, what does not, and that nothing depends on the order of frames."""
-
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +20,11 @@ from scenes.evidence_scene import (
     votes,
 )
 
-from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, TILE
-from ltm_core.fuel.evidence import EvidenceMap, camera_hash
+from ltm_core.base.errors import ImageError
+from ltm_core.fuel.cell_state import EPOCH_S, TILE
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FRAME_CAP, FusionRules
 from ltm_core.fuel.votes import CellVotes
@@ -35,16 +32,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 
 pytestmark = pytest.mark.kernel
-
-
-def test_the_prior_alone() -> None:
-    layers = fuel_map().layers()
-    np.testing.assert_array_equal(layers.code, CODES)
-    np.testing.assert_array_equal(layers.life_form, [[2, 2, 3], [1, 6, 255]])
-    assert not layers.changed.any()
-    assert not layers.evidence.any()
-    assert (layers.p_max[0] > 0.98).all()
-    assert np.isnan(layers.p_max[1, 2])
 
 
 def test_two_frames_an_hour_apart_change_a_life_form() -> None:
@@ -105,51 +92,10 @@ def test_a_change_of_few_cells_is_not_mapped() -> None:
     assert grid_map.reached_from((2, 9, 1, 1)) == (0, 5, 7, 6)
 
 
-def test_older_frames_of_another_form_are_no_witnesses() -> None:
-    shrubs = [votes(Label.SHRUB, NOW - k * HOUR, camera) for k in (3, 5) for camera in ("north", "south")]
-    trees = [votes(Label.TREE, NOW + k) for k in range(40)]
-    assert not fuel_map(*shrubs, *trees).layers().changed[0, 0]
-    assert fuel_map(*shrubs, *trees, votes(Label.TREE, NOW + HOUR)).layers().changed[0, 0]
-
-
-def test_the_life_form_that_holds_keeps_its_code() -> None:
-    frames = [votes(Label.SHRUB, NOW + k * HOUR, camera) for k in range(5) for camera in ("north", "south")]
-    layers = fuel_map(*frames).layers()
-    np.testing.assert_array_equal(layers.code, [[145, 147, 145], [121, 91, 145]])
-    np.testing.assert_array_equal(layers.changed, [[False, False, True], [False, False, False]])
-
-
-def test_unseen_cells_are_the_priors() -> None:
-    frames = [votes(Label.TREE, NOW + k * HOUR, cells=[(0, 1)]) for k in range(4)]
-    layers = fuel_map(*frames).layers()
-    untouched = np.ones(GRID.shape, bool)
-    untouched[0, 1] = False
-    np.testing.assert_array_equal(layers.code[untouched], CODES[untouched])
-    assert layers.code[0, 1] == 165
-    assert not layers.seen_by[untouched].any()
-
-
 def test_grass_and_shrub_together() -> None:
     layers = fuel_map(votes(Label.GRASS), votes(Label.SHRUB, NOW + HOUR), prior=None).layers()
     np.testing.assert_array_equal(layers.code, 122)
     np.testing.assert_array_equal(fuel_map(votes(Label.GRASS), prior=None).layers().code, 102)
-
-
-def test_without_a_prior_nothing_is_known_until_it_is_seen() -> None:
-    layers = fuel_map(votes(Label.SHRUB, cells=[(1, 1)]), prior=None).layers()
-    np.testing.assert_array_equal(layers.code, [[NODATA] * 3, [NODATA, 145, NODATA]])
-    np.testing.assert_array_equal(layers.life_form, [[255] * 3, [255, 2, 255]])
-    assert not layers.changed.any()
-
-
-def test_evidence_decays_with_the_time_constant_of_its_form() -> None:
-    grid_map = fuel_map(votes(Label.GRASS))
-    before = grid_map.layers().evidence
-    later = grid_map.layers(at_ns=int((NOW + 2 * YEAR) * 10**9)).evidence
-    # Most of it speaks for grass, with 2 years; the little for shrubs lasts longer.
-    assert (later / before > np.exp(-1)).all()
-    assert (later / before < np.exp(-1) + 0.03).all()
-    assert grid_map.newest_ns == NOW * 10**9
 
 
 @pytest.mark.parametrize("label", [label for label in Label if label != Label.SKY])
@@ -231,24 +177,6 @@ def test_a_view_says_what_it_shows_of_late() -> None:
         np.testing.assert_array_equal(late.tile_state((0, 0))[name], gone.tile_state((0, 0))[name])
 
 
-def test_the_order_of_frames_does_not_matter() -> None:
-    frames = [
-        votes(Label.TREE, NOW),
-        votes(Label.SHRUB, NOW - 30 * 86400, "south"),
-        votes(Label.GRASS, NOW + HOUR, "east", cells=[(0, 0), (1, 2)]),
-        votes(Label.TREE, NOW + 3 * HOUR, "west"),
-    ]
-    states, layers = [], []
-    for order in itertools.permutations(frames):
-        grid_map = fuel_map(*order)
-        states.append(grid_map.tile_state((0, 0)))
-        layers.append(grid_map.layers())
-    for state, layer in zip(states[1:], layers[1:], strict=True):
-        for name in EVIDENCE_FIELDS:
-            np.testing.assert_array_equal(state[name], states[0][name])
-        np.testing.assert_array_equal(layer.code, layers[0].code)
-
-
 def test_a_burn_voids_what_was_known_and_lives_for_a_time() -> None:
     cells = np.zeros(GRID.shape, bool)
     cells[:, :2] = True
@@ -268,17 +196,6 @@ def test_a_burn_voids_what_was_known_and_lives_for_a_time() -> None:
     back = grid_map.layers()
     np.testing.assert_array_equal(back.code[0], CODES[0])
     assert not back.changed[0].any()
-
-
-def test_a_map_without_burned_labels_never_takes_others_for_them() -> None:
-    frames = [votes(Label.BARE, NOW + k * HOUR) for k in range(6)]
-    layers = fuel_map(*frames).layers()
-    assert (layers.code[0, 0], layers.life_form[0, 0]) == (99, LifeForm.BARE)
-
-
-def test_a_part_outside_the_grid() -> None:
-    with pytest.raises(RasterError, match=r"window \(0, 2, 1, 2\)"):
-        fuel_map(votes(Label.TREE)).layers((0, 2, 1, 2))
 
 
 def test_state_in_tiles_comes_back() -> None:
@@ -304,24 +221,6 @@ def test_state_in_tiles_comes_back() -> None:
     np.testing.assert_array_equal(part.code, original.layers().code[3:23, 7:18])
 
 
-def test_tiles_that_are_none() -> None:
-    grid_map = fuel_map()
-    state = grid_map.tile_state((0, 0))
-    with pytest.raises(RasterError, match=r"tile \(1, 0\) is outside a grid of \(1, 1\) tiles"):
-        grid_map.load_tile((1, 0), state)
-    with pytest.raises(RasterError, match=r"field first of tile \(0, 0\) is absent"):
-        grid_map.load_tile((0, 0), {k: v for k, v in state.items() if k != "first"})
-
-
-def test_many_cameras() -> None:
-    names = [f"camera_{k}" for k in range(12)]
-    forward, backward = (fuel_map(*(votes(Label.TREE, NOW, name) for name in order)) for order in (names, names[::-1]))
-    np.testing.assert_array_equal(forward.tile_state((0, 0))["seen_by"], backward.tile_state((0, 0))["seen_by"])
-    assert forward.layers().seen_by[0, 0] == 8
-    kept = sorted(names, key=camera_hash)[:8]
-    assert [name for name in names if forward.seen_by(name)[0, 0]] == [name for name in names if name in kept]
-
-
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
@@ -333,18 +232,6 @@ def test_many_cameras() -> None:
 def test_votes_that_cannot_be_taken(frame: CellVotes, message: str) -> None:
     with pytest.raises(ImageError, match=message):
         fuel_map().add(frame)
-
-
-def test_votes_over_other_classes() -> None:
-    frame = votes(Label.TREE)
-    other = CellVotes(GRID, frame.rows, frame.cols, frame.counts[:, :4], frame.z, 0, "north")
-    with pytest.raises(ImageError, match="count 4 classes, this map 7"):
-        fuel_map().add(other)
-
-
-def test_a_prior_of_another_grid() -> None:
-    with pytest.raises(RasterError, match="prior is"):
-        EvidenceMap(GridGeometry(0, 0, 30.0, 4, 4), PRIOR, LABELS)
 
 
 def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:

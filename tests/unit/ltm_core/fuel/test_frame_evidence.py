@@ -1,21 +1,10 @@
-"""What one frame says of its cells: how much its pixels, its labels and its place are worth."""
-
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.evidence_scene import (
-    GRID,
-    HOUR,
-    INDEPENDENT,
-    LABELS,
-    NOW,
-    PRIOR,
-    TRUSTED,
-    fuel_map,
-    visibility,
-    votes,
-)
+from scenes.evidence_scene import GRID, HOUR, INDEPENDENT, LABELS, NOW, PRIOR, TRUSTED, fuel_map, visibility, votes
 
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.frame_evidence import frame_evidence
@@ -81,32 +70,12 @@ def test_a_cell_that_may_be_another_one_is_evidence_of_both() -> None:
     frame.counts[2] = [0, 0, 0, 40, 0, 0, 0]
     exact = evidence_of(frame, 0, 1)
     # 30 m sideways (the camera looks north), nothing along: the middle cell may be either neighbour.
-    placed = CellVotes(
-        GRID,
-        frame.rows,
-        frame.cols,
-        frame.counts,
-        frame.z,
-        frame.stamp_ns,
-        "north",
-        None,
-        visibility(3, sigma_across=30),
-    )
+    placed = replace(frame, visibility=visibility(3, sigma_across=30))
     spread = evidence_of(placed, 0, 1)
     assert exact[LifeForm.TREE - 1] < 0.1 * exact.sum()
     assert spread[LifeForm.TREE - 1] > 0.15 * spread.sum()
     assert spread.sum() < 0.9 * exact.sum()  # part of where it may lie is not in the frame
-    lost = CellVotes(
-        GRID,
-        frame.rows,
-        frame.cols,
-        frame.counts,
-        frame.z,
-        frame.stamp_ns,
-        "north",
-        None,
-        visibility(3, sigma_along=900),
-    )
+    lost = replace(frame, visibility=visibility(3, sigma_along=900))
     assert EvidenceMap(GRID, PRIOR, LABELS).add(lost) is None
 
 

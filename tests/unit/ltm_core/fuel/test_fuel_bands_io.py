@@ -1,5 +1,3 @@
-"""Which band of which file holds what: names, attribute tables, positions."""
-
 from __future__ import annotations
 
 import struct
@@ -72,17 +70,7 @@ def test_names(name: str, quantity: str | None) -> None:
 
 ORDERS = {
     "WindNinja's": ("fbfm40", "cover", "height", "bulk_density", "base_height"),
-    "both systems": (
-        "elevation",
-        "slope",
-        "aspect",
-        "fbfm13",
-        "fbfm40",
-        "cover",
-        "height",
-        "base_height",
-        "bulk_density",
-    ),
+    "both systems": (*LANDSCAPE[:3], "fbfm13", *LANDSCAPE[3:]),
     "FlamMap's": LANDSCAPE,
     "FlamMap's with ground fuel": (*LANDSCAPE, "other", "other"),
     "alphabetic": tuple(sorted(LANDSCAPE)),
@@ -123,21 +111,6 @@ def test_bands_of_a_landscape(tmp_path: Path, order: str, where: str) -> None:
         assert heights is None
         with pytest.raises(RasterError, match="elevation, slope, aspect"):
             read_landscape(path)
-
-
-def test_unnamed_bands_in_the_usual_order_keep_their_place(tmp_path: Path) -> None:
-    names = ("Elevation", "", "b3", "FBFM40", "", "", "", "CBD")
-    prior = load_prior(PriorConfig(path=write(tmp_path / "a.tif", LANDSCAPE, names)), GRID)
-    assert prior.canopy is not None
-    assert prior.canopy[:, 0].tolist() == [VALUES[n] for n in LANDSCAPE[4:]]
-
-
-def test_a_band_of_a_landscape_may_be_named_alone(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", LANDSCAPE)
-    prior = load_prior(PriorConfig(fbfm40=path, cover=path), GRID)
-    assert prior.codes[0].tolist() == VALUES["fbfm40"]
-    assert prior.canopy is not None
-    assert prior.canopy[0, 0].tolist() == VALUES["cover"]
 
 
 @pytest.mark.parametrize("cover", ["cc_utm_13.tif", "CanopyCover.tif", "cc_40m.tif", "US_140CC.tif"])
@@ -186,12 +159,6 @@ def test_a_file_that_holds_something_else_by_its_name(tmp_path: Path, name: str,
     files |= {given: write(tmp_path / name, ("cover",))}
     with pytest.raises(RasterError, match=name):
         load_prior(PriorConfig(**files), GRID)
-
-
-def test_two_bands_of_one_quantity(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", ("fbfm40", "cover", "cover"), ("FBFM40", "CC", "US_200CC"))
-    with pytest.raises(RasterError, match="cover"):
-        load_prior(PriorConfig(path=path), GRID)
 
 
 def test_percent_slopes_become_degrees_for_a_fire(tmp_path: Path) -> None:

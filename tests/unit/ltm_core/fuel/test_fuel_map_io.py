@@ -1,5 +1,3 @@
-"""Fuel maps as files, and on LANDFIRE's grid."""
-
 from __future__ import annotations
 
 import json
@@ -31,12 +29,6 @@ def test_as_rasterio_reads_it(tmp_path: Path) -> None:
         assert [source.colormap(1)[i][:3] for i in range(len(LABELS))] == list(LABELS.colors)
         assert json.loads(source.tags()["classes"]) == list(LABELS.names)
     assert [p.name for p in tmp_path.iterdir()] == ["fuel.tif"]
-
-
-def test_read_back(tmp_path: Path) -> None:
-    classes, geometry = read_fuel_map(write_fuel_map(tmp_path / "fuel.tif", CLASSES, GRID, LABELS))
-    np.testing.assert_array_equal(classes, CLASSES)
-    assert geometry == GRID
 
 
 def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
@@ -87,23 +79,6 @@ def test_other_rasters_are_refused(tmp_path: Path, dtype: str, options: dict[str
     write(tmp_path / "f.tif", CLASSES.astype(dtype), **options)
     with pytest.raises(RasterError, match=message):
         read_fuel_map(tmp_path / "f.tif")
-
-
-@pytest.mark.parametrize(("count", "most", "found"), [(1, 75, "75"), (3, 6, "3 bands")])
-def test_a_raster_of_another_quantity_is_no_map(tmp_path: Path, count: int, most: int, found: str) -> None:
-    """Such as LANDFIRE's cover as uint8, or a photo."""
-    with rasterio.open(
-        tmp_path / "f.tif", "w", driver="GTiff", width=5, height=3, count=count, dtype="uint8", crs=GRID.crs,
-        transform=GRID.transform(),
-    ) as sink:  # fmt: skip
-        sink.write(np.full((count, 3, 5), most, np.uint8))
-    with pytest.raises(RasterError, match=found):
-        read_fuel_map(tmp_path / "f.tif")
-
-
-def test_no_raster(tmp_path: Path) -> None:
-    with pytest.raises(RasterError, match="not a raster that GDAL can read"):
-        read_fuel_map(tmp_path / "absent.tif")
 
 
 def test_on_landfires_grid() -> None:

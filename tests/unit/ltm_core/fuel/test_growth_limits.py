@@ -1,18 +1,12 @@
-"""Plants and water that are labelled where the terrain says that none can be."""
-
 from __future__ import annotations
 
 import functools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from pydantic import ValidationError
 
 from ltm_core.base.types import Float32Array
-from ltm_core.fuel.life_form import PARTS, GroundLimits, GrowthLimits
+from ltm_core.fuel.life_form import GroundLimits, GrowthLimits
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -89,12 +83,6 @@ def test_a_wall_loses_its_plants_and_the_slope_beside_it_none(label: Label) -> N
     assert votes.above_tree_line == 0
 
 
-def test_a_slope_that_plants_hold_on_loses_none() -> None:
-    """The least rule must not change a bit of what gentle terrain says."""
-    assert same(cast(Label.TREE, None, wall_deg=49.0), cast(Label.TREE, GrowthLimits(), wall_deg=49.0))
-    assert not same(cast(Label.TREE, None, wall_deg=52.0), cast(Label.TREE, GrowthLimits(), wall_deg=52.0))
-
-
 def test_water_votes_on_level_ground_alone() -> None:
     plain, votes = (cast(Label.WATER, limits, wall_deg=0.0) for limits in (None, GrowthLimits(steepest_deg=None)))
     slope, level = west_of(plain, FOOT - 30), plain.only(plain.centres()[:, 0] > FOOT + 30)
@@ -102,15 +90,6 @@ def test_water_votes_on_level_ground_alone() -> None:
     assert len(west_of(votes, FOOT - 30)) == 0
     assert same(level, votes.only(votes.centres()[:, 0] > FOOT + 30))
     assert votes.too_steep >= slope.counts.sum()
-
-
-@pytest.mark.parametrize("label", [Label.BARE, Label.BUILT])
-def test_what_is_no_plant_votes_anywhere(label: Label) -> None:
-    assert same(cast(label, None), cast(label, GrowthLimits(tree_line_m=-100.0)))
-
-
-def test_without_limits_plants_vote_on_walls() -> None:
-    assert same(cast(Label.TREE, None), cast(Label.TREE, GrowthLimits(steepest_deg=None)))
 
 
 def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
@@ -142,28 +121,6 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
     np.testing.assert_array_equal(few.counts[:, Label.BARE], plain.counts[kept][:, Label.BARE])
 
 
-@settings(max_examples=25, deadline=None)
-@given(arrays(np.uint8, (64, 96), elements=st.sampled_from([0, 1, 2, 3, 4, 6, 255]), fill=st.just(3)))
-def test_no_vote_is_lost_on_gentle_terrain_and_no_label_wins_one(labels: np.ndarray) -> None:
-    plain, votes = cast(labels, None), cast(labels, GrowthLimits())
-    assert same(west_of(plain, FOOT - 30), west_of(votes, FOOT - 30))
-    counted = np.zeros((*FUEL.shape, len(LABELS)), np.int64)
-    counted[plain.rows, plain.cols] = plain.counts
-    assert (votes.counts <= counted[votes.rows, votes.cols]).all()
-
-
-def test_each_part_of_a_cell_is_asked() -> None:
-    """The slope is that of 30 m about the middle of a part. Of the wall's last cell the four middles have 30, 30, 26.25
-    and 18.75 m of wall about them, and level ground for the rest: 60, 60, 56.6 and 47.3 degrees."""
-    ground = GroundLimits(GrowthLimits(tree_line_m=1e4), FUEL, hillside(WALL_DEG), LABELS)
-    last = 3 * FUEL.width + round(TOP / 30) - 1
-    assert not ground.learn(np.array([last - 4, last + 2]))[Label.TREE]
-    assert ground.learn(np.array([last - 5, last]))[[Label.GRASS, Label.SHRUB, Label.TREE]].all()
-    parts = (int(ground.masks[0].ravel()[last]) >> np.arange(PARTS * PARTS)) & 1
-    assert parts.reshape(PARTS, PARTS).tolist() == [[1, 1, 1, 0]] * PARTS
-    assert not ground.masks[1].any()
-
-
 def test_frames_of_one_camera_and_each_alone_have_the_same_votes() -> None:
     """Of cells that were asked about before, and of those that a frame is the first to see."""
     dem, depth = traced(WALL_DEG)
@@ -189,9 +146,3 @@ def test_ground_of_unknown_height_has_no_limit() -> None:
     ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
     assert not ground.learn(np.array([10, 11, FUEL.width + 12])).any()
     assert ground.learn(np.array([3]))[[Label.TREE, Label.WATER]].all()
-
-
-@pytest.mark.parametrize("slope", [0.0, 90.0, -3.0])
-def test_slopes_that_are_none(slope: float) -> None:
-    with pytest.raises(ValidationError):
-        GrowthLimits(steepest_deg=slope)

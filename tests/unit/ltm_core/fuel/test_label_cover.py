@@ -1,16 +1,11 @@
-"""Cover by labels: the gap fraction of a stand of known crowns, seen flat and steep; and what is kept of frames."""
-
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.any_votes import GRID, LABELS
 
 from ltm_core.base.types import Float64Array, UInt32Array
-from ltm_core.fuel.cell_state import CROWN_ASPECT, EPOCH_S, VIEWS, WoodyLooks, add_looks, label_cover
+from ltm_core.fuel.cell_state import CROWN_ASPECT, EPOCH_S, VIEWS, label_cover
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 
@@ -96,18 +91,6 @@ def test_a_map_gathers_shares_of_the_newest_epoch_in_any_order() -> None:
     assert cover[1, 2] < seen_cover(evidence(old))[1, 2]
 
 
-def test_few_pixels_and_looks_that_may_be_of_another_cell_say_nothing() -> None:
-    assert np.isnan(seen_cover(evidence(look(3, 9)))).all()
-    far = look(20, 100)
-    assert far.visibility is not None
-    columns = list(far.visibility.columns())
-    columns[2] = np.array([90.0], np.float32)
-    lost = CellVotes(
-        GRID, far.rows, far.cols, far.counts, far.z, far.stamp_ns, far.source, None, CellVisibility(*columns)
-    )
-    assert np.isnan(seen_cover(evidence(lost))).all()
-
-
 def test_what_was_seen_before_a_burn_is_void() -> None:
     burned = evidence(look(20, 100))
     burned.burn(np.ones(GRID.shape, np.bool_), (BEGIN + 60) * 10**9)
@@ -115,35 +98,3 @@ def test_what_was_seen_before_a_burn_is_void() -> None:
     assert np.isnan(seen_cover(burned)).all()
     burned.add(look(20, 100, second=BEGIN + 90))
     assert np.isfinite(seen_cover(burned)[1, 2])
-
-
-def test_looks_add_up_whatever_their_order() -> None:
-    """Sums of whole numbers up to the largest one, of the newest epoch of each view, and not of what has burned."""
-    rng = np.random.default_rng(3)
-    shape, n = (5, 8, 4), 60
-    frames = []
-    for epoch in (2, 3, 3, 5):
-        cells = np.divmod(rng.choice(40, n // 4, replace=False), shape[1])
-        sums = rng.integers(0, 2**31, (n // 4, 3)).astype(np.uint32)
-        looks = WoodyLooks(cells[0], cells[1], sums, np.zeros(n // 4))
-        frames.append((looks, rng.integers(0, 4, n // 4), 100 * epoch, epoch))
-    burned = np.where(rng.random(shape[:2]) < 0.2, 250, 0)
-    expected = np.zeros((*shape, 3), np.uint64)
-    newest = np.zeros(shape, np.uint16)
-    for looks, views, second, epoch in frames:
-        for k, (row, col, view) in enumerate(zip(looks.rows, looks.cols, views, strict=True)):
-            if burned[row, col] > second:
-                continue
-            if epoch > newest[row, col, view]:
-                expected[row, col, view], newest[row, col, view] = 0, epoch
-            expected[row, col, view] += looks.sums[k]
-    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
-        state: dict[str, NDArray[Any]] = {
-            "burned_at": burned.astype(np.uint32),
-            "woody_epoch": np.zeros(shape, np.uint16),
-            "woody": np.zeros((*shape, 3), np.uint32),
-        }
-        for k in order:
-            add_looks(state, *frames[k])
-        np.testing.assert_array_equal(state["woody_epoch"], newest)
-        np.testing.assert_array_equal(state["woody"], np.minimum(expected, 2**32 - 1))

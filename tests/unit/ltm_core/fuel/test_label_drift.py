@@ -1,5 +1,3 @@
-"""Drift of labels: no false alarm in seasonal years, an alarm after a fall that matters, and what a frame counts."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Tests reliability records: to which labels they belong, and what labels without one may change."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -8,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scenes.evidence_scene import GRID, HOUR, LABELS, NOW, TRUSTED, votes
-from scenes.networks import write_classifier
+from scenes.evidence_scene import HOUR, LABELS, NOW, TRUSTED, votes
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.evidence import EvidenceMap
@@ -25,7 +22,7 @@ from ltm_core.fuel.label_errors import (
     write_record,
 )
 from ltm_core.fuel.label_measurement import measure_labels
-from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
+from ltm_core.fuel.life_form import LifeForm, label_forms
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVisibility, CellVotes
@@ -76,13 +73,6 @@ def test_a_record_belongs_to_labels_and_not_to_a_name(tmp_path: Path, changes: d
     assert (errors.appearance is None) == (not measured)
 
 
-def test_classes_that_are_not_mapped_are_unlabelled_however_written(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path)
-    plain = NetworkManifest.load(path)
-    spelled = plain.model_copy(update={"mapping": {n: plain.mapping.get(n, "unlabelled") for n in plain.classes}})
-    assert labels_digest(plain) == labels_digest(spelled)
-
-
 def test_the_user_s_record_comes_first_and_a_head_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     shares = {form.name.lower(): {form.name.lower(): 1.0} for form in LifeForm}
@@ -97,10 +87,6 @@ def test_the_user_s_record_comes_first_and_a_head_has_its_own(tmp_path: Path, mo
     path.write_text(path.read_text().replace("source: mine", "sauce: mine"))
     with pytest.raises(ConfigError, match="sauce"):
         known_errors(DEFAULT_MODEL)
-
-
-def test_a_network_that_is_not_installed_is_unmeasured() -> None:
-    assert known_errors("landscape_v9") is UNMEASURED
 
 
 @pytest.mark.parametrize(("label", "mixed"), [(Label.GRASS, False), (Label.TREE, True), (Label.WATER, False)])
@@ -122,13 +108,6 @@ def test_unmeasured_labels_change_no_cell(label: Label, mixed: bool) -> None:
     assert not layers.changed.any()
     np.testing.assert_array_equal(layers.code, codes)
     assert (layers.evidence > 0).all()
-
-
-def test_without_a_prior_unmeasured_labels_are_all_that_is_known() -> None:
-    evidence = EvidenceMap(GRID, None, LABELS)
-    evidence.add(votes(Label.TREE))
-    assert (evidence.layers().life_form == LifeForm.TREE).all()
-    assert not UNMEASURED.open_odds().any()
 
 
 SIDE = 36
@@ -197,22 +176,6 @@ def test_one_view_changes_no_cell_against_a_known_network_and_counts_less_withou
     assert record.state == "measured on site drawn, live (2026-11-29, 2 views)"
 
 
-def test_a_reference_that_does_not_know_the_land_is_ignored() -> None:
-    truth, codes = landscape(slice(10, 17))
-    known = np.where(codes == CODES[Label.GRASS], LifeForm.TREE, 0).astype(np.uint8)
-    frames = drawn_votes(truth, RIGHT, 5)
-    np.testing.assert_array_equal(measured(frames, codes, known).shares, measured(frames, codes).shares)
-
-
-def test_labels_of_one_kind_say_nothing_after_they_are_measured() -> None:
-    """A network that calls all land forest, as MOSAIC does on far slopes."""
-    truth, codes = landscape(slice(10, 17))
-    forest = np.zeros((4, 4))
-    forest[:, 2] = 1.0
-    frames = drawn_votes(truth, forest, 7)
-    assert not mapped(frames, codes, measured(frames, codes)).changed.any()
-
-
 def measured(frames: list[CellVotes], codes: np.ndarray, known: np.ndarray | None = None) -> LabelErrors:
     def changes(errors: LabelErrors) -> np.ndarray:
         layers = mapped(frames, codes, errors)
@@ -226,12 +189,3 @@ def mapped(frames: list[CellVotes], codes: np.ndarray, errors: LabelErrors) -> A
     for frame in frames:
         evidence.add(frame)
     return evidence.layers()
-
-
-def test_what_a_record_does_not_state_is_as_bad_as_plausible() -> None:
-    shares = {"tree": {"tree": 0.9, "shrub": 0.1}}
-    errors = ReliabilityRecord(source="photos", photos=0, shares=shares).errors()
-    assert errors.correlation == ALIKE
-    assert np.isnan(errors.shares).all(axis=1).sum() == FORMS - 1
-    assert errors.state == "measured on renderings only"
-    assert ReliabilityRecord(source="nothing").errors() is UNMEASURED

@@ -1,8 +1,4 @@
-"""The majority vote of a fuel cell."""
-
 from __future__ import annotations
-
-import itertools
 
 import numpy as np
 import pytest
@@ -47,28 +43,11 @@ def test_totals_win_not_frames() -> None:
     np.testing.assert_array_equal(np.isnan(share), expected == UNSEEN)
 
 
-def test_order_does_not_matter() -> None:
-    maps = []
-    for order in itertools.permutations(FRAMES):
-        fuel = MajorityFuelMap(GRID, 3)
-        for frame in order:
-            fuel.add(frame)
-        maps.append(fuel.classes().tobytes())
-    assert len(maps) == 6
-    assert len(set(maps)) == 1
-
-
 def test_the_changed_tile() -> None:
     fuel = MajorityFuelMap(GRID, 3)
     assert fuel.add(FRAMES[0]) == (0, 1, 3, 3)
     assert fuel.add(votes({(1, 2): [1, 0, 0]})) == (1, 2, 1, 1)
     assert fuel.add(votes({})) is None
-
-
-def test_a_map_without_votes() -> None:
-    fuel = MajorityFuelMap(GRID, 3)
-    assert (fuel.classes() == UNSEEN).all()
-    assert np.isnan(fuel.share()).all()
 
 
 def test_counts_beyond_32_bits() -> None:

@@ -1,5 +1,3 @@
-"""Reading prior fuel maps: names of files in folders, codes that no system has, elevations beside them."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -44,12 +42,6 @@ def test_a_folder_of_bands_by_their_names(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(prior.codes, CODES)
     assert prior.canopy is not None
     assert (prior.canopy[0] == 35).all()
-
-
-def test_a_plain_name_goes_before_its_revisions(tmp_path: Path) -> None:
-    write(tmp_path / "fuels/fbfm40.tif")
-    write(tmp_path / "fuels/fbfm40r5.tif", CODES[::-1].copy())
-    np.testing.assert_array_equal(load_prior(PriorConfig(path=tmp_path / "fuels"), GRID).codes, CODES)
 
 
 def test_two_revisions_are_named_and_one_may_be_chosen(tmp_path: Path) -> None:

@@ -1,18 +1,13 @@
-"""Which cells that look changed are reported: those that sure ones about them support."""
-
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-import pytest
-from scenes.evidence_scene import ASSUMED, HOUR, INDEPENDENT, LABELS, NOW, TRUSTED, visibility, votes
+from scenes.evidence_scene import ASSUMED, HOUR, LABELS, NOW, visibility, votes
 
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
+from ltm_core.fuel.rules import FusionRules, supported_changes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label
 
@@ -70,39 +65,6 @@ def test_a_hole_in_what_has_changed_is_filled_where_it_leans_to_the_same_and_edg
     np.testing.assert_array_equal(supported_changes(wanted, odds, None, never, leaning), wanted > 0)
 
 
-def windows(shape: tuple[int, int], reach: int) -> Iterator[tuple[slice, slice, slice, slice]]:
-    """Parts of a map, and these with all that has a say in them."""
-    rng = np.random.default_rng(5)
-    for _ in range(40):
-        row, col = rng.integers(0, shape[0] - 3), rng.integers(0, shape[1] - 3)
-        top, left = max(row - reach, 0), max(col - reach, 0)
-        yield (
-            slice(row, row + 3),
-            slice(col, col + 3),
-            slice(top, row + 3 + reach),
-            slice(left, col + 3 + reach),
-        )
-
-
-def test_seen_through_any_window_it_is_the_same() -> None:
-    rng = np.random.default_rng(4)
-    shape = 60, 50
-    odds = np.where(rng.random(shape) < 0.55, rng.gamma(1.5, 0.9, shape), 0.0)
-    wanted = np.where(odds > 0, rng.choice(np.array([1, 3], np.uint8), shape, p=[0.2, 0.8]), np.uint8(0))
-    leaning = np.where(wanted > 0, wanted, np.uint8(3) * (rng.random(shape) < 0.5).astype(np.uint8))
-    whole = supported_changes(wanted, odds, None, RULES, leaning)
-    assert (whole & (wanted == 0)).sum() > 50  # filled
-    assert 0.2 < whole[wanted > 0].mean() < 0.9
-    for rows, cols, around_rows, around_cols in windows(shape, reach_of(RULES)):
-        around = around_rows, around_cols
-        part = supported_changes(wanted[around], odds[around], None, RULES, leaning[around])
-        inside = part[
-            rows.start - around_rows.start : rows.stop - around_rows.start,
-            cols.start - around_cols.start : cols.stop - around_cols.start,
-        ]
-        np.testing.assert_array_equal(inside, whole[rows, cols])
-
-
 WIDE = GridGeometry(15.0, 315.0, 30.0, 12, 12)
 PATCH = [(row, col) for row in range(4, 8) for col in range(4, 8)]
 
@@ -131,35 +93,3 @@ def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not
     both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)
     assert not again.any()
     assert both.all()
-
-
-def test_a_cell_that_hardly_looks_changed_goes_with_those_about_it_and_not_alone() -> None:
-    """Of a patch of trees one cell is shown as trees by a few pixels more than as shrubs, from one side, once."""
-    shown = [0] * len(LABELS)
-    shown[Label.TREE] = 40
-    middle = [0] * len(LABELS)
-    middle[Label.TREE], middle[Label.SHRUB] = 22, 18
-    errors = LabelErrors(TRUSTED.shares, INDEPENDENT)
-
-    def changed(fill_rounds: int, around: bool) -> np.ndarray:
-        rules = FusionRules(fill_rounds=fill_rounds, context=0.0)
-        grid_map = EvidenceMap(WIDE, FuelPrior(np.full(WIDE.shape, SHRUB, np.int16), WIDE), LABELS, rules, errors)
-        others = [cell for cell in PATCH if cell != (5, 6)]
-        for hour in (0.0, 2.0):
-            for cells, labels in ((others, shown), ([(5, 6)], middle)):
-                if (cells == others and around) or (cells != others and hour == 0.0):
-                    seen = visibility(len(cells), bearing=0.0)
-                    grid_map.add(votes(labels, NOW + hour * HOUR, "a", cells=cells, visibility=seen, grid=WIDE))  # type: ignore[arg-type]
-        return grid_map.layers().changed
-
-    assert changed(2, around=True)[5, 6]
-    assert changed(2, around=True).sum() == len(PATCH)
-    assert not changed(0, around=True)[5, 6]
-    assert not changed(2, around=False).any()
-
-
-@pytest.mark.parametrize("label", [Label.TREE, Label.GRASS])
-def test_what_is_plain_to_see_is_reported_from_one_side(label: Label) -> None:
-    shown = [0] * len(LABELS)
-    shown[label] = 40
-    assert patch_of((0.0, 0.0), (0.0, 2.0), shown=shown, errors=LabelErrors(TRUSTED.shares, INDEPENDENT)).all()

@@ -1,5 +1,3 @@
-"""Canopy from the confirmed surface: worked out by hand, only where change was confirmed, and what follows from it."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -47,18 +45,6 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     # A third of the cell stands, beside what is gone: half of that may be gone too.
     assert 15 < seen.cover_sigma[1, 2] < 20
     assert 0 <= seen.height_sigma[1, 2] < 2
-
-
-def test_a_cell_of_which_little_has_changed_keeps_its_prior() -> None:
-    seen = seen_canopy(terrain(4), FUEL)
-    assert seen is not None
-    assert np.isnan(seen.cover).all()
-
-
-def test_nothing_is_measured_without_trees_on_record_or_without_a_version() -> None:
-    whole = terrain(15)
-    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top), FUEL) is None
-    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top, whole.surface, False), FUEL) is None
 
 
 def canopy(cover: list[float], height: list[float], sigma: float = 5.0) -> SeenCanopy:

@@ -1,11 +1,9 @@
-"""Crown fuel by allometry: a stand worked out by hand, and what must hold of any."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ltm_core.fuel.stand_allometry import ForestType, broadleaved, crown_fuel
+from ltm_core.fuel.stand_allometry import ForestType, crown_fuel
 
 
 def test_a_stand_by_hand() -> None:
@@ -24,10 +22,3 @@ def test_closer_stands_are_denser_and_taller_ones_have_higher_crowns(forest: For
     assert (found.base <= height).all()
     assert (found.base > 0).all()
     assert np.isfinite(found.density).all()
-
-
-def test_where_nothing_stands_there_is_no_crown_fuel() -> None:
-    found = crown_fuel(np.array([0.0, 50.0]), np.array([10.0, 0.0]), ForestType.DOUGLAS_FIR)
-    assert found.base.tolist() == [0.0, 0.0]
-    assert found.density.tolist() == [0.0, 0.0]
-    assert broadleaved(np.array([[182, 165, 9]], np.int16)).tolist() == [[True, False, True]]

@@ -1,5 +1,3 @@
-"""What a changed surface tells the fuel map: the cells that it concerns, what stands there then, and what is kept."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -87,13 +85,6 @@ def test_news_are_the_cells_whose_change_is_another() -> None:
     assert len(news_of(kinds, shift, geometry, FUEL, told)) == 0, "the same again is no news"
 
 
-def test_a_little_change_is_none() -> None:
-    kinds, shift, geometry = window()
-    part = fuel_part(geometry, 10, 20)
-    kinds[part[0].start : part[0].start + 2, part[1].start : part[1].start + 4] = REMOVED  # 8 of 36
-    assert len(news_of(kinds, shift, geometry, FUEL, np.zeros(FUEL.shape, np.uint8))) == 0
-
-
 def map_of(codes: np.ndarray | None, **rules: float) -> LivingFuelMap:
     return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
 
@@ -162,20 +153,6 @@ def test_told_cells_change_and_no_others(
     assert not back.changed.any()
 
 
-def test_without_a_prior_the_told_cells_alone_are_known() -> None:
-    evidence = map_of(None)
-    for second in (NOW, NOW + 86400):
-        for camera in ("north", "east", "south"):
-            evidence.add(frame(LifeForm.TREE, second, camera))
-    assert evidence.layers().life_form[CELLS].tolist() == [LifeForm.TREE] * 2
-    after = told(evidence, REMOVED, -12.0)
-    assert after.code[CELLS].tolist() == [102, 102]
-    assert (after.prior == -9999).all()
-    assert (after.life_form != 255).sum() == 3
-    told(evidence, NONE, UNKNOWN)
-    assert evidence.prior is None
-
-
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:
     evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=1, support=0.0)
     for day in range(6):
@@ -192,31 +169,3 @@ def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> Non
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.SHRUB, NOW + day * 20 * 86400, camera))
     assert evidence.layers().life_form[2, 5] == LifeForm.SHRUB
-
-
-def test_cells_that_the_surface_has_changed_count_in_a_region_of_change() -> None:
-    """Two cells that cameras see as trees are too few for a change, and enough beside one that has grown."""
-    for grown in (False, True):
-        evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=3)
-        for second in (NOW, NOW + 7200):
-            for camera in ("north", "east"):
-                votes = frame(LifeForm.TREE, second, camera)
-                votes.rows[:2], votes.cols[:2] = 3, (6, 7)
-                evidence.add(votes)
-        if grown:
-            told(evidence, GROWN, 9.0)
-        layers = evidence.layers()
-        assert layers.life_form[3, 6:8].tolist() == [LifeForm.TREE if grown else LifeForm.GRASS] * 2
-        assert (layers.life_form[2, 5] == LifeForm.TREE) == grown
-
-
-def test_burned_cells_and_masked_ones_stay() -> None:
-    codes = np.full(FUEL.shape, 183, np.int16)
-    codes[33, 40] = 98
-    evidence = map_of(codes)
-    cells = np.zeros(FUEL.shape, bool)
-    cells[2, 5] = True
-    evidence.burn(cells, (NOW - 86400) * SECOND)
-    after = told(evidence, REMOVED, -12.0)
-    assert after.life_form[2, 5] == LifeForm.BURNED
-    assert after.code[33, 40] == 98

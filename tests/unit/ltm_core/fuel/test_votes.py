@@ -1,5 +1,3 @@
-"""Votes of one frame."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -36,44 +34,6 @@ def test_counts_by_cell_and_class() -> None:
     assert votes.counts.tolist() == [[0, 1, 3, 0], [0, 1, 1, 0]]
     assert (votes.counts.dtype, votes.rows.dtype, votes.z.dtype) == (np.uint32, np.int32, np.float32)
     assert (votes.stamp_ns, votes.source, votes.geometry) == (77, "north", FUEL)
-
-
-def test_heights_of_the_cells_centres() -> None:
-    votes = cast([[1, 1, 1], [1, 1, 1]])
-    # The cells' centres are (5, -5) and (25, -5); the DEM's centres lie at x -5, 15, 35, and it rises from 15 on.
-    np.testing.assert_allclose(votes.centres(), [[5, -5, 7], [25, -5, 8]])
-
-
-def test_classes_that_are_no_ground_cover_do_not_vote() -> None:
-    votes = cast([[0, 3, 4], [255, 1, 200]])
-    assert votes.counts.tolist() == [[0, 1, 0, 0]]
-    assert votes.cols.tolist() == [0]
-
-
-def test_sky_and_unknown_do_not_vote() -> None:
-    depth = DEPTH.copy()
-    depth[0, 0], depth[1, 2] = np.inf, np.nan
-    assert cast([[1, 1, 1], [1, 1, 1]], depth).counts.sum() == 4
-
-
-def test_max_range_is_along_the_ray() -> None:
-    # Slant ranges: 10, 14.14, 22.36 in the first row, 14.14, 17.32, 24.49 in the second.
-    votes = cast([[1, 1, 1], [2, 2, 2]], max_range=17.0)
-    assert votes.counts.tolist() == [[0, 2, 1, 0]]
-    assert cast([[1, 1, 1], [2, 2, 2]], max_range=9.0).counts.shape == (0, 4)
-
-
-def test_pixels_outside_the_grid_do_not_vote() -> None:
-    ranges = RangeImage.from_depth(DEPTH, CAMERA, DOWN)
-    labels = np.ones((2, 3), np.uint8)
-    votes = cast_votes(ranges, labels, FUEL.translated(20.0, 10.0), DEM, VOTES_FOR, 0, "north")
-    # The grid now spans 15..55 by -5..15: of all pixels only (20, 0) lies on it.
-    assert votes.counts.tolist() == [[0, 1, 0, 0]]
-
-
-def test_shapes_must_agree() -> None:
-    with pytest.raises(ImageError, match=r"labels of \(3, 2\) and ranges of \(2, 3\)"):
-        cast([[1, 1], [1, 1], [1, 1]])
 
 
 @pytest.mark.parametrize(

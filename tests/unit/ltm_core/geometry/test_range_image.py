@@ -1,5 +1,3 @@
-"""Range, depth, horizontal distance, points and cells of one image."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -25,13 +23,6 @@ def test_depth_is_along_the_optical_axis() -> None:
     assert depth[2, 1] == 2000.0  # the principal point
     # Pixel (u, v) = (3, 0): direction (0.4, -0.5, 1).
     assert depth[0, 3] == pytest.approx(30 / np.sqrt(1 + 0.16 + 0.25), rel=1e-6)
-
-
-def test_from_depth_inverts_depth() -> None:
-    ranges = RangeImage(RANGES, CAMERA, POSE, 1e-7, GridGeometry(0.0, 0.0, 1.0, 2, 2))
-    back = RangeImage.from_depth(ranges.depth(), CAMERA, POSE, ranges.bend, ranges.geometry)
-    np.testing.assert_allclose(back.range, RANGES, rtol=1e-6)
-    assert (back.bend, back.geometry, back.pose) == (ranges.bend, ranges.geometry, POSE)
 
 
 def test_points_by_hand() -> None:
@@ -70,11 +61,6 @@ def test_horizontal_distance() -> None:
     np.testing.assert_allclose(horizontal[known], np.hypot(points[..., 0], points[..., 1])[known], rtol=1e-5)
 
 
-def test_sky_straight_up_is_infinitely_far() -> None:
-    up = Pose.from_angles((0, 0, 0), 0.0, 90.0)
-    assert RangeImage(np.full((3, 4), np.inf, np.float32), CAMERA, up).horizontal()[2, 1] == np.inf
-
-
 def test_cells() -> None:
     camera = Camera(2, 2, 1.0, 1.0, 0.0, 0.0)
     down = Pose.from_angles((0.0, 0.0, 10.0), 0.0, -90.0)  # right is east, down in the image is south
@@ -88,13 +74,6 @@ def test_cells() -> None:
     moved = RangeImage(slant, camera, down, geometry=geometry.translated(0.0, -1.0)).cells()
     assert moved[1, 1].tolist() == [1, 1]
     assert RangeImage(slant, camera, down, geometry=geometry.translated(50.0, 0.0)).cells().max() == -1
-
-
-def test_depths_alone_lie_row_after_row_whatever_padding_they_came_with() -> None:
-    depth = DepthImage(np.pad(RANGES, ((0, 0), (0, 2)))[:, :4], CAMERA, POSE).depth()
-    assert depth.flags.c_contiguous
-    np.testing.assert_array_equal(depth, RANGES)
-    assert DepthImage(RANGES, CAMERA, POSE).depth() is RANGES
 
 
 def test_refused() -> None:

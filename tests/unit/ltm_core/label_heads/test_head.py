@@ -1,5 +1,3 @@
-"""Teaching a head: it learns what the maps tell apart, is judged by sites held out, and refused if worse."""
-
 from __future__ import annotations
 
 import json
@@ -12,16 +10,14 @@ import pytest
 from scenes.networks import write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ImageError, ModelError, RecordingError
+from ltm_core.base.errors import ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.label_heads.head_fit import (
     FittedHead,
-    HeadFitConfig,
     PhotoSamples,
     by_area,
     fit_head,
-    photo_samples,
     sites_of,
 )
 from ltm_core.label_heads.head_trial import teach_head
@@ -50,52 +46,6 @@ def test_a_head_tells_apart_what_its_map_does() -> None:
     np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
     np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
     np.testing.assert_array_equal(_scores(head, samples).argmax(axis=1), [0, 0, 1, 1])
-
-
-def test_a_weaker_ridge_lets_coarse_maps_say_more_and_rarity_says_what_a_rare_class_weighs() -> None:
-    rng = np.random.default_rng(5)
-    labels = np.repeat(np.array([0, 1], np.uint8), (90, 30))
-    features = np.stack([rng.normal(size=120), np.where(labels == 0, 1.0, -1.0) + rng.normal(0.0, 0.8, 120)], axis=1)
-    photo = PhotoSamples("a", labels, np.zeros((120, 2)), features, np.array([0.6, 0.02]))
-
-    def fitted(**changes: float) -> FittedHead:
-        return fit_head([photo], {"last": 1, "s2": 1}, HeadFitConfig(rarity=0.5).model_copy(update=changes))
-
-    assert abs(fitted(ridge=0.03).weights[1, 0]) > 3 * abs(fitted().weights[1, 0])
-    called = [(_scores(fitted(ridge=0.03, rarity=power), photo).argmax(axis=1) == 1).sum() for power in (1.0, 0.5, 0.0)]
-    assert called[0] < called[1] < called[2]
-
-
-def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
-    rng = np.random.default_rng(7)
-    labels = np.repeat(np.array([0, 1], np.uint8), (90, 60))
-    shares = np.array([0.6, 0.4])
-
-    def photo(told_by: int) -> PhotoSamples:
-        features = rng.normal(0.0, 0.5, (150, 2))
-        features[:, told_by] += np.where(labels == 0, 1.0, -1.0)
-        return PhotoSamples("a", labels, np.zeros((150, 2)), features, shares)
-
-    usual, odd, channels = photo(0), photo(1), {"last": 1, "s2": 1}
-    both = PhotoSamples(
-        "a", np.tile(labels, 2), np.zeros((300, 2)), np.concatenate([usual.features, odd.features]), shares
-    )
-    without, with_odd = fit_head([usual], channels), fit_head([both], channels)
-    found = fit_head([usual, usual, odd], channels)
-    np.testing.assert_allclose(found.weights, (without.weights + 2 * with_odd.weights) / 3, atol=1e-3)
-    assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
-    of_one_view = fit_head([usual, odd], channels, one_view=True)  # areas of one photo are no photos
-    np.testing.assert_allclose(of_one_view.weights, with_odd.weights, atol=1e-3)
-
-
-def test_scores_that_are_right_already_are_hardly_corrected() -> None:
-    rng = np.random.default_rng(2)
-    labels = rng.integers(0, 2, 300).astype(np.uint8)
-    scores = np.where(np.eye(2)[labels] > 0, 12.0, -12.0)
-    head = fit_head([PhotoSamples("a", labels, scores, rng.normal(size=(300, 3)), np.full(2, 0.4))], {"last": 3})
-    assert np.abs(head.weights).max() < 1e-6
-    with pytest.raises(ImageError, match="label areas"):
-        fit_head([], {"last": 3})
 
 
 def _striped(magenta_right: bool, seed: int) -> tuple[UInt8Array, UInt8Array]:
@@ -158,16 +108,6 @@ def test_a_head_that_is_worse_is_not_installed(tmp_path: Path) -> None:
     assert not list(out.parent.glob("*")) if out.parent.is_dir() else True
 
 
-def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
-    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
-    with pytest.raises(ModelError, match="one photo"):
-        teach_head(Segmenter.open(), frames[:1], "x", "")
-    with pytest.raises(ModelError, match="no decoder maps"):
-        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
-    with pytest.raises(ModelError, match="classes are the labels"):
-        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")
-
-
 def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> None:
     nothing = np.zeros((2, 3), np.uint8)
     frames = [Frame(np.zeros((2, 3, 3), np.uint8), nothing, tmp_path / n) for n in ("peak_n_1.jpg", "b.jpg", "c_1.jpg")]
@@ -177,18 +117,6 @@ def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> Non
     (tmp_path / "sites.csv").write_text("photo,place\nb.jpg,peak\n")
     with pytest.raises(RecordingError, match="expected image, site"):
         sites_of(frames)
-
-
-def test_samples_are_the_network_s_own_at_named_pixels(tmp_path: Path) -> None:
-    photo, labels = _striped(True, 4)
-    segmenter = Segmenter.open()
-    frame = Frame(photo, labels, tmp_path / "a.png")
-    samples = photo_samples(segmenter, frame, "a", np.random.default_rng(0))
-    assert samples.features.shape == (len(samples.labels), 32 + 64 + 64)
-    assert set(np.unique(samples.labels)) == {Label.SKY, Label.BARE, Label.BUILT}
-    assert samples.shares[Label.SKY] == pytest.approx(50 / 176)
-    own = segmenter.scores_and_maps(photo)[0].reshape(7, -1).T
-    assert all((own == row.astype(np.float32)).all(axis=1).any() for row in samples.scores[::400])
 
 
 def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path) -> None:
@@ -251,3 +179,13 @@ def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> 
     photo, _ = _striped(True, 11)
     found = Segmenter(manifest, head=head).segment(photo).labels
     assert (found == truth)[truth != UNLABELLED].mean() > 0.9
+
+
+def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
+    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
+    with pytest.raises(ModelError, match="one photo"):
+        teach_head(Segmenter.open(), frames[:1], "x", "")
+    with pytest.raises(ModelError, match="no decoder maps"):
+        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
+    with pytest.raises(ModelError, match="classes are the labels"):
+        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")

@@ -1,5 +1,3 @@
-"""What is said of a location: coordinates, fuel, JSON and GeoJSON, and where a place is in a picture."""
-
 from __future__ import annotations
 
 import json
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 from scenes.located import CAMERA, hills, sighting
 
-from ltm_core.base.errors import RegionError
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
@@ -31,13 +28,6 @@ def test_mgrs_of_a_place_that_others_have_worked_out() -> None:
     assert name.mgrs == "15T WG 00000 49776"  # the example of the library's page
     assert (name.lon, name.lat) == pytest.approx((-93.0, 42.0))
     assert place_name(SiteFrame("EPSG:32615", 0.0, 5e6), 5e5, 4.4e6, 0.0).mgrs is None  # 84.7 degrees north
-
-
-def test_mgrs_and_utm_say_the_same() -> None:
-    name = place_name(FRAME, 123.4, 5678.9, 12.0)
-    assert name.mgrs is not None
-    _, _, easting, northing = name.mgrs.split()
-    assert (int(easting), int(northing)) == (int(name.x) % 100_000, int(name.y) % 100_000)
 
 
 def test_an_answer_says_it_all() -> None:
@@ -77,14 +67,6 @@ def test_an_answer_says_it_all() -> None:
         assert (x[:-1] * y[1:] - x[1:] * y[:-1]).sum() > 0  # counter-clockwise, as RFC 7946 asks for
 
 
-def test_beside_the_prior_no_fuel_is_known() -> None:
-    dem = hills()
-    location = Locator(dem, 0.0).locate([sighting("a", (-900.0, 1300.0, 180.0), np.array([-100.0, 2500.0, 80.0]))])
-    prior = FuelPrior(np.full((2, 3), 102, np.int16), GridGeometry(5000.0, 4000.0, 100.0, 3, 2))
-    assert answer(location, PointVisibility(dem, False), FRAME, [], prior, False).fuel is None
-    assert answer(location, PointVisibility(dem, False), FRAME, [], None, False).fuel is None
-
-
 def test_hidden_places_have_a_crest_and_a_height() -> None:
     sight = PointVisibility(hills(), curvature=False)
     tower = PosedCamera("a", CAMERA, Pose.from_angles((0.0, 0.0, 130.0), 0.0, -1.0))
@@ -114,9 +96,3 @@ def test_seen_and_outside() -> None:
     # It sees the place all the same, once it has turned.
     assert second.lift == pytest.approx(0, abs=1e-6)
     assert second.azimuth_deg == pytest.approx(first.azimuth_deg)
-
-
-def test_a_place_without_a_height_is_told() -> None:
-    sight = PointVisibility(hills(), curvature=False)
-    with pytest.raises(RegionError, match="finite coordinates"):
-        place_views(sight, [], np.array([0.0, 9000.0, np.nan]))

@@ -1,19 +1,12 @@
-"""Posteriors: moments, ellipses, densest regions and modes of distributions that are known; and lines of sight."""
-
 from __future__ import annotations
 
 import math
 
 import numpy as np
 import pytest
-from scipy.special import ndtr
-from scipy.stats import norm
 
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.directions import KNOTS, DirectionTable, SightLikelihood, sight_likelihood
-from ltm_core.locating.locator import Ellipse, Posterior, reach_in_ellipse
-from ltm_core.locating.sight_fan import SightFan, sight_fan
-from ltm_core.raster.dem import Dem
+from ltm_core.locating.locator import Posterior, reach_in_ellipse
 
 GEOMETRY = GridGeometry(-300.0, 220.0, 2.0, 310, 205)
 
@@ -59,74 +52,3 @@ def test_ellipses_of_two_modes_hold_what_they_say() -> None:
         held = reach_in_ellipse(ellipse, posterior.places) <= 1
         assert posterior.probability[held].sum() == pytest.approx(share, abs=0.02)
     assert area(posterior, 0.95) < 0.2 * posterior.ellipse(0.95).area
-
-
-def test_one_cell_is_as_large_as_it_is() -> None:
-    raster = np.zeros(GEOMETRY.shape)
-    raster[40, 70] = 3.0
-    posterior = Posterior.of_raster(raster, GEOMETRY)
-    assert posterior is not None
-    assert posterior.ellipse(0.95).minor > 0.5
-    assert posterior.raster()[40, 70] == 1.0
-    assert Posterior.of_raster(np.zeros(GEOMETRY.shape), GEOMETRY) is None
-
-
-def test_an_outline_lies_on_its_ellipse() -> None:
-    ellipse = Ellipse((3.0, 4.0), 50.0, 10.0, 90.0)
-    outline = ellipse.outline(8)
-    assert outline[0] == pytest.approx((53.0, 4.0))
-    assert outline[2] == pytest.approx((3.0, 14.0))
-    assert outline[-1] == pytest.approx(outline[0])
-
-
-SIGMA, MARK = 0.5, 0.003
-"""Metres of the terrain's heights; of the marked slope."""
-EYE = np.array([0.0, 0.0, 10.0])
-
-
-def walls() -> Dem:
-    """Ground at -200 m with two walls across, 50 to 70 m and 1000 to 1020 m north of the camera: at 3 and -89 m."""
-    geometry = GridGeometry(-105.0, 2505.0, 10.0, 21, 270)
-    _, y = geometry.to_map(np.arange(geometry.height), 0)
-    profile = np.full(len(y), -200.0)
-    profile[(y > 45) & (y < 75)] = 3.0
-    profile[(y > 995) & (y < 1025)] = -89.0
-    return Dem(np.repeat(profile[:, None], geometry.width, axis=1).astype(np.float32), geometry)
-
-
-def marked(slope: float, turned: bool = False, lean: float = 0.0) -> tuple[SightFan, SightLikelihood]:
-    fan = sight_fan(walls(), EYE, np.linspace(-1e-3, 1e-3, 3), 2400.0)
-    shape = (3, len(KNOTS))
-    table = DirectionTable(np.ones((1, *shape)), np.full(shape, slope), np.full(shape, MARK**2))
-    variances, apart = np.array([SIGMA**2]), np.array([40.0])
-    return fan, sight_likelihood(fan, table, 10.0, 0.0, variances, apart, True, lean, turned)
-
-
-@pytest.mark.kernel
-@pytest.mark.parametrize("slope", [-0.106, -0.1, -0.094, -0.086])
-def test_smoke_comes_up_over_the_higher_of_two_uncertain_crests(slope: float) -> None:
-    fan, likelihood = marked(slope)
-    r, slopes = fan.ranges, (fan.heights[1] - EYE[2]) / fan.ranges
-    means, sigmas = [], []
-    for stretch in ((r > 40) & (r < 80), (r > 990) & (r < 1030)):
-        best = np.flatnonzero(stretch)[slopes[stretch].argmax()]
-        means.append(slopes[best])
-        sigmas.append(SIGMA / r[best])
-    x = np.linspace(-0.2, 0.0, 20_001)
-    first, second = (norm.pdf(x, m, s) for m, s in zip(means, sigmas, strict=True))
-    highest = first * ndtr((x - means[1]) / sigmas[1]) + second * ndtr((x - means[0]) / sigmas[0])
-    expected = float((highest * norm.pdf(slope, x, MARK)).sum() * (x[1] - x[0]))
-    behind = likelihood.density[1, (r > 1500) & (r < 2000)]
-    assert behind == pytest.approx(np.full(len(behind), expected), rel=0.05)
-
-
-@pytest.mark.kernel
-def test_a_turned_cameras_slope_may_be_wrong_too() -> None:
-    r = marked(-0.1)[0].ranges
-    far = (r > 1500) & (r < 2000)
-    right, turned = marked(-0.1)[1], marked(-0.1, turned=True)[1]
-    assert turned.density[1, far] == pytest.approx(0.8 * right.density[1, far] + 0.2 * norm.pdf(0, 0, np.radians(2.0)))
-    # Of a slope that nothing explains only that chance is left.
-    assert marked(0.2, turned=True)[1].density[1, far] == pytest.approx(0.2 * norm.pdf(0, 0, np.radians(2.0)))
-    # What plumes drift does not matter along walls.
-    assert marked(-0.1, turned=True, lean=0.35)[1].density[1, far] == pytest.approx(turned.density[1, far], rel=1e-6)

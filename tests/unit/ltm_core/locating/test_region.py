@@ -1,5 +1,3 @@
-"""Lower edges of marks, their weights, and what is told of marks that cannot be taken."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -10,12 +8,6 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 
 CAMERA = Camera.from_fov(640, 360, 50.0)
-
-
-def test_a_pixel_is_itself() -> None:
-    mark = marked_pixel(CAMERA, (12.25, 200.5), 1.5)
-    assert mark.pixels.tolist() == [[12.25, 200.5]]
-    assert mark.sigmas.tolist() == [[1.5, 1.5]]
 
 
 def test_of_a_box_the_lower_edge_counts() -> None:
@@ -74,9 +66,3 @@ def test_masks_leave_places_out() -> None:
 def test_bad_regions_are_told(region: list[tuple[float, float]], said: str) -> None:
     with pytest.raises(RegionError, match=said):
         marked_polygon(CAMERA, np.array(region, float).reshape(-1, 2), 1.0, 0.0, smoke=True)
-
-
-@pytest.mark.parametrize("box", [(3, 4, 2, 9), (3, 4, 9, 2), (1, 2, 3), (1, 2, 3, np.nan)])
-def test_bad_boxes_are_told(box: tuple[float, ...]) -> None:
-    with pytest.raises(RegionError, match="box"):
-        marked_box(CAMERA, box, 1.0, 0.0, smoke=True)

@@ -1,15 +1,12 @@
-"""Tracks: which sightings are of one fire, and which pose of a camera a region was marked under."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scenes.located import hills, sighting
 
-from ltm_core.base.errors import RegionError
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.tracks import MOST, KnownPoses, SeenAt, Tracks
+from ltm_core.locating.tracks import KnownPoses, SeenAt, Tracks
 
 pytestmark = pytest.mark.kernel
 
@@ -45,28 +42,35 @@ def test_a_turned_camera_is_disputed_and_does_not_move_the_track() -> None:
     assert turned is not fire
     assert turned.disputed == fire.disputed == {"a", "b", "c"}
     assert fire.location.posterior.mean == before
-    other, _ = tracks.add(seen("b", OTHER, 3))
-    assert other.disputed == frozenset()
+    verdict = tracks.fires.verdict
+    assert (verdict.wrong, verdict.fires) == ("c", 1)
+    assert np.degrees(verdict.turn) == pytest.approx(2.0, abs=0.3)
+    # What the next fire's cameras agree about is of another fire, and no camera is told for it.
+    other, _, wrong = tracks.add(seen("b", OTHER, 3))
+    assert (other.fire, wrong) == (3, None)
 
 
-def test_what_is_kept_is_bounded() -> None:
-    tracks = Tracks(Locator(hills(), 0.0), lifetime_ns=10 * MINUTE, most=2)
-    for minute in range(6):
-        fire, _ = tracks.add(seen("a", FIRE, minute))
-    assert len(fire.sightings) == 2
-    tracks.add(seen("b", OTHER, 30))
-    assert [track.number for track in tracks.tracks] == [2]
-    tracks.add(seen("a", FIRE, 31))
-    tracks.add(seen("c", np.array([0.0, 900.0, 50.0]), 32))
-    assert [track.number for track in tracks.tracks] == [3, 4]
-
-
-def test_a_bad_sighting_changes_nothing() -> None:
+def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
     tracks = Tracks(Locator(hills(), 0.0))
-    tracks.add(seen("a", FIRE, 0))
-    with pytest.raises(RegionError):
-        tracks.add(seen("a", np.array([0.0, 2500.0, 900.0]), 100))
-    assert [track.number for track in tracks.tracks] == [1]
+    shared, _, _ = tracks.add(seen("a", FIRE, 0))
+    tracks.add(seen("b", FIRE, 1))
+    alone = tracks.tracks[0].location.posterior.mean
+    turned, _, wrong = tracks.add(seen("c", FIRE, 2, turned_deg=2.0))
+    assert wrong == "c"
+    assert not tracks.forget("d")
+    assert tracks.forget("c")
+    assert (tracks.fires.verdict.wrong, shared.wrong, turned.wrong) == (None, None, None)
+    assert shared.location.posterior.mean == alone
+    stays = turned.location
+    # From the mount as it is fitted now: with the marks of the others, and not with its own of before.
+    joined, _, wrong = tracks.add(seen("c", FIRE, 3))
+    assert (joined, wrong) == (shared, None)
+    assert turned.location is stays
+    assert tracks.forget("a")
+    assert shared.cameras == ["b", "c"]
+    assert shared.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
+    assert tracks.fires.verdict.fires == 0
+    assert not tracks.forget("a")
 
 
 def pose(azimuth_deg: float) -> Pose:
@@ -94,21 +98,22 @@ def test_the_pose_of_the_stamp_itself_or_the_last_before_it() -> None:
     assert poses.at(999, 10_000) is None
 
 
-def test_the_newest_is_the_one_told_last() -> None:
-    """Whatever its stamp: a clock may have been set back."""
-    poses = known(range(1000, 1300, 100))
-    poses.add(1100, pose(77.0), np.eye(6))
-    assert azimuth(poses.newest) == 77.0
-    assert poses.newest[2] == 1100
-    assert azimuth(poses.at(1150, 60)) == 77.0  # of one stamp, what came last
-    assert azimuth(poses.at(1250, 60)) == 12.0
-
-
-def test_so_many_are_remembered_and_the_first_told_go() -> None:
-    assert not KnownPoses()
-    poses = known(range(1, MOST + 4))
-    assert poses
-    assert poses.at(3, 10) is None
-    assert azimuth(poses.at(4, 10)) == 0.04
-    with pytest.raises(LookupError):
-        _ = KnownPoses().newest
+def test_what_a_turned_camera_kept_apart_is_one_track_once_it_is_named() -> None:
+    """`a` is turned and marks first; with it one right camera agrees by chance, and the other one no more."""
+    tracks = Tracks(Locator(hills(), 0.0))
+    valley = np.array([-100.0, 2100.0, 0.0])
+    tracks.add(seen("a", valley, 0, turned_deg=0.6))
+    tracks.add(seen("b", valley, 1))
+    tracks.add(seen("c", valley, 2))
+    assert [track.cameras for track in tracks.tracks] == [["a", "b"], ["c"]]
+    assert tracks.fires.verdict.wrong is None
+    tracks.fires.lost.add("a")  # as its pictures say
+    assert tracks.rename().wrong == "a"
+    by_number = sorted(tracks.tracks, key=lambda track: track.number)
+    assert [(track.number, {*track.cameras}) for track in by_number] == [(1, {"b", "c"}), (2, {"a"})]
+    (whole,) = (track for track in tracks.tracks if "b" in track.cameras)
+    assert whole.location.posterior.mean == pytest.approx(tuple(valley[:2]), abs=20)
+    assert tracks.rename().wrong == "a"
+    assert len(tracks.tracks) == 2
+    again, _, _ = tracks.add(seen("c", valley, 4))
+    assert again is whole

@@ -1,5 +1,3 @@
-"""Palettes: how far apart colours are for people with normal and with each kind of colour-blind vision."""
-
 from __future__ import annotations
 
 import itertools

@@ -1,10 +1,5 @@
-"""Pictures: colours mean what the legend says, layers lie where they should; and pictures of what is traced."""
-
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 from scenes.rasters import rough_terrain, standing
@@ -15,27 +10,17 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import (
-    MapCamera,
     RangeScale,
     depth_colors,
-    fit,
     hillshade,
     label_colors,
-    label_legend,
     overlay_depth,
     overlay_labels,
-    panel,
-    range_legend,
-    terrain_colors,
     terrain_map_picture,
-    to_jpeg,
-    to_png,
-    with_legend,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, error_legend, scale_colors
-from ltm_core.pictures.maps import draw_north
-from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, scale_colors
+from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
@@ -63,23 +48,6 @@ def test_range_scale_is_logarithmic_and_keeps_its_ends() -> None:
     assert scale.ticks() == [10, 20, 50, 100, 200, 500, 1000]
 
 
-@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
-def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
-    with pytest.raises(ImageError, match="near < far"):
-        RangeScale(near, far)
-
-
-@pytest.mark.parametrize("ranges", [[55.0, 90.0, 4200.0, np.inf, np.nan], [1.0, 1.0], [999.0], [0.3, 0.31]])
-def test_fitted_scale_holds_the_ranges_between_round_ends(ranges: list[float]) -> None:
-    scale = RangeScale.of(ranges)
-    finite = [r for r in ranges if np.isfinite(r)]
-    low, high = np.percentile(finite, [0.5, 99.5])
-    assert scale.near <= low
-    assert scale.far >= high
-    assert f"{scale.near:e}"[0] in "125"
-    assert f"{scale.far:e}"[0] in "125"
-
-
 def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
     ranges = np.array([[30.0, 30_000.0, np.inf], [np.nan, -np.inf, 948.0]], np.float32)
     colors = depth_colors(ranges)
@@ -92,20 +60,6 @@ def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
     assert colors[0, 0].sum() > 2 * colors[0, 1].sum(), "near is bright"
 
 
-def test_range_legend_shows_the_colours_of_its_ranges() -> None:
-    scale = RangeScale(100.0, 10_000.0)
-    strip = range_legend(700, scale, sky=False)
-    assert strip.shape[1:] == (700, 3)
-    row = strip[10].astype(int)
-    middle = np.abs(row - depth_colors(1000.0, scale).astype(int)).sum(axis=1)
-    assert abs(int(middle.argmin()) - 350) <= 2
-    for width in (320, 900):
-        whole = range_legend(width, scale)
-        assert whole.shape[1] == width
-        for color in (SKY_COLOR, UNKNOWN_COLOR):
-            assert (whole == color).all(axis=-1).sum() > 100
-
-
 def test_label_colours_follow_the_palette() -> None:
     ids = np.array([[0, 3, 255], [6, 200, 1]], np.uint8)
     colors = label_colors(ids, LABELS, unlabelled=(1, 2, 3))
@@ -113,16 +67,6 @@ def test_label_colours_follow_the_palette() -> None:
     np.testing.assert_array_equal(colors[1, 2], LABELS.colors[1])
     np.testing.assert_array_equal(colors[0, 2], (1, 2, 3))
     np.testing.assert_array_equal(colors[1, 1], (1, 2, 3))
-
-
-def test_label_legend_wraps_and_shows_only_what_is_asked() -> None:
-    wide, narrow = label_legend(900, LABELS), label_legend(160, LABELS)
-    assert narrow.shape[0] > 2 * wide.shape[0]
-    some = label_legend(900, LABELS, ids=[3, 250])
-    tree = (some == np.array(LABELS.colors[3])).all(axis=-1)
-    grass = (some == np.array(LABELS.colors[1])).all(axis=-1)
-    assert tree.sum() > 100
-    assert not grass.any()
 
 
 def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
@@ -139,29 +83,6 @@ def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
     assert (mixed[:7, 31:43] != image[:7, 31:43]).any(axis=-1).mean() > 0.9
 
 
-def test_overlay_takes_a_layer_sampled_at_every_nth_pixel() -> None:
-    """`labels = full[::4, ::4]` on an image whose size 4 does not divide: sample i lies at pixel 4 i."""
-    full = np.zeros((30, 45), np.uint8)
-    full[:, 24:] = 3
-    mixed = overlay_labels(np.full((30, 45, 3), 128, np.uint8), full[::4, ::4], LABELS, opacity=1.0)
-    is_tree = (mixed == np.array(LABELS.colors[3])).all(axis=-1)
-    first = np.nonzero(is_tree[15])[0][0]
-    assert 22 <= first <= 24
-
-
-def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
-    with pytest.raises(ImageError, match="31 x 17"):
-        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
-
-
-def test_contours_stand_where_the_range_crosses_a_round_value() -> None:
-    ranges = np.broadcast_to(np.linspace(150.0, 250.0, 101, dtype=np.float32)[:, None], (101, 7)).copy()
-    image = np.full((101, 7, 3), 200, np.uint8)
-    dark = overlay_depth(image, ranges).astype(int).sum(axis=2)
-    lines = np.nonzero((dark < 0.6 * np.median(dark)).all(axis=1))[0]
-    assert lines.tolist() == [49], "200 m lies at row 50, the line just above it"
-
-
 @pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.2), (0.1, -0.5)])
 def test_hillshade_of_a_plane_is_lamberts_cosine(east: float, north: float) -> None:
     shade = hillshade(plane(12, 17, east, north))
@@ -172,36 +93,6 @@ def test_hillshade_of_a_plane_is_lamberts_cosine(east: float, north: float) -> N
         light = np.array([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
         expected += weight * max(0.0, float(normal @ light))
     np.testing.assert_allclose(shade[1:-1, 1:-1], expected, atol=2e-4)
-
-
-def test_north_west_slopes_are_lit_and_unknown_heights_stay_unknown() -> None:
-    assert hillshade(plane(9, 14, 0.3, -0.3))[4, 6] > hillshade(plane(9, 14, -0.3, 0.3))[4, 6] + 0.2
-    dem = plane(9, 14, 0.1, 0.0)
-    elevation = dem.elevation.copy()
-    elevation[4, 5] = np.nan
-    shade = hillshade(Dem(elevation, dem.geometry))
-    assert np.isnan(shade[3:6, 4:7]).all()
-    assert np.isfinite(shade[:, 8:]).all()
-    assert terrain_colors(Dem(elevation, dem.geometry)).shape == (9, 14, 3)
-
-
-def test_map_refuses_rasters_that_do_not_fit() -> None:
-    dem = plane(20, 30, 0.0, 0.0)
-    geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
-    with pytest.raises(RasterError, match=r"\(4, 5\)"):
-        FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
-    with pytest.raises(RasterError, match="one CRS"):
-        FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
-    with pytest.raises(RasterError, match="seen cells"):
-        terrain_map_picture(dem, np.zeros((20, 29), bool))
-
-
-def test_camera_sector_spans_its_field_of_view() -> None:
-    camera = MapCamera("north", Camera.from_fov(640, 480, 60.0), (400.0, 500.0), 90.0, reach=200.0)
-    outline = camera.sector(steps=3)
-    np.testing.assert_allclose(outline[0], (400, 500))
-    np.testing.assert_allclose(outline[2], (600, 500))
-    np.testing.assert_allclose(outline[1], (400 + 200 * np.sin(np.pi / 3), 600))
 
 
 def test_a_legend_names_the_classes_of_the_shown_part() -> None:
@@ -230,63 +121,6 @@ def test_names_do_not_cover_each_other() -> None:
     assert placed[3] == ("alone", 300.0, 50.0, "lm")
 
 
-def test_the_north_arrow_makes_way_for_a_name() -> None:
-    blank = np.full((300, 400, 3), 200, np.uint8)
-    upper, moved = blank.copy(), blank.copy()
-    draw_north(upper, 14, [("far off", 60.0, 20.0, "mm"), ("below", 380.0, 200.0, "mm")])
-    draw_north(moved, 14, [("beside it", 360.0, 20.0, "mm")])
-    for picture, rows in ((upper, slice(0, 100)), (moved, slice(200, 300))):
-        drawn = (picture != blank).any(axis=-1)
-        assert drawn[rows].any()
-        assert drawn[rows].sum() == drawn.sum()
-
-
-def test_panel_places_pictures_row_by_row() -> None:
-    colors = [(200, 10, 10), (10, 200, 10), (10, 10, 200)]
-    pictures = [(str(i), np.full((40, 80, 3), color, np.uint8)) for i, color in enumerate(colors)]
-    relative_variance = panel(pictures, columns=2, width=160)
-    centres = []
-    for color in colors:
-        rows, cols = np.nonzero((relative_variance == np.array(color)).all(axis=-1))
-        assert len(rows) == 80 * 160
-        centres.append((rows.mean(), cols.mean()))
-    assert centres[0][0] == centres[1][0] < centres[2][0]
-    assert centres[0][1] == centres[2][1] < centres[1][1]
-    with pytest.raises(ImageError, match="at least one"):
-        panel([])
-
-
-def test_fit_keeps_proportions_and_legends_stack() -> None:
-    assert fit(photo(30, 44), 22).shape == (15, 22, 3)
-    assert fit(photo(30, 44), 88).shape == (60, 88, 3)
-    image = photo(30, 440)
-    whole = with_legend(image, range_legend(440), label_legend(440, LABELS))
-    np.testing.assert_array_equal(whole[:30], image)
-
-
-def test_encoded_pictures_keep_channels(tmp_path: Path) -> None:
-    image = np.zeros((16, 24, 3), np.uint8)
-    image[:, :12] = (250, 20, 10)
-    (tmp_path / "a.png").write_bytes(to_png(image))
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], image)
-    decoded = cv2.imdecode(np.frombuffer(to_jpeg(image, 95), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    assert np.abs(decoded[:, :8].astype(int) - image[:, :8]).max() < 25
-    with pytest.raises(ImageError, match="float64"):
-        to_png(np.zeros((4, 4, 3)))  # type: ignore[arg-type]
-    with pytest.raises(ImageError, match=r"\(4, 4\)"):
-        to_jpeg(np.zeros((4, 4), np.uint8))
-
-
-def test_error_colors() -> None:
-    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
-    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
-    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
-    assert small.sum() < 60 < 400 < large.sum()
-    assert tuple(sky) == SKY_COLOR
-    assert tuple(missed) == tuple(unknown) == (190, 192, 196)
-    assert error_legend(400).shape[1] == 400
-
-
 CAMERA = Camera.from_fov(330, 210, 60.0)
 DEM = rough_terrain(51)
 
@@ -312,36 +146,6 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
     assert np.abs(picture[:210][ground].astype(int) - photo[ground]).mean() > 15
 
 
-def test_large_photos_are_drawn_smaller() -> None:
-    camera = Camera.from_fov(4500, 90, 60.0)
-    pose = Pose.from_angles(standing(DEM, 150, 40, 12.0), 50.0, -14.0, 0.0)
-    picture = depth_picture(
-        TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(camera, pose), DEM, np.zeros((90, 4500, 3), np.uint8)
-    )
-    assert picture.shape[1] == 1500
-
-
-def test_without_a_photo_the_terrain_is_shaded() -> None:
-    image = traced()
-    view = shaded_view(image, DEM)
-    ground = view[np.isfinite(image.range)]
-    assert (ground[:, 0] == ground[:, 1]).all()
-    assert ground[:, 0].std() > 5
-    sky = view[np.isposinf(image.range)]
-    assert (sky[:, 2] > sky[:, 0]).all()
-    assert depth_picture(image, DEM).shape[1] == 330
-
-
-def test_no_skyline_where_the_ground_is_unknown() -> None:
-    ranges = np.full((6, 4), np.inf, np.float32)
-    ranges[3:, :2] = 100.0
-    ranges[3:, 2:] = np.nan
-    drawn = draw_skyline(np.zeros((6, 4, 3), np.uint8), ranges)
-    expected = np.zeros((6, 4), bool)
-    expected[2, :2] = True
-    np.testing.assert_array_equal(drawn.any(axis=-1), expected)
-
-
 def test_the_map_marks_what_is_seen() -> None:
     image = traced()
     counts = cell_counts(image)
@@ -355,10 +159,32 @@ def test_the_map_marks_what_is_seen() -> None:
     assert ((unseen[..., 0].astype(int) - unseen[..., 2]) > 110).mean() < 0.005
 
 
-def test_a_map_is_drawn_even_when_nothing_is_seen() -> None:
-    up = TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
-        CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0)
-    )
-    assert np.isposinf(up.range).all()
-    assert map_picture(up, DEM, cell_counts(up), "nothing").shape[2] == 3
-    assert depth_picture(up, DEM).shape[1] == 330
+def test_error_colors() -> None:
+    truth = np.array([[10.0, 10.0, np.inf, np.inf, 10.0]], np.float32)
+    estimate = np.array([[10.1, 310.0, np.inf, 50.0, np.nan]], np.float32)
+    small, large, sky, missed, unknown = error_colors(estimate, truth)[0].astype(int)
+    assert small.sum() < 60 < 400 < large.sum()
+    assert tuple(sky) == SKY_COLOR
+    assert tuple(missed) == tuple(unknown) == (190, 192, 196)
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
+def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
+    with pytest.raises(ImageError, match="near < far"):
+        RangeScale(near, far)
+
+
+def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
+    with pytest.raises(ImageError, match="31 x 17"):
+        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
+
+
+def test_map_refuses_rasters_that_do_not_fit() -> None:
+    dem = plane(20, 30, 0.0, 0.0)
+    geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
+    with pytest.raises(RasterError, match=r"\(4, 5\)"):
+        FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
+    with pytest.raises(RasterError, match="one CRS"):
+        FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
+    with pytest.raises(RasterError, match="seen cells"):
+        terrain_map_picture(dem, np.zeros((20, 29), bool))

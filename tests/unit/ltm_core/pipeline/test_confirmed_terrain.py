@@ -1,5 +1,3 @@
-"""The terrain that a map exports: as its store's site has confirmed it, now or at a moment, or as given."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,7 +8,6 @@ import yaml
 from scenes.small_site import SmallSite, write_small_site
 
 from ltm_core.base.errors import StoreError
-from ltm_core.fuel.canopy import seen_canopy
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import confirmed_terrain, exported_terrain, surface_versions
 from ltm_core.site.sections import DemConfig
@@ -59,16 +56,6 @@ def test_the_version_of_the_moment_is_exported_and_none_without_a_state(small: S
     assert now.note == then.note == before.note == exported_terrain(plain, tmp_path).note == ""
 
 
-def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> None:
-    versions = surface_versions(small.site, tmp_path / FOLDER)
-    entry = versions.add(sunk(small, 4.0), BEGIN, 500)
-    one, other = (confirmed_terrain(small.site, versions, entry.version) for _ in range(2))
-    assert one.ground is other.ground
-    assert one.top is other.top
-    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff'"):
-        confirmed_terrain(small.site, versions, "f" * 16)
-
-
 def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite, tmp_path: Path) -> None:
     """Nodes that follow try it again twice a second."""
     versions = surface_versions(small.site, tmp_path / FOLDER)
@@ -77,21 +64,6 @@ def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite,
     without = small.site.model_copy(update={"dem": DemConfig(path=tmp_path / "gone.tif")})
     with pytest.raises(StoreError, match="not the file written"):
         confirmed_terrain(without, versions, entry.version)
-
-
-def test_a_site_that_follows_nothing_exports_without_its_surface_raster(small: SmallSite, tmp_path: Path) -> None:
-    gone = DemConfig(path=tmp_path / "gone.tif")
-    plain = small.site.model_copy(update={"terrain": None, "surface": gone})
-    assert exported_terrain(plain, tmp_path).ground is small.site.open_dem()
-
-
-def test_without_a_raster_of_tree_tops_no_canopy_is_measured(small: SmallSite, tmp_path: Path) -> None:
-    """Ground that sank below a wood says nothing of the trees on it, or beside it."""
-    versions = surface_versions(small.site, tmp_path / FOLDER)
-    entry = versions.add(sunk(small, 4.0), BEGIN, 500)
-    confirmed = confirmed_terrain(small.site, versions, entry.version)
-    assert confirmed.surface is not None
-    assert seen_canopy(confirmed, small.site.fuel_geometry(small.dem)) is None
 
 
 def test_landscapes_have_the_confirmed_ground_and_say_so(small: SmallSite, tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""What a terrain node compiles before it says that it is ready."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Poses that cannot belong to a camera's images are reported after ten clear frames; what is not known is not."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""The canopy of a site from what its state holds: labels of the fuel map's store, heights of the terrain's."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -82,16 +80,6 @@ def test_new_trees_have_the_cover_that_labels_show_and_the_height_that_depth_doe
     assert np.argwhere(np.isfinite(found.seen.height)).tolist() == [list(CELL)]
     # Seen from the side, the higher crowns hide the lower.
     assert found.seen.height[CELL] == pytest.approx(0.8 * 8.0, abs=0.1)
-
-
-def test_a_cell_that_is_half_a_gap_hardly_lowers_its_stand(small: SmallSite, tmp_path: Path) -> None:
-    half = np.array([[8.0, 8.0, 3.0], [3.0, 8.0, 8.0], [8.0, 3.0, 8.0]], np.float32)
-    stands_of(small, tmp_path, half)
-    surface, grid = open_stored_surface(tmp_path / TERRAIN_STORE, small.site), small.site.fuel_geometry(small.dem)
-    alone, _ = stand_heights(surface, grid, np.full(grid.shape, np.nan))
-    surface.close()
-    assert alone[CELL] == pytest.approx(0.8 * (6 * 8**2 + 3 * 3**2) / (6 * 8 + 3 * 3))
-    assert np.isfinite(alone).sum() == 1
 
 
 def test_a_height_meets_what_the_map_said_by_their_standard_errors(small: SmallSite, tmp_path: Path) -> None:

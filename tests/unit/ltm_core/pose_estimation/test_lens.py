@@ -1,5 +1,3 @@
-"""Radial trends of residuals in closed form, and a lens fitted with its prior."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -10,7 +8,7 @@ import pytest
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.lens import LensPrior, corner_radius, radial_trend
+from ltm_core.pose_estimation.lens import LensPrior, corner_radius
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.visibility.footprint import pixel_rays
@@ -25,24 +23,6 @@ def points(count: int, noise: float, seed: int = 3) -> ControlPoints:
     pixels = np.column_stack([rng.uniform(40, 1880, count), rng.uniform(40, 1040, count)])
     places = POSE.position + pixel_rays(LENS, pixels) @ POSE.rotation.T * rng.uniform(200, 2500, (count, 1))
     return ControlPoints(tuple(f"p{k}" for k in range(count)), places, pixels + rng.normal(0, noise, pixels.shape))
-
-
-@pytest.mark.parametrize("k", [-0.26, 0.0, 0.1])
-def test_a_radial_trend_is_that_of_the_residuals(k: float) -> None:
-    """The radial term shifts a point at radius r by f k r^3, a wrong focal length in proportion to r. The fit must
-    separate the two."""
-    r = np.linspace(-0.6, 0.6, 41)
-    by_focal, by_k = 1000 * r[:, None], 1000 * r**3
-    trend = radial_trend(7.0 * r + k * by_k, by_focal, by_k, np.ones(41))
-    assert trend.k == pytest.approx(k, abs=1e-9)
-    part = by_k - by_focal[:, 0] * (by_focal[:, 0] @ by_k) / (by_focal[:, 0] @ by_focal[:, 0])
-    assert trend.sigma == pytest.approx(1 / np.linalg.norm(part), rel=1e-6)
-    assert trend.clear == (k != 0.0)
-
-
-def test_what_other_parameters_explain_is_no_trend() -> None:
-    r = np.linspace(0.1, 0.6, 9)
-    assert not radial_trend(r**3, r[:, None] ** 3, r**3, np.ones(9)).clear
 
 
 def test_a_free_lens_is_found_and_a_fixed_one_is_named() -> None:
@@ -62,12 +42,6 @@ def test_a_free_lens_is_found_and_a_fixed_one_is_named() -> None:
     assert np.median(free.residual_px) < 1.0, "as marked"
     away = {"fx": free.camera.fx - LENS.fx, "cx": free.camera.cx - LENS.cx, "k1": free.camera.distortion[0] + 0.26}
     assert all(abs(value) < 4 * free.sigmas[name] for name, value in away.items()), away
-
-
-def test_three_points_and_a_prior_leave_the_lens_as_stated() -> None:
-    found = resect(points(3, 0.0), LENS, POSE.position, lens=LensPrior.of("phone", LENS))
-    assert found.camera.fx == pytest.approx(LENS.fx, rel=1e-3)
-    assert "k3" in found.sigmas
 
 
 def test_priors_scale_with_the_corner() -> None:

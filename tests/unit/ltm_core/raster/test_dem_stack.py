@@ -1,5 +1,3 @@
-"""Stacks of rasters: how they are fitted, opened in other CRSs, refused, and put under tree tops."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -11,8 +9,7 @@ import yaml
 from pyproj import Transformer
 from scenes.rasters import rough_terrain
 
-from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, REACH, DemStack, with_surface
@@ -51,21 +48,6 @@ def test_the_border_is_the_coarser_surface_and_the_inside_is_untouched() -> None
     np.testing.assert_allclose(stack.elevation[edge < band], expected[edge < band], atol=1e-3)
 
 
-def test_the_surface_has_no_step_at_the_seam() -> None:
-    coarse = coarse_terrain()
-    stack = DemStack([fine_terrain(coarse, offset=-14.0), coarse])
-    x0, y0, x1, y1 = stack.geometry.bounds
-    rng = np.random.default_rng(3)
-    along = rng.uniform(0.5, 169.5, 500)
-    inside = stack.elevation_at(x0 + 0.5 + 1e-9, y0 + along)
-    outside = stack.elevation_at(x0 + 0.5 - 1e-9, y0 + along)
-    # Where a coarse grid line crosses between two fine nodes, its bend is cut off.
-    assert np.abs(inside - outside).max() < 0.25 * np.abs(np.diff(coarse.elevation, 2, axis=0)).max() / 10.0
-    assert np.median(np.abs(inside - outside)) < 1e-4
-    assert stack.elevation_at(x1 + 50.0, y1 + 30.0) == coarse.elevation_at(x1 + 50.0, y1 + 30.0)
-    assert np.isnan(stack.elevation_at(1e5, 0.0))
-
-
 def test_holes_take_the_coarser_surface_moved_to_their_rim() -> None:
     coarse = coarse_terrain()
     fine = fine_terrain(coarse)
@@ -100,17 +82,6 @@ def test_what_neither_level_knows_stays_unknown() -> None:
     np.testing.assert_array_equal(np.isnan(stack.elevation), unknown & lake)
 
 
-def test_in_frame_and_levels() -> None:
-    coarse = coarse_terrain()
-    fine = fine_terrain(coarse)
-    stack = DemStack([Dem(d.elevation, d.geometry.translated(4e5, 38e5, UTM)) for d in (fine, coarse)])
-    local = stack.in_frame(SiteFrame(UTM, 4e5, 38e5))
-    assert [level.geometry.resolution for level in local.levels] == [1.0, 10.0]
-    assert local.geometry.bounds == pytest.approx(fine.geometry.bounds)
-    for x, y in ((3.3, -7.1), (-300.0, 100.0)):
-        assert local.elevation_at(x, y) == pytest.approx(float(stack.elevation_at(x + 4e5, y + 38e5)), abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -124,16 +95,6 @@ def test_refused(change: Any, message: str) -> None:
     coarse = coarse_terrain()
     with pytest.raises(RasterError, match=message):
         DemStack(change(fine_terrain(coarse), coarse))
-
-
-def test_a_fine_raster_over_the_same_tile_loses_its_rim() -> None:
-    coarse = Dem(np.full((12, 17), 5.0, np.float32), GridGeometry(0.0, 120.0, 10.0, 17, 12))
-    fine = Dem(np.full((120, 170), 9.0, np.float32), GridGeometry(0.0, 120.0, 1.0, 170, 120))
-    stack = DemStack([fine, coarse])
-    # Only what the coarser nodes, from 5 m inside the edge on, surround.
-    assert stack.geometry.bounds == (5.0, 5.0, 165.0, 115.0)
-    assert float(stack.elevation_at(85.0, 60.0)) == 9.0
-    assert float(stack.elevation_at(5.6, 60.0)) < 5.3
 
 
 def write_site(folder: Path, dem: Any, **more: Any) -> Path:
@@ -188,21 +149,6 @@ def test_a_site_with_a_coarser_raster_around_it(tmp_path: Path, crs: str) -> Non
     assert np.abs(dem.elevation_at(*inner) - near).max() < (0.05 if crs == UTM else 1.0)
 
 
-def test_a_site_names_one_raster_or_a_list(tmp_path: Path) -> None:
-    write_levels(tmp_path)
-    assert not load_site(write_site(tmp_path, {"path": "fine.tif"})).coarser
-    assert len(load_site(write_site(tmp_path, {"path": "fine.tif"})).open_dem().levels) == 1
-    site = load_site(write_site(tmp_path, [{"path": "fine.tif"}, {"path": "coarse.tif", "crs": UTM}]))
-    assert site.coarser[0].path == tmp_path / "coarse.tif"
-    with pytest.raises(ConfigError, match="dem is one raster"):
-        load_site(write_site(tmp_path, []))
-    far = GridGeometry(900_000.0, 3_850_000.0, 100.0, 30, 20, UTM)
-    Dem(np.zeros((20, 30), np.float32), far).save(tmp_path / "far.tif")
-    site = load_site(write_site(tmp_path, [{"path": "fine.tif"}, {"path": "far.tif"}]))
-    with pytest.raises(RasterError, match="does not overlap"):
-        site.open_dem()
-
-
 def canopy_over(ground: Dem, x_min: float, y_max: float, shape: tuple[int, int]) -> Dem:
     """Trees of 20 m on the western half of a patch; nodata on a clearing."""
     geometry = GridGeometry(x_min, y_max, 1.0, shape[1], shape[0], ground.geometry.crs)
@@ -224,14 +170,6 @@ def test_tree_tops_over_a_part_of_the_ground() -> None:
     np.testing.assert_allclose(clearing, ground.elevation_at(*canopy.geometry.to_map(row, col)), atol=1e-4)
     assert float(surface.elevation_at(100.0, -60.0)) == float(ground.elevation_at(100.0, -60.0))
     assert np.isnan(canopy.elevation).sum() == 100
-
-
-def test_tree_tops_over_all_of_the_fine_ground_replace_it() -> None:
-    coarse = coarse_terrain()
-    fine = fine_terrain(coarse)
-    canopy = canopy_over(coarse, -120.3, 100.7, (210, 260))
-    assert [level.geometry.resolution for level in with_surface(DemStack([fine, coarse]), canopy).levels] == [1.0, 10.0]
-    assert len(with_surface(fine, canopy).levels) == 1
 
 
 def test_a_site_with_a_surface(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""What the numbers of an elevation raster mean, and which of them are no ground."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -95,11 +93,6 @@ def test_stated_units_are_converted(tmp_path: Path, unit: str, size: float) -> N
     np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
 
 
-def test_heights_of_a_crs_in_feet_are_converted(tmp_path: Path) -> None:
-    dem = Dem.open(write(tmp_path / "d.tif", GROUND * 3937 / 1200, crs="EPSG:32611+6360"))
-    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
-
-
 OTHER = (COLS % 7).astype(np.float64)
 
 
@@ -118,12 +111,6 @@ def test_the_band_that_says_elevation(tmp_path: Path, bands: Any, descriptions: 
     dem = Dem.open(write(tmp_path / "d.tif", *bands, descriptions=descriptions))
     np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
     assert dem.doubts == ()
-
-
-def test_bands_without_names_are_doubted(tmp_path: Path) -> None:
-    dem = Dem.open(write(tmp_path / "d.tif", GROUND, OTHER))
-    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
-    assert [doubt.code for doubt in dem.doubts] == ["band"]
 
 
 def hillshade(cell: float) -> np.ndarray:
@@ -175,12 +162,6 @@ def test_heights_that_exist(tmp_path: Path, heights: np.ndarray, codes: list[str
     dem = Dem.open(write(tmp_path / "d.tif", heights.astype(np.float32)))
     np.testing.assert_allclose(dem.elevation, heights, rtol=1e-5, atol=1e-3)
     assert [doubt.code for doubt in dem.doubts] == codes
-
-
-@pytest.mark.parametrize("kind", ["int8", "uint8"])
-def test_low_ground_in_eight_bits(tmp_path: Path, kind: str) -> None:
-    heights = ((GROUND - GROUND.min()) / 5).astype(kind)
-    np.testing.assert_array_equal(Dem.open(write(tmp_path / "d.tif", heights)).elevation, heights)
 
 
 def test_a_stack_whose_coarser_raster_is_in_feet(tmp_path: Path) -> None:
@@ -252,3 +233,9 @@ def test_a_mosaic_names_the_file_that_it_lacks(tmp_path: Path) -> None:
     with pytest.raises(RasterError, match=r"west\.tif"), open_raster(tmp_path / "d.vrt"):
         pass
     assert GridGeometry(400_000.0, 3_800_000.0, 30.0, 60, 40, "EPSG:32611") == Dem.open(tmp_path / "east.tif").geometry
+
+
+def test_bands_without_names_are_doubted(tmp_path: Path) -> None:
+    dem = Dem.open(write(tmp_path / "d.tif", GROUND, OTHER))
+    np.testing.assert_allclose(dem.elevation, GROUND, rtol=1e-6)
+    assert [doubt.code for doubt in dem.doubts] == ["band"]

@@ -1,5 +1,3 @@
-"""Prepared heights: the same as the raster's, shared, and of exactly its present state."""
-
 from __future__ import annotations
 
 import os
@@ -130,46 +128,6 @@ def test_heights_of_a_stranger_are_not_believed(raster: Path) -> None:
     assert is_mapped(Dem.open(raster)), "the raster's owner may"
 
 
-def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
-    left, of_another = (raster.with_name(f".dem.tif.ltm-heights.{pid}") for pid in (2**22 + 1, os.getppid()))
-    for path in (left, of_another):
-        path.write_bytes(b"cut short")
-    prepare_heights(raster)
-    assert (left.exists(), of_another.exists()) == (False, True)
-
-
-def test_heights_in_other_files_than_the_rasters_own_are_not_prepared(raster: Path) -> None:
-    """A VRT stays as it is while the raster that it names changes."""
-    source = f'<SourceFilename relativeToVRT="1">{raster.name}</SourceFilename><SourceBand>1</SourceBand>'
-    transform = "<GeoTransform>480000, 10, 0, 4151000, 0, -10</GeoTransform>"
-    raster.with_name("dem.vrt").write_text(
-        f'<VRTDataset rasterXSize="70" rasterYSize="45"><SRS>EPSG:26911</SRS>{transform}'
-        f'<VRTRasterBand dataType="Float32" band="1"><SimpleSource>{source}</SimpleSource></VRTRasterBand></VRTDataset>'
-    )
-    assert Dem.open(raster.with_name("dem.vrt")).elevation.shape == GRID.shape
-    assert prepare_heights(raster.with_name("dem.vrt")) is None
-
-
-def test_a_raster_that_is_written_to_meanwhile_is_not_prepared(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flush = np.memmap.flush
-
-    def disturbed(heights: np.memmap[tuple[int, ...], np.dtype[np.float32]]) -> None:
-        flush(heights)
-        os.utime(raster)
-
-    monkeypatch.setattr(np.memmap, "flush", disturbed)
-    assert prepare_heights(raster) is None
-    assert sorted(path.name for path in raster.parent.iterdir()) == ["dem.tif"]
-
-
-def test_small_rasters_and_full_disks_have_none(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "free_bytes", lambda path: module.SPARE_BYTES + 1000)
-    assert prepare_heights(raster) is None
-    monkeypatch.undo()
-    assert prepare_heights(raster) is None
-    assert not heights_path(raster).exists()
-
-
 def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RasterError):
         prepare_heights(raster.with_name("absent.tif"))
@@ -201,6 +159,14 @@ def test_a_terrain_with_changed_cells_owns_only_the_pages_of_these(raster: Path)
     assert (is_mapped(written), written.elevation[40, 60]) == (True, 5.0)
     heights_path(raster).unlink()
     assert not is_mapped(surface.surface_over(given))
+
+
+def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
+    left, of_another = (raster.with_name(f".dem.tif.ltm-heights.{pid}") for pid in (2**22 + 1, os.getppid()))
+    for path in (left, of_another):
+        path.write_bytes(b"cut short")
+    prepare_heights(raster)
+    assert (left.exists(), of_another.exists()) == (False, True)
 
 
 @pytest.mark.parametrize("why", ["too small", "no room"])

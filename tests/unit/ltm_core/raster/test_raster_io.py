@@ -1,5 +1,3 @@
-"""GeoTIFFs as rasterio reads them."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -24,14 +22,6 @@ def test_bands_and_place(tmp_path: Path) -> None:
         assert source.crs.to_epsg() == 5070
         assert source.nodata == -1.0
         assert source.tags()["made"] == "by a test"
-
-
-def test_colormap(tmp_path: Path) -> None:
-    array = np.arange(15, dtype=np.uint8).reshape(3, 5)
-    write_geotiff(tmp_path / "c.tif", array, GRID, colormap={2: (10, 20, 30)})
-    with rasterio.open(tmp_path / "c.tif") as source:
-        assert source.colormap(1)[2] == (10, 20, 30, 255)
-        np.testing.assert_array_equal(source.read(1), array)
 
 
 def test_bytes_depend_on_the_arguments_alone(tmp_path: Path) -> None:

@@ -1,12 +1,8 @@
-"""Depth errors gathered frame by frame against those of all frames at once."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.depth_score import score_depth
 
-from ltm_core.base.errors import ImageError
 from ltm_core.scoring.labels import DepthTally
 
 INF = np.float32(np.inf)
@@ -28,36 +24,8 @@ def test_known_errors_by_range() -> None:
     assert tally.coverage == 1.0
 
 
-def test_frame_by_frame_is_all_at_once() -> None:
-    random = np.random.default_rng(3)
-    truths = [random.uniform(5, 4000, (7, 13)).astype(np.float32) for _ in range(5)]
-    estimates = [t + random.normal(0.4, 9, t.shape).astype(np.float32) for t in truths]
-    for truth, estimate in zip(truths, estimates, strict=True):
-        truth[random.random(truth.shape) < 0.1] = INF
-        estimate[random.random(truth.shape) < 0.1] = np.nan
-    tally = DepthTally()
-    for truth, estimate in zip(truths, estimates, strict=True):
-        tally.add(estimate, truth)
-    for found, expected in zip(tally.scores(), score_depth(estimates, truths), strict=True):
-        assert (found.near, found.far, found.pixels) == (expected.near, expected.far, expected.pixels)
-        for name in ("rmse", "mae", "bias"):
-            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-5, nan_ok=True)
-        # Between the two middle errors of an even number any value is a median: allow their distance.
-        assert found.median == pytest.approx(expected.median, rel=0.05, nan_ok=True)
-    assert 0.85 < tally.coverage < 0.95
-
-
 @pytest.mark.parametrize("size", [0.0, 5e-5, 0.03, 2.0, 4321.0])
 def test_median_of_equal_errors(size: float) -> None:
     tally = DepthTally()
     tally.add(np.full((3, 5), 9000 + size, np.float64), np.full((3, 5), 9000.0))
     assert tally.scores()[-1].median == pytest.approx(size, rel=0.006, abs=1e-4)
-
-
-def test_nothing_in_common() -> None:
-    tally = DepthTally()
-    tally.add(np.full((2, 3), np.nan, np.float32), np.full((2, 3), 10, np.float32))
-    assert tally.coverage == 0.0
-    assert tally.scores()[-1].pixels == 0
-    with pytest.raises(ImageError, match=r"\(2, 3\) cannot be scored against truth of \(3, 2\)"):
-        tally.add(np.zeros((2, 3), np.float32), np.zeros((3, 2), np.float32))

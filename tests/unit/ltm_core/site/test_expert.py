@@ -1,5 +1,3 @@
-"""The section `expert` of a site file."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Site files."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,16 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.base.errors import ConfigError, ModelError, PoseError, RasterError
-from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
-from ltm_core.fuel.prior_io import load_prior
-from ltm_core.geometry.camera import Camera
+from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.label_head import find_label_head
-from ltm_core.vision.manifest import NetworkManifest
 
 REPOSITORY = Path(__file__).parents[4]
 SITE: dict[str, Any] = {
@@ -34,15 +27,6 @@ def load(folder: Path, **changes: Any) -> Site:
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(SITE | changes), encoding="utf-8")
     return load_site(path)
-
-
-def test_defaults(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    assert (site.curvature, site.refraction) == (True, 0.13)
-    assert (site.fuel.resolution, site.fuel.phase, site.fuel.max_range) == (30.0, 15.0, 6000.0)
-    assert (site.frame.crs, site.frame.x_origin, site.frame.y_origin) == ("EPSG:32611", 346_000.0, 3_783_000.0)
-    assert site.bend == pytest.approx(0.87 / 2 / 6_371_008.8)
-    assert load(tmp_path, expert={"curvature": False}).bend == 0.0
 
 
 def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,21 +65,10 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"crs": "EPSG:4326"}, ["crs", "projected in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
-        (
-            {"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 999}}}},
-            ["azimuth_deg", "999", "0 to 360"],
-        ),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "pitch_deg": -95}}}}, ["-95", "-90"]),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "roll_deg": 200}}}}, ["200", "180"]),
         ({"expert": {"refraction": 1.0}}, ["refraction", "got 1.0"]),
         ({"cameras": {"a": {"image": "mjpeg"}}}, ["cameras.a.image", "got 'mjpeg'"]),
-        ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "azimuth_deg": 0}}}}, ["either z or height_above_ground"]),
-        (
-            {"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "height_above_ground": 2, "azimuth_deg": 0}}}},
-            ["either z or height_above_ground"],
-        ),
-        ({"cameras": {"a": {"calibration": {"width": 8, "height": 6}}}}, ["either hfov_deg or fx"]),
-        ({"cameras": {"a": {"calibration": {"width": 8, "height": 6, "fx": 5, "hfov_deg": 60}}}}, ["not both"]),
         ({"cameras": {"a": {"calibration": {"width": 0, "height": 6, "fx": 5}}}}, ["width", "got 0"]),
     ],
 )
@@ -104,21 +77,6 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
         load(tmp_path, **changes)
     for message in ["site.yaml", *messages]:
         assert message in str(raised.value)
-
-
-def test_names_that_no_file_can_have(tmp_path: Path) -> None:
-    """They are looked for beside the site file, and told where they are needed."""
-    name = "long" * 70
-    site = load(tmp_path, model=f"{name}.yaml", cameras={"north": {"label_head": name}}, fuel={"prior": {"path": name}})
-    with pytest.raises(ModelError, match=name):
-        NetworkManifest.find(site.model)
-    with pytest.raises(ModelError, match=name):
-        NetworkManifest.find(name)
-    with pytest.raises(ModelError, match=f"no label head '{name}'"):
-        find_label_head(name, NetworkManifest.find("landscape_lite0"), tmp_path)
-    assert site.fuel.prior is not None
-    with pytest.raises(RasterError, match=f"{name}: no such file"):
-        load_prior(site.fuel.prior, GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611"))
 
 
 def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
@@ -133,49 +91,6 @@ def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path
     assert site.alerts.ca == tmp_path / "ca.crt"
     assert load(tmp_path, alerts={"mqtt": "mqtt://[::1]:1883"}, health={"port": 9000}).health.port == 9000  # type: ignore[union-attr]
     assert load(tmp_path).health is None
-
-
-def test_no_site_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: cannot be read"):
-        load_site(tmp_path / "absent.yaml")
-
-
-def test_a_camera_that_is_not_there(tmp_path: Path) -> None:
-    site = load(tmp_path, cameras={"north": {}, "east": {"image": "raw"}})
-    assert site.camera("east").image == "raw"
-    with pytest.raises(ConfigError, match="ridge has no camera 'west'; it has east, north"):
-        site.camera("west")
-
-
-def test_calibrations() -> None:
-    assert CalibrationConfig(width=8, height=6, hfov_deg=90).camera() == Camera.from_fov(8, 6, 90)
-    assert CalibrationConfig(width=8, height=6, fx=5).camera() == Camera(8, 6, 5, 5, 3.5, 2.5)
-    stated = CalibrationConfig(width=8, height=6, fx=5, fy=6, cx=3, cy=2, k1=0.1)
-    assert stated.camera() == Camera(8, 6, 5, 6, 3, 2, (0.1, 0, 0, 0, 0))
-
-
-def test_poses(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    heights = np.array([[10, 20, 30], [40, 50, 60]], np.float32)
-    dem = Dem(heights, GridGeometry(0.0, 20.0, 10.0, 3, 2))  # in the map frame
-    place = {"x": 346_015.0, "y": 3_783_005.0, "azimuth_deg": 214.0, "pitch_deg": -4.0, "roll_deg": 1.5}
-    above = PoseConfig(**place, height_above_ground=7.5).pose(dem, site.frame)
-    np.testing.assert_allclose(above.position, [15.0, 5.0, 57.5])
-    np.testing.assert_allclose(above.angles_deg, [214.0, -4.0, 1.5])
-    np.testing.assert_allclose(PoseConfig(**place, z=900.0).pose(dem, site.frame).position, [15.0, 5.0, 900.0])
-    with pytest.raises(PoseError, match=r"no terrain under the camera at \(1, 3783005\): give its z"):
-        PoseConfig(**place | {"x": 1.0}, height_above_ground=7.5).pose(dem, site.frame)
-
-
-def test_a_camera_under_the_ground(tmp_path: Path) -> None:
-    site = load(tmp_path)
-    dem = Dem(np.full((2, 3), 900.0, np.float32), GridGeometry(0.0, 20.0, 10.0, 3, 2))
-    place = {"x": 346_015.0, "y": 3_783_005.0, "azimuth_deg": 214.0}
-    with pytest.raises(PoseError, match=r"\(346015, 3783005\): z = 880 m is 20.00 m under the ground.* 900.00 m"):
-        PoseConfig(**place, z=880.0).pose(dem, site.frame)
-    feet = Dem(dem.elevation / 0.3048, dem.geometry)
-    with pytest.raises(PoseError, match=r"if the DEM's heights are feet, the ground is at 900 m"):
-        PoseConfig(**place, z=912.0).pose(feet, site.frame)
 
 
 def test_an_origin_far_from_the_dem(tmp_path: Path) -> None:
@@ -210,17 +125,6 @@ def test_committed_site_files(path: Path) -> None:
     assert site.frame.crs == site.crs
 
 
-def test_the_demo_dem_is_in_its_sites_frame() -> None:
-    site = load_site(REPOSITORY / "bags/demo/site.yaml")
-    dem = site.open_dem()
-    x_min, y_min, x_max, y_max = dem.geometry.bounds
-    assert max(abs(v) for v in (x_min, y_min, x_max, y_max)) < 20_000
-    assert np.isfinite(dem.elevation).all()
-    fuel = site.fuel_geometry(dem)
-    assert fuel.x_min <= x_min
-    assert fuel.y_max >= y_max
-
-
 def test_pictures_of_videos_may_be_published_as_they_are_decoded(tmp_path: Path) -> None:
     """A stream and a USB camera are decoded; of a snapshot there is only the camera's JPEG."""
     video = {"kind": "v4l2", "device": "/dev/video0"}
@@ -231,3 +135,8 @@ def test_pictures_of_videos_may_be_published_as_they_are_decoded(tmp_path: Path)
         assert load(tmp_path, cameras={"north": known | {"source": source}}).camera("north").image == "raw"
     with pytest.raises(ConfigError, match="publishes the camera's JPEGs"):
         load(tmp_path, cameras={"north": known | {"source": snapshot}})
+
+
+def test_no_site_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"absent\.yaml: cannot be read"):
+        load_site(tmp_path / "absent.yaml")

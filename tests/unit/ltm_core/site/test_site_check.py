@@ -1,5 +1,3 @@
-"""What a check of a site finds beyond what its nodes would refuse; `test_user_mistakes` has the rest."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -52,14 +50,6 @@ def test_a_site_as_it_should_be(tmp_path: Path) -> None:
     assert ("north", "calibration and pose are read from topics") in said(check, SiteVerdict.OK)
 
 
-def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> None:
-    assert not said(checked(tmp_path, 890.0, depth_model="landscape_v2_depth"), SiteVerdict.DOUBTFUL)
-    ((name, message),) = said(checked(tmp_path, 890.0, depth_model="landscape_lite0_depth"), SiteVerdict.DOUBTFUL)
-    assert (name, message.partition(": ")[2]) == ("depth_model", "landscape_v2_depth costs less")
-    both = {"model": "landscape_lite0", "depth_model": "landscape_lite0_depth"}
-    assert not said(checked(tmp_path, 890.0, **both), SiteVerdict.DOUBTFUL)
-
-
 @pytest.mark.parametrize(
     ("key", "wrong"), [("model", "landscape_v2_depth"), ("depth_model", "landscape_v2"), ("model", "tcmonodepth")]
 )
@@ -86,13 +76,6 @@ def test_only_the_cameras_that_run_are_looked_at(tmp_path: Path) -> None:
     assert not check_site(tmp_path / "site.yaml", ["south"]).wrong
     ((_, message),) = said(check_site(tmp_path / "site.yaml", ["west"]), SiteVerdict.WRONG)
     assert "ridge has no camera 'west'; it has north, south" in message
-
-
-def test_a_mast_as_high_as_none_is(tmp_path: Path) -> None:
-    pose = {"x": 346_700.0, "y": 3_783_900.0, "height_above_ground": 400.0, "azimuth_deg": 40.0}
-    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"pose": pose}}), SiteVerdict.DOUBTFUL)
-    assert name == "north"
-    assert "400 m is higher than masts" in message
 
 
 @pytest.mark.parametrize(
@@ -157,13 +140,6 @@ CALIBRATION = {
 }
 
 
-def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
-    below = {key: value for key, value in HEAD.items() if key != "height_above_ground"} | {"z": 5.0}
-    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), SiteVerdict.WRONG)
-    assert name == "north"
-    assert "camera at (347000, 3783500)" in message
-
-
 def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
     check = checked(tmp_path, 890.0, label_heads="heads", cameras={"north": {"label_head": "chaparral"}, "south": {}})
     ((_, message),) = [found for found in said(check, SiteVerdict.WRONG) if found[0] == "label head chaparral"]
@@ -186,17 +162,6 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
         check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
         ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head mast"]
         assert message.endswith("train one for each") is (verdict is SiteVerdict.DOUBTFUL)
-
-
-@pytest.mark.parametrize("line", [880.0, 897.9, 2400.0])
-def test_a_tree_line_says_how_much_of_the_terrain_is_above_it(tmp_path: Path, line: float) -> None:
-    check = checked(tmp_path, 890.0, fuel={"growth": {"tree_line_m": line}})
-    assert check.dem is not None
-    above = (check.dem.elevation > line).mean()
-    assert dict(said(check, SiteVerdict.OK))["tree line"] == (
-        f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
-    )
-    assert (above > 0, above < 1) == (line < 900, line > 880)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""A section of a camera is changed in a site file; every other line stays."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Files that are no store of this map, or a damaged one: refused with the reason, and left as they are."""
-
 from __future__ import annotations
 
 import contextlib
@@ -90,19 +88,6 @@ def test_damaged_store_is_refused_and_left_alone(tmp_path: Path, where: str) -> 
     with pytest.raises(ConfigError, match="damaged"):
         read_whole(path)
     assert path.read_bytes() == bytes(content)
-
-
-def test_a_table_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
-    """SQLite's words repeat the name, and Python takes them for UTF-8."""
-    path = spoiled(tmp_path / "store.ltm", "UPDATE sources SET kept = kept")
-    content = path.read_bytes()
-    row = b"touches" * 2, b"CREATE TABLE touches ("  # its name twice and its columns, in SQLite's own table
-    assert all(part in content for part in row)
-    for part, other in zip(row, (b"to\x80ches" * 2, b"CREATE TABLE touches ,"), strict=True):
-        content = content.replace(part, other)
-    path.write_bytes(content)
-    with pytest.raises(ConfigError, match="damaged"):
-        read_all(path)
 
 
 def spoiled(path: Path, order: str, *values: object) -> Path:

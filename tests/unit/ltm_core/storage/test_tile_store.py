@@ -1,9 +1,6 @@
-"""The tile store: what is committed is there, whole, once."""
-
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -169,31 +166,3 @@ def test_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such store"):
         TileStore.open_read_only(tmp_path / "map.ltm", "weather")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_an_interrupted_creation_left_is_no_store(tmp_path: Path) -> None:
-    path = tmp_path / "map.ltm"
-    (tmp_path / ".map.ltm.new").write_bytes(b"half")
-    with TileStore.open(path, SCHEMA) as store:
-        assert store.keys() == []
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.ltm", "map.ltm.lock"]
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda t: t.pop("seen"),
-        lambda t: t.update(other=t["seen"]),
-        lambda t: t.update(rain=t["rain"].astype(np.float64)),
-        lambda t: t.update(rain=t["rain"][:5]),
-    ],
-)
-def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
-    arrays = tile(1)
-    spoil(arrays)
-    with TileStore.in_memory(SCHEMA) as store:
-        with pytest.raises(ValueError, match="tile"):
-            store.commit({(0, 0): arrays})
-        with pytest.raises(ValueError, match="outside"):
-            store.commit({(2, 0): tile(1)})
-        assert store.keys() == []

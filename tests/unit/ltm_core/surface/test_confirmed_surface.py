@@ -1,11 +1,8 @@
-"""Confirmed cells over a DEM or a stack: what they touch; and the fuel of what has changed."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
@@ -63,12 +60,6 @@ def test_bare_earth_follows_only_where_it_has_changed() -> None:
     assert (felled.lowered, slid.lowered) == (0, 1)
 
 
-def test_unknown_ground_stays_unknown() -> None:
-    dem = sloping(GRID)
-    dem.elevation[3, 7] = np.nan
-    assert np.isnan(confirmed([(3, 7)], [311.0]).surface_over(dem).elevation[3, 7])
-
-
 def test_all_levels_of_a_stack_follow_but_not_at_their_seam() -> None:
     coarse = sloping(GridGeometry(0.0, 600.0, 4.0, 100, 85))
     stack = DemStack([sloping(GRID), coarse])
@@ -80,15 +71,6 @@ def test_all_levels_of_a_stack_follow_but_not_at_their_seam() -> None:
     fine = np.argwhere(found.levels[0].elevation != stack.levels[0].elevation)
     assert fine.tolist() == [list(middle)]
     assert float(found.elevation_at(x, y)) == pytest.approx(800.0)
-
-
-def test_cells_that_are_none_are_refused() -> None:
-    with pytest.raises(RasterError, match="outside their grid"):
-        confirmed([(30, 0)], [1.0])
-    with pytest.raises(RasterError, match="row-major order"):
-        confirmed([(3, 8), (3, 7)], [1.0, 2.0])
-    with pytest.raises(RasterError, match="without a finite height"):
-        confirmed([(3, 8)], [float("nan")])
 
 
 def test_small_moves_are_no_difference() -> None:

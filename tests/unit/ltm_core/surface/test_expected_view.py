@@ -1,5 +1,3 @@
-"""What is kept of fixed views, and what rays pass over quickly, changes nothing of what is found."""
-
 from __future__ import annotations
 
 from functools import cache
@@ -42,17 +40,6 @@ def test_views_that_are_kept_and_views_that_are_not_give_the_same() -> None:
     assert (anew["change"] > 0).sum() > 300
     for name, values in kept().items():
         np.testing.assert_array_equal(values, anew[name], err_msg=name)
-
-
-def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = kept()
-    monkeypatch.setattr(
-        "ltm_core.surface.observation.block_maxima",
-        lambda surface: np.full([-(-n // 8) for n in surface.shape], np.inf, np.float32),
-    )
-    thorough = layers(RULES)
-    for name in quick:
-        np.testing.assert_array_equal(quick[name], thorough[name], err_msg=name)
 
 
 @pytest.mark.parametrize(("away", "sigma", "grown"), [(60.0, 1.0, True), (93.0, 10.0, False)], ids=["within", "rim"])

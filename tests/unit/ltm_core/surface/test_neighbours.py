@@ -1,18 +1,11 @@
-"""What neighbours say of a cell's shift: stands and open ground apart, and regions that go on where nobody sees."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.base.types import BoolArray
 from ltm_core.surface.change import (
-    SMOOTHING,
     WIDE,
-    Estimates,
-    blurred,
-    mean_of_neighbours,
-    own_shift,
     regions,
     stand_rise,
 )
@@ -22,62 +15,11 @@ pytestmark = pytest.mark.kernel
 SHAPE = (50, 70)
 
 
-def estimates(off: Float64Array, sigma: float, relative_variance: float, usable: BoolArray) -> Estimates:
-    weight, even = (np.where(usable, 1 / s**2, 0).astype(np.float32) for s in (sigma, relative_variance))
-    return Estimates(np.where(usable, off, 0).astype(np.float32), weight, even, usable)
-
-
 @pytest.fixture
 def stand() -> BoolArray:
     inside = np.zeros(SHAPE, np.bool_)
     inside[8:40, 20:61] = True
     return inside
-
-
-def test_open_ground_beside_a_stand_takes_no_part_in_its_growth(stand: BoolArray) -> None:
-    cells = estimates(np.where(stand, 4.0, 0.25), 2.0, 0.5, np.ones(SHAPE, np.bool_))
-    shift, _ = mean_of_neighbours(cells, stand, 1.0)
-    np.testing.assert_allclose(shift, np.where(stand, 4.0, 0.25), atol=1e-4)
-
-
-def test_crowns_seen_from_the_side_are_surer_together_of_their_stand_than_of_themselves() -> None:
-    everything = np.ones(SHAPE, np.bool_)
-    cells = estimates(np.full(SHAPE, 3.0), 5.0, 0.8, everything)
-    shift, doubt = mean_of_neighbours(cells, everything, 0.5)
-    np.testing.assert_allclose(shift, 3.0, atol=1e-4)
-    # As if the neighbours' errors were one: no less than one cell's word on its stand, and far less than on itself.
-    np.testing.assert_allclose(doubt[20:30, 30:40], 0.8, atol=1e-3)
-
-
-def test_a_lone_cell_far_from_all_others_of_its_kind_speaks_for_itself() -> None:
-    usable = np.zeros(SHAPE, np.bool_)
-    usable[5, 6] = usable[40, 60] = True
-    off = np.zeros(SHAPE)
-    off[5, 6], off[40, 60] = 2.0, -7.0
-    shift, doubt = mean_of_neighbours(estimates(off, 1.0, 1.0, usable), np.zeros(SHAPE, np.bool_), 1.0)
-    assert shift[5, 6] == pytest.approx(2.0, abs=1e-3)
-    assert shift[40, 60] == pytest.approx(-7.0, abs=1e-3)
-    assert np.isinf(doubt[5, 60])
-
-
-def test_a_cell_keeps_its_own_detail_where_neighbours_differ_beyond_their_noise() -> None:
-    rng = np.random.default_rng(4)
-    everything, mean = np.ones(SHAPE, np.bool_), np.full(SHAPE, 5.0, np.float32)
-    rough = rng.uniform(1.0, 9.0, SHAPE)
-    for sigma, kept in ((0.1, True), (30.0, False)):
-        own = own_shift(estimates(rough, sigma, sigma, everything), np.full(SHAPE, sigma**2, np.float32), mean, 1.0)
-        near = np.abs(own - rough) < 0.05
-        assert near.mean() > 0.99 if kept else np.allclose(own, 5.0)
-
-
-def test_the_blur_is_a_gaussian_that_takes_what_is_outside_for_nothing() -> None:
-    spike = np.zeros((31, 41), np.float32)
-    spike[14, 22] = 1.0
-    smooth = blurred(spike, SMOOTHING)
-    row, col = np.mgrid[0:31, 0:41]
-    gauss = np.exp(-((row - 14.0) ** 2 + (col - 22.0) ** 2) / (2 * SMOOTHING**2)) / (2 * np.pi * SMOOTHING**2)
-    np.testing.assert_allclose(smooth, gauss, atol=2e-4)
-    assert blurred(np.ones((31, 41), np.float32), SMOOTHING)[0, 0] == pytest.approx(0.4, abs=0.06)
 
 
 def test_a_region_goes_on_through_what_nobody_sees_of_a_stand_and_not_over_what_is_as_it_was() -> None:

@@ -1,5 +1,3 @@
-"""The surface map on a small hillside: what agreeing views move, and what one view, or whatever moves, does not."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -26,13 +24,9 @@ from scenes.terrain_hillside import (
 
 from ltm_core.base.errors import ConfigError, ImageError, PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.config import TerrainConfig
-from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.tile_pool import TilePool, schema_of
 
@@ -112,18 +106,6 @@ def test_smoke_changes_nothing() -> None:
             plume = np.hypot((u - centre) / (25 + 3 * i), (v - 90) / 60) < 1
             way = rng.uniform(0.4, 0.8)
             surface.add(replace(clear, depth=np.where(plume, clear.depth * way, clear.depth).astype(np.float32)))
-    assert len(surface.decide().rows) == 0
-
-
-def test_a_cloud_shadow_changes_nothing() -> None:
-    """A network takes shade for distance: 4 % too far where the shadow passes, which its sigma covers."""
-    surface = surface_map(BARE.copy())
-    for i in range(8):
-        for source in PLACES:
-            lit = frame(BARE, source, i * 0.5, noise=2.0)
-            u = np.arange(CAMERA.width)[None, :]
-            shade = np.abs(u - 40 * i) < 45
-            surface.add(replace(lit, depth=np.where(shade, lit.depth * 1.04, lit.depth).astype(np.float32)))
     assert len(surface.decide().rows) == 0
 
 
@@ -235,13 +217,6 @@ def test_memory_is_bounded_and_nothing_is_lost_by_it(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(getattr(large.layers(), name), getattr(small.layers(), name), err_msg=name)
 
 
-def test_the_memory_for_cells_is_what_the_configuration_says() -> None:
-    config = TerrainConfig(cache_mb=48)
-    pool = TilePool(TileStore.in_memory(schema_of(GEOMETRY)), TilePool.capacity_of(config.cache_mb), True)
-    held = sum(array.nbytes for array in pool.cells)
-    assert 40 * 2**20 < held <= 48 * 2**20
-
-
 def test_bad_frames_are_named() -> None:
     surface = surface_map()
     good = frame(BARE)
@@ -256,9 +231,3 @@ def test_bad_frames_are_named() -> None:
         surface.add(replace(good, pose=under))
     with pytest.raises(ConfigError, match="32 cameras"):
         SurfaceMap(surface.reference, RULES, [f"c{i}" for i in range(33)])
-
-
-def test_a_grid_that_is_too_large_is_refused() -> None:
-    coarse = Dem(np.zeros((60, 50), np.float32), GridGeometry(0.0, 0.0, 400.0, 50, 60))
-    with pytest.raises(ConfigError, match=r"terrain.resolution to 3\.\d m"):
-        Reference.of(coarse, None, 1.0)

@@ -1,5 +1,3 @@
-"""Versions of the confirmed surface on disk: named by content, whole or not there, and taken back."""
-
 from __future__ import annotations
 
 import json
@@ -53,16 +51,6 @@ def test_versions_are_taken_back_one_by_one_and_the_former_return(versions: Surf
     assert not versions.manifest().held
 
 
-def test_a_surface_that_returns_follows_what_counted_meanwhile(versions: SurfaceVersions) -> None:
-    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
-    versions.add(felled(101.0), 3_000, 9)
-    found = versions.manifest()
-    at = [(one.version, one.as_of_ns) for m in (3_500, 2_500, 1_500) if (one := found.at(m)) is not None]
-    assert at == [(first.version, 3_000), (second.version, 2_000), (first.version, 1_000)]
-    assert len(found.versions) == 2
-    assert [versions.take_back().current for _ in range(3)] == [second.version, first.version, ""]
-
-
 def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: SurfaceVersions) -> None:
     for number in (1, 2):
         entry = versions.add(felled(101.0), 1_000, 9)
@@ -112,14 +100,6 @@ def test_a_file_that_is_not_what_was_written_is_refused(versions: SurfaceVersion
         versions.load(entry)
 
 
-def test_another_site_or_grid_is_refused(versions: SurfaceVersions) -> None:
-    entry = versions.add(felled(101.0), 1_000, 9)
-    with pytest.raises(StoreError, match="is of site ridge, not valley"):
-        SurfaceVersions(versions.folder, "valley", GRID).manifest()
-    with pytest.raises(StoreError, match="resolution has changed; move the folder away"):
-        SurfaceVersions(versions.folder, "ridge", GridGeometry(0.0, 60.0, 1.0, 80, 60)).load(entry)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -160,16 +140,6 @@ def test_what_a_later_release_wrote_is_told_as_such_and_stays(
     assert versions.file(entry.version).is_file()
 
 
-def test_an_unknown_key_does_not_excuse_damage(versions: SurfaceVersions) -> None:
-    versions.add(felled(101.0), 1_000, 9)
-    path = versions.folder / MANIFEST
-    content = json.loads(path.read_text())
-    content["stie"] = content.pop("site")  # as bytes that were spoiled
-    path.write_text(json.dumps(content))
-    _, told = versions.manifest_of_writer()
-    assert "it was moved" in told
-
-
 def test_old_versions_make_room_but_not_the_one_that_counts(
     versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,24 +156,6 @@ def test_old_versions_make_room_but_not_the_one_that_counts(
     assert kept.as_of_ns == KEPT
     with pytest.raises(StoreError, match=f"not kept: {KEPT} are kept, the first of 1970-01-01"):
         found.at(1)
-
-
-def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle(
-    versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first, whose follower had come again too and so outlived it: it follows what had followed that."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-    for number in [0, 1, 2, 1, *range(3, KEPT + 1), 0]:
-        versions.add(felled(50.0 + number), 1_000 + number, 9)
-    with pytest.raises(StoreError, match="is not kept"):
-        versions.manifest().at(500)
-    taken = 0
-    while versions.manifest().current:
-        taken, _ = taken + 1, versions.take_back()
-    assert KEPT - 5 <= taken <= KEPT
-    with pytest.raises(StoreError, match="is not kept: none is kept"):
-        versions.manifest().at(500)
-    assert versions.manifest().at(None) is None
 
 
 def test_files_that_no_manifest_names_are_removed(versions: SurfaceVersions) -> None:

@@ -1,14 +1,11 @@
-"""What labels say of a stand where depth says little: two cameras that see grass in its place find it felled."""
-
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_share, dem, frame
+from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, dem, frame
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.surface.change import ChangeKind
@@ -37,14 +34,6 @@ def shown(source: str, cells: BoolArray = PATCH) -> BoolArray:
         inside = dem(BARE).geometry.contains(row, col)
         SEEN[source] = np.where(inside, row, 0), np.where(inside, col, 0)
     return np.asarray(cells[SEEN[source]], np.bool_)
-
-
-def shown_cells(source: str) -> BoolArray:
-    """(H, W) of the grid: cells of the stand that a camera has told of."""
-    surface = stand_map()
-    for hours in (0.0, 2.0):
-        surface.add(standing(source, hours))
-    return np.asarray(surface.layers().observed & PATCH, np.bool_)
 
 
 def labelled(source: str, hours: float, labels: UInt8Array, **changes: object) -> DepthFrame:
@@ -117,14 +106,6 @@ def test_a_standing_wood_stays_though_a_tenth_of_its_labels_are_wrong() -> None:
     assert (surface.layers().observed & PATCH).sum() > 100
 
 
-def test_labels_say_nothing_without_odds() -> None:
-    surface = stand_map(None)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        surface.add(felled(camera, hours))
-    surface.decide()
-    assert not surface.layers().observed.any()
-
-
 def test_sharp_depth_is_believed_against_labels() -> None:
     """Two cameras measure the stand to a decimetre; grass is seen in its place."""
     surface, whole = stand_map(), np.ones((CAMERA.height, CAMERA.width), np.bool_)
@@ -132,16 +113,6 @@ def test_sharp_depth_is_believed_against_labels() -> None:
         surface.add(replace(felled(camera, hours), measured=whole, sigma=np.full(whole.shape, 0.1, np.float32)))
     assert len(surface.decide().rows) == 0
     assert (surface.layers().observed & PATCH).sum() > 100
-
-
-def test_depth_that_hardly_tells_leaves_it_to_the_labels() -> None:
-    """A network draws each pixel to the stand as it was, with a sigma of a fifth of the range."""
-    surface, whole = stand_map(), np.ones((CAMERA.height, CAMERA.width), np.bool_)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        seen = felled(camera, hours)
-        surface.add(replace(seen, measured=whole, sigma=0.2 * seen.depth))
-    surface.decide()
-    assert changed_share(surface) > 0.9
 
 
 def test_what_stands_before_a_stand_hides_it() -> None:
@@ -153,18 +124,6 @@ def test_what_stands_before_a_stand_hides_it() -> None:
         surface.add(replace(seen, measured=whole, depth=near, sigma=0.05 * near))
     surface.decide()
     assert not (surface.layers().change[PATCH] == ChangeKind.REMOVED).any()
-
-
-def test_labels_may_have_another_size_than_depth() -> None:
-    """Depth of one pixel that measures nothing, as of a network that is much coarser than the labels."""
-    surface, small = stand_map(), np.full((1, 1), np.nan, np.float32)
-    for camera, hours in (("west", 0.0), ("east", 0.5)):
-        nothing = {"depth": small, "sigma": small, "measured": np.zeros((1, 1), np.bool_)}
-        surface.add(replace(felled(camera, hours), camera=CAMERA.resized(1, 1), **nothing))
-    surface.decide()
-    assert changed_share(surface) > 0.9
-    with pytest.raises(ImageError, match="label image"):
-        LabelImage(np.zeros((4, 6), np.uint8), CAMERA)
 
 
 def watched(camera: str, looks: int = 4) -> SurfaceMap:
@@ -196,23 +155,3 @@ def test_a_camera_that_has_watched_the_stand_finds_it_felled_alone() -> None:
         surface.add(standing(camera, hours))
     surface.decide()
     assert (surface.layers().change[seen] == ChangeKind.REMOVED).mean() < 0.1
-
-
-def test_a_look_that_the_next_one_contradicts_fells_nothing() -> None:
-    surface = watched("west")
-    for hours in (30.0, 34.0, 38.0):
-        surface.add(felled("west", hours))
-        surface.add(standing("west", hours + 2.0))
-        assert len(surface.decide().rows) == 0
-
-
-def test_two_cameras_that_have_watched_must_agree() -> None:
-    surface = watched("west")
-    for look in range(4):
-        surface.add(standing("east", 10.0 + look))
-    both = shown_cells("west") & shown_cells("east")
-    assert both.sum() > 100
-    for look in range(6):
-        surface.add(felled("west", 30.0 + 2 * look, both))
-        surface.add(standing("east", 31.0 + 2 * look))
-        assert len(surface.decide().rows) == 0

@@ -1,5 +1,3 @@
-"""Smoke and shadows of clouds before a camera, from photo to surface map: nothing that they hide or darken changes."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator

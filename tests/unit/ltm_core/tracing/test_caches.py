@@ -1,5 +1,3 @@
-"""What a tracer keeps between frames."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -73,16 +71,6 @@ def test_a_position_is_profiled_once() -> None:
     assert tracer.statistics.frame_hits == 0
     slow = tracer.trace(CAMERA, Pose.from_angles(POSITION, 190, -20, 0), way="pyramid")
     np.testing.assert_array_equal(turned.range, slow.range)
-
-
-def test_a_new_bend_is_a_new_answer() -> None:
-    tracer = TerrainTracer(rough_terrain(14), curvature=False)
-    pose = Pose.from_angles(POSITION, 10, -20, 0)
-    flat = tracer.trace(CAMERA, pose).range
-    tracer.bend = 1e-3
-    bent = tracer.trace(CAMERA, pose).range
-    both = np.isfinite(flat) & np.isfinite(bent)
-    assert (bent[both] > flat[both]).all()
 
 
 def test_a_moving_camera_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:

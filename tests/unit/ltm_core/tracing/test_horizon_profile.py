@@ -1,5 +1,3 @@
-"""Profiles of positions for which the closed form is known."""
-
 from __future__ import annotations
 
 import numpy as np

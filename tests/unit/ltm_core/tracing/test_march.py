@@ -1,36 +1,14 @@
-"""The paper's own march, kept as a baseline."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import directions, rough_terrain, standing, tilted_plane
+from scenes.rasters import directions, rough_terrain, standing
 
-from ltm_core.base.errors import PoseError
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing import TerrainTracer
 from ltm_lab.tracers.march import march, march_arrays
 
 pytestmark = pytest.mark.kernel
-
-
-def test_depth_on_a_plain_is_the_first_step_below_it() -> None:
-    plain = tilted_plane(east=0.0, north=0.0, base=100.0).dem
-    ray = np.array([0.6, 0.0, -0.8])
-    # 100 steps of 0.25 m go down 20 m exactly; the paper stops where the ray is no longer above the ground.
-    depth = march(plain, (0.0, 0.0, 120.0), [ray], step=0.25)
-    assert depth[0] == pytest.approx(100 * 0.25 * 0.6, abs=0.16)
-
-
-def test_it_uses_the_nearest_cell() -> None:
-    z = np.zeros((5, 40), np.float32)
-    z[:, 20:] = 50.0
-    wall = Dem(z, GridGeometry(0.0, 5.0, 1.0, 40, 5))
-    (depth,) = march(wall, (2.5, 2.5, 10.0), [(1.0, 0.0, 0.0)], step=0.5)
-    assert depth == pytest.approx(17.5)
 
 
 def test_what_ends_a_ray() -> None:
@@ -44,26 +22,6 @@ def test_what_ends_a_ray() -> None:
     assert np.isposinf(up)
     assert down == 0.0
     assert np.isnan(none)
-
-
-def test_the_march_is_within_a_few_metres_of_the_tracer() -> None:
-    dem = rough_terrain(21)
-    camera = Camera.from_fov(97, 61, 50.0)
-    position = standing(dem, 120.0, 60.0, 15.0)
-    pose = Pose.from_angles(position, 60.0, -15.0, 0.0)
-    rays = (camera.rays() @ pose.rotation.T).reshape(-1, 3)
-    marched = march(dem, position, rays, step=1.0)
-    exact = TerrainTracer(dem, curvature=False).trace(camera, pose).horizontal().ravel()
-    both = np.isfinite(marched) & np.isfinite(exact)
-    error = np.abs(marched[both] - exact[both])
-    assert both.mean() > 0.5
-    assert np.median(error) < 1.5
-
-
-@pytest.mark.parametrize(("origin", "step"), [((0, 0, np.nan), 1.0), ((0, 0, 500), 0.0)])
-def test_refuses_what_cannot_be_marched(origin: tuple[float, ...], step: float) -> None:
-    with pytest.raises(PoseError, match="cannot march"):
-        march(tilted_plane().dem, origin, [(1, 0, 0)], step)
 
 
 def test_numpy_march_is_the_same_march() -> None:

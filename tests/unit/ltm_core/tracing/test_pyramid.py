@@ -1,5 +1,3 @@
-"""The maximum pyramid and the ceilings of holes against brute force."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -10,8 +8,6 @@ from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN, build_pyramid
 from ltm_lab.tracers.reference import with_ceilings
 
 pytestmark = pytest.mark.kernel
-
-NAN = np.float32(np.nan)
 
 
 RISE, HIGHEST = 35.0, 150.0
@@ -54,12 +50,6 @@ def test_every_bound(shape: tuple[int, int], missing: float) -> None:
             np.testing.assert_array_equal(told, np.array(expected))
 
 
-def test_the_pyramid_costs_a_twelfth_of_the_elevations() -> None:
-    nodes = np.zeros((512, 1024), np.float32)
-    pyramid = build_pyramid(nodes, find_holes(nodes, RISE, HIGHEST))
-    assert sum(a.nbytes for a in pyramid) < 0.085 * nodes.nbytes
-
-
 def filled_by_runs(nodes: np.ndarray, rise: float = RISE, highest: float = HIGHEST) -> np.ndarray:
     holes = find_holes(nodes, rise, highest)
     assert (np.diff(holes.hole_first) > 0).all()
@@ -79,38 +69,3 @@ def test_ceilings_against_labelled_holes(shape: tuple[int, int], missing: float)
             holes = find_holes(nodes, RISE, HIGHEST)
             told = [in_outer_hole(nodes.ravel(), holes, at) for at in range(nodes.size)]
             np.testing.assert_array_equal(np.reshape(told, shape), outer)
-
-
-def test_an_enclosed_hole_is_no_higher_than_its_highest_neighbour() -> None:
-    nodes = np.arange(48, dtype=np.float32).reshape(6, 8)
-    nodes[2, 3] = nodes[3, 4] = NAN  # touch at a corner: one hole
-    filled = filled_by_runs(nodes)
-    assert filled[2, 3] == filled[3, 4] == nodes[4, 5]
-    known = ~np.isnan(nodes)
-    np.testing.assert_array_equal(filled[known], nodes[known])
-
-
-def test_a_hole_is_no_steeper_than_stated() -> None:
-    nodes = np.full((7, 11), 5.0, np.float32)
-    nodes[2:5, 2:9] = NAN
-    nodes[3, 9] = 100.0  # one spike at its rim
-    beside_the_spike = 5 + 2 * np.sqrt(2)  # from the nodes north and south of it
-    expected = [5, 5, 7, 9, 9, 9, 9, 9, beside_the_spike, 100, 5]
-    np.testing.assert_allclose(filled_by_runs(nodes, rise=2.0)[3], expected, rtol=1e-6)
-
-
-def test_an_outer_hole_rises_to_the_highest_possible_ground_around_corners() -> None:
-    nodes = np.full((5, 9), NAN, np.float32)
-    nodes[0, 0] = 10.0
-    nodes[:4, 4] = 60.0  # a wall between the two halves
-    filled = filled_by_runs(nodes, rise=10.0, highest=65.0)
-    assert filled[0, :4].tolist() == [10, 20, 30, 40]
-    np.testing.assert_allclose(filled[2:4, 1], [10 + 10 * (1 + np.sqrt(2)), 10 + 10 * (2 + np.sqrt(2))], rtol=1e-6)
-    assert filled[4, 4] == filled[4, 8] == 65.0
-
-
-def test_what_holes_cost() -> None:
-    nodes = np.zeros((600, 800), np.float32)
-    nodes[100:300, 200:500] = NAN
-    runs = 200 * (8 + 8 + 1 + 8)
-    assert sum(a.nbytes for a in find_holes(nodes, RISE, HIGHEST)) == runs + 200 * 300 * 4

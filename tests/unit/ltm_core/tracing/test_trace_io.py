@@ -1,5 +1,3 @@
-"""Pose files in, rasters out, of `ltm trace`."""
-
 from __future__ import annotations
 
 import json
@@ -35,7 +33,6 @@ pose:
   pitch_deg: -12
   roll_deg: 2
 """
-SURVEYED = POSE.replace("height_above_ground: 14", "z: 912.5")
 
 
 @pytest.fixture
@@ -60,35 +57,6 @@ def test_the_camera_stands_above_the_ground_in_a_near_frame(tmp_path: Path, dem:
     assert setup.camera == Camera.from_fov(64, 40, 55)
 
 
-def test_a_position_may_be_longitude_and_latitude(tmp_path: Path, dem: Dem) -> None:
-    from pyproj import Transformer
-
-    lon, lat = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True).transform(400_060.5, 3_799_930.25)
-    text = POSE.replace("400060.5", f"{lon:.9f}").replace("3799930.25", f"{lat:.9f}") + "  crs: EPSG:4326\n"
-    setup = set_up_picture(config_of(tmp_path, text), dem)
-    np.testing.assert_allclose(setup.pose.position[:2], [60.5, -69.75], atol=1e-3)
-
-
-def test_a_surveyed_height_is_taken_as_it_is(tmp_path: Path, dem: Dem) -> None:
-    assert set_up_picture(config_of(tmp_path, SURVEYED), dem).pose.position[2] == 912.5
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (POSE + "azimut_deg: 3\n", "azimut_deg: unknown key"),
-        (POSE.replace("hfov_deg: 55", "hfov_deg: 55, fx: 800"), "either hfov_deg or fx"),
-        (POSE + "  z: 900\n", "either z or height_above_ground"),
-        (POSE.replace("  height_above_ground: 14\n", ""), "either z or height_above_ground"),
-        (POSE.replace("azimuth_deg: 75", "azimuth_deg: .nan"), "azimuth_deg"),
-        (POSE.replace("  azimuth_deg: 75\n", ""), "azimuth_deg: missing"),
-    ],
-)
-def test_refuses_pose_files_that_cannot_be_meant(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        config_of(tmp_path, text)
-
-
 def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
     beside = POSE.replace("400060.5", "399000")
     with pytest.raises(PoseError, match=r"camera at \(399000, 3799930.25\): .*check position.*x 400000 to 400263"):
@@ -98,26 +66,6 @@ def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
     swapped = POSE.replace("400060.5", "34").replace("3799930.25", "-118") + "  crs: EPSG:4326"
     with pytest.raises(PoseError, match="longitude first"):
         set_up_picture(config_of(tmp_path, swapped), dem)
-
-
-def test_a_wrong_crs_is_told_by_where_it_leads(tmp_path: Path, dem: Dem) -> None:
-    """The numbers lie within the DEM's bounds, but not in the zone that is named."""
-    with pytest.raises(PoseError, match=r"\(400060.5, 3799930.25\) in EPSG:32610, that is \(-\d+, \d+\) in EPSG:32611"):
-        set_up_picture(config_of(tmp_path, POSE + "  crs: EPSG:32610\n"), dem)
-    (doubt,) = set_up_picture(config_of(tmp_path, SURVEYED + "  crs: EPSG:32610\n"), dem).doubts
-    assert "that is (-" in doubt
-    assert "check position and crs" in doubt
-
-
-def test_what_may_be_in_another_unit_is_doubted(tmp_path: Path, dem: Dem) -> None:
-    assert set_up_picture(config_of(tmp_path, SURVEYED), dem).doubts == ()
-    odd = SURVEYED.replace("912.5", "2990").replace("azimuth_deg: 75", "azimuth_deg: 1.309")
-    radians, feet = set_up_picture(config_of(tmp_path, odd), dem).doubts
-    assert "1.309 rad is 75.0 deg" in radians
-    assert "as feet it would be 911 m" in feet
-    buried = SURVEYED.replace("912.5", "500")
-    with pytest.raises(PoseError, match="under the ground"):
-        set_up_picture(config_of(tmp_path, buried), dem)
 
 
 def test_a_photo_that_exif_turns_says_so(tmp_path: Path) -> None:

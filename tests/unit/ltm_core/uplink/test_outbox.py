@@ -1,5 +1,3 @@
-"""The outbox: what `put` has returned from is there after any end, once, until it is acknowledged or has no room."""
-
 from __future__ import annotations
 
 import signal

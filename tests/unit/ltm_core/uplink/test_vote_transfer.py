@@ -1,5 +1,3 @@
-"""Votes on another site's grid: exact where cells coincide, by nearest cell in another CRS, refused at another size."""
-
 from __future__ import annotations
 
 import math
@@ -91,17 +89,3 @@ def test_other_cells_and_other_grids_are_refused() -> None:
         VoteTransfer(huge, TOWER, in_map(TOWER, ORIGIN))
     with pytest.raises(MessageError, match="not on"):
         transfer(TOWER, ORIGIN).votes(votes(3, replace(in_map(TOWER, ORIGIN), width=91)))
-
-
-def test_a_crs_that_has_no_north_where_the_region_is_is_refused() -> None:
-    """Of Qatar, seen from California: points can be put into it, but nobody knows by how much a bearing turns."""
-    x, y = Transformer.from_crs("EPSG:26911", "EPSG:2099", always_xy=True).transform(*TOWER.to_map(35, 45))
-    far = GridGeometry(x - 6_000.0, y + 6_000.0, 30.0, 400, 410, "EPSG:2099")
-    taken = VoteTransfer(far, TOWER, in_map(TOWER, ORIGIN))
-    sent = votes(3, far)
-    assert sent.visibility is not None
-    assert len(taken.votes(replace(sent, visibility=None))) > 0
-    with pytest.raises(MessageError, match="EPSG:2099 is not defined"):
-        taken.votes(sent)
-    with pytest.raises(MessageError, match="no transformation from EPSG:26911 to the tower's ESRI:54101"):
-        VoteTransfer(replace(far, crs="ESRI:54101"), TOWER, in_map(TOWER, ORIGIN))

@@ -1,18 +1,14 @@
-"""Lines of sight: closed forms, and what is traced is seen."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing, tilted_plane
+from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing
 
-from ltm_core.base.errors import PoseError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.visibility.point_visibility import PointState, PointVisibility
 
 pytestmark = pytest.mark.kernel
@@ -79,24 +75,6 @@ def test_states() -> None:
     assert result.visible.tolist() == [True, False, False, False, False, False]
 
 
-def test_tolerance_is_a_height() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    pose = Pose.from_angles((-200.0, 0.0, 440.0), 90.0, -10.0)
-    sunk = np.array([[0.0, 0.0, 420.0 - 0.3]])
-    sight = PointVisibility(plane, curvature=False)
-    assert sight.visible(CAMERA, pose, sunk).states[0] == PointState.HIDDEN
-    # The ray to a point under the ground meets it before the point: lifting to the ground is what counts.
-    assert sight.visible(CAMERA, pose, sunk, tolerance=0.31).states[0] == PointState.VISIBLE
-
-
-def test_plumb_points() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    origin = (3.0, 5.0, 440.0)
-    lift, unknown = PointVisibility(plane).lifts(origin, [[3.0, 5.0, 420.0], [3.0, 5.0, 415.0], [3.0, 5.0, 500.0]])
-    assert lift == pytest.approx([0.0, 5.0, 0.0], abs=1e-4)
-    assert not unknown.any()
-
-
 def test_a_hole_on_the_way_leaves_it_unknown() -> None:
     elevation = np.full((41, 83), 100.0, np.float32)
     elevation[18:23, 40:44] = np.nan
@@ -110,29 +88,3 @@ def test_a_hole_on_the_way_leaves_it_unknown() -> None:
     assert 1.0 < lift[0] < 10.0
     _, unknown = PointVisibility(dem).lifts(standing(dem, 20.0, 10.0, 20.0), places)
     assert not unknown.any(), "the line of sight clears all that the hole may hold"
-
-
-def test_sub_pixel_rays_project_back() -> None:
-    pixels = np.array([[3.25, 100.75], [79.0, 60.0], [158.5, 2.1]])
-    rays = pixel_rays(CAMERA, pixels)
-    assert CAMERA.project(rays * 70.0) == pytest.approx(pixels, abs=1e-9)
-    assert rays[1] == pytest.approx([0.0, 0.0, 1.0])
-    assert pixel_rays(CAMERA, [[80, 61]])[0] == pytest.approx(CAMERA.rays()[61, 80])
-
-
-def test_bad_input() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    sight = PointVisibility(plane)
-    with pytest.raises(PoseError, match="under the ground"):
-        sight.lifts((0.0, 0.0, 400.0), [[1.0, 2.0, 3.0]])
-    with pytest.raises(PoseError, match=r"\(N, 3\)"):
-        sight.lifts((0.0, 0.0, 440.0), [1.0, 2.0, 3.0])
-    with pytest.raises(PoseError, match="three finite"):
-        sight.lifts((0.0, np.nan, 440.0), [[1.0, 2.0, 3.0]])
-    elevation = plane.elevation.copy()
-    elevation[3, 4] = np.inf
-    with pytest.raises(RasterError, match="infinite"):
-        PointVisibility(Dem(elevation, plane.geometry))
-    lift, unknown = sight.lifts((0.0, 0.0, 440.0), [[np.nan, 2.0, 3.0]])
-    assert np.isnan(lift[0])
-    assert unknown[0]

@@ -1,5 +1,3 @@
-"""Coverage of cameras: agreement with tracing their images, footprints, heights, files."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,7 +8,7 @@ import pytest
 import rasterio
 from scenes.rasters import ridge, rough_terrain, standing, tilted_plane
 
-from ltm_core.base.errors import ConfigError, PoseError, RasterError
+from ltm_core.base.errors import PoseError, RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -44,24 +42,6 @@ def test_cells_that_an_image_hits_are_covered() -> None:
     fine = exactly.footprint < 0.4
     assert fine.sum() > 2000
     assert hit[fine].mean() > 0.995
-
-
-def test_counts_add_up_and_the_best_footprint_wins() -> None:
-    dem = rough_terrain(5, (181, 263))
-    sight = PointVisibility(dem)
-    views = [
-        PosedCamera("a", CAMERA, Pose.from_angles(standing(dem, 100.0, 60.0, 25.0), 80.0, -15.0)),
-        PosedCamera(
-            "b", Camera(320, 200, 150.0, 150.0, 159.5, 99.5), Pose.from_angles(standing(dem, 20, 200, 9), 215.0)
-        ),
-    ]
-    both = viewshed(sight, views)
-    alone = [viewshed(sight, [view]) for view in views]
-    assert np.array_equal(both.count, alone[0].count + alone[1].count)
-    assert (both.count == 2).any()
-    assert np.array_equal(both.footprint, np.fmin(alone[0].footprint, alone[1].footprint), equal_nan=True)
-    assert np.array_equal(both.height, np.fmin(alone[0].height, alone[1].height), equal_nan=True)
-    assert both.share() == (both.count > 0).mean()
 
 
 def test_footprints_of_a_plane() -> None:
@@ -113,32 +93,6 @@ def test_trees_hide_the_ground_behind_them() -> None:
     assert coverage.height[wood] == 20.0
 
 
-def test_range_resolution_and_unknown_ground() -> None:
-    plane = tilted_plane(0.0, 0.0).dem
-    elevation = plane.elevation.copy()
-    elevation[:20] = np.nan
-    dem = Dem(elevation, plane.geometry)
-    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
-    near = viewshed(PointVisibility(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
-    assert near.geometry.shape == (53, 75)
-    row, col = np.mgrid[0:53, 0:75]
-    x, y = near.geometry.to_map(row, col)
-    known = np.isfinite(dem.elevation_at(x, y))
-    assert np.array_equal(near.count == -1, ~known)
-    assert np.array_equal(near.count[known] == 1, np.hypot(x - 1, y - 1)[known] <= 100.0)
-
-
-def test_bad_arguments() -> None:
-    sight = PointVisibility(tilted_plane(0.0, 0.0).dem)
-    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
-    with pytest.raises(PoseError, match="at least one camera"):
-        viewshed(sight, [])
-    with pytest.raises(PoseError, match="0 or more metres"):
-        viewshed(sight, [view], target_height=-1.0)
-    with pytest.raises(RasterError, match="positive metres"):
-        viewshed(sight, [view], resolution=0.0)
-
-
 SITE = """
 name: ridge
 crs: EPSG:32611
@@ -185,33 +139,27 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
     assert "seen by 2 or more" in said
 
 
-def test_the_command_sees_a_sites_surface(folder: Path) -> None:
-    command(out=folder / "bare.tif", site=folder / "site.yaml")
-    dem = Dem.open(folder / "dem.tif")
-    tops = dem.elevation.copy()
-    tops[:, 120:125] += 30.0
-    Dem(tops, dem.geometry).save(folder / "tops.tif")
-    (folder / "site.yaml").write_text(SITE.replace("cameras:", "surface: {path: tops.tif}\ncameras:", 1))
-    command(out=folder / "wood.tif", site=folder / "site.yaml")
-    with rasterio.open(folder / "bare.tif") as one, rasterio.open(folder / "wood.tif") as other:
-        bare, wood = one.read(1), other.read(1)
-    assert bare.shape == wood.shape
-    assert (wood[:, 126:] > 0).sum() < 0.5 * (bare[:, 126:] > 0).sum()
+def test_range_resolution_and_unknown_ground() -> None:
+    plane = tilted_plane(0.0, 0.0).dem
+    elevation = plane.elevation.copy()
+    elevation[:20] = np.nan
+    dem = Dem(elevation, plane.geometry)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
+    near = viewshed(PointVisibility(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
+    assert near.geometry.shape == (53, 75)
+    row, col = np.mgrid[0:53, 0:75]
+    x, y = near.geometry.to_map(row, col)
+    known = np.isfinite(dem.elevation_at(x, y))
+    assert np.array_equal(near.count == -1, ~known)
+    assert np.array_equal(near.count[known] == 1, np.hypot(x - 1, y - 1)[known] <= 100.0)
 
 
-def test_the_command_maps_one_pose_as_in_its_site(folder: Path) -> None:
-    command(out=folder / "pose.tif", pose=folder / "pose.yaml", dem=[folder / "dem.tif"])
-    (folder / "site.yaml").write_text(SITE[: SITE.index("  south")])
-    command(out=folder / "site.tif", site=folder / "site.yaml")
-    with rasterio.open(folder / "pose.tif") as one, rasterio.open(folder / "site.tif") as other:
-        assert np.array_equal(one.read(1), other.read(1), equal_nan=True)
-
-
-def test_the_command_says_what_is_missing(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="--site"):
-        command(out=folder / "x.tif")
-    with pytest.raises(ConfigError, match="--dem"):
-        command(out=folder / "x.tif", pose=folder / "pose.yaml")
-    (folder / "site.yaml").write_text(SITE[: SITE.index("  north")] + "  roving: {}\n")
-    with pytest.raises(ConfigError, match="no camera has both calibration and pose"):
-        command(out=folder / "x.tif", site=folder / "site.yaml")
+def test_bad_arguments() -> None:
+    sight = PointVisibility(tilted_plane(0.0, 0.0).dem)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
+    with pytest.raises(PoseError, match="at least one camera"):
+        viewshed(sight, [])
+    with pytest.raises(PoseError, match="0 or more metres"):
+        viewshed(sight, [view], target_height=-1.0)
+    with pytest.raises(RasterError, match="positive metres"):
+        viewshed(sight, [view], resolution=0.0)

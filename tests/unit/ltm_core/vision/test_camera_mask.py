@@ -1,5 +1,3 @@
-"""Masks of fixed cameras: how they are read, drawn and refused."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -14,8 +12,7 @@ from ltm_core.base.errors import ConfigError, SiteVerdict
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.mask_config import MaskPolygon
-from ltm_core.vision.masks import CameraMask, read_mask, write_mask
+from ltm_core.vision.masks import read_mask, write_mask
 
 
 def corner(height: int = MAST.height, width: int = MAST.width) -> np.ndarray:
@@ -61,17 +58,6 @@ def test_polygons_hide_the_pixels_that_they_cover(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.mask.hidden, expected)
 
 
-def test_polygons_of_a_camera_without_calibration_are_drawn_in_the_size_of_its_pictures(tmp_path: Path) -> None:
-    polygons = [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}]
-    scene = site_scene_filter(load_site(site_with(tmp_path, polygons, "tower")), "tower")
-    assert scene.mask is None
-    for height, width in ((18, 32), (36, 64)):
-        hidden = scene.hidden(width, height)
-        assert hidden is not None
-        assert hidden.shape == (height, width)
-        assert hidden.sum() == 50
-
-
 def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
     """Of a calibration that nobody would see the memory for."""
     path = site_with(tmp_path, [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}])
@@ -84,11 +70,6 @@ def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(ConfigError, match=r"calibration\.height: Input should be less than or equal to 65535"):
         load_site(path)
-
-
-def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
-    scene = site_scene_filter(write_small_site(tmp_path, recording=False).site, "tower")
-    assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None
 
 
 def wrong_files(folder: Path) -> dict[str, object]:
@@ -152,37 +133,6 @@ def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: obj
         site_scene_filter(site, "mast")
 
 
-@pytest.mark.parametrize(
-    ("polygons", "key"),
-    [
-        ([], "at least 1 item"),
-        (7, "valid path"),
-        ({"png": "m.png"}, "valid path"),
-        ([{"polygon": [[0, 0], [5, 5]]}], "polygon"),
-        ([{"polygon": [[0, 0], [5, 5], [5, "x"]]}], "polygon"),
-        ([{"polygon": [[0, 0], [5, 5], [5, float("inf")]]}], "polygon"),
-        ([{"polygon": [[0, 0], [5, 5], [5, 0]], "colour": "red"}], "colour"),
-        ([{"polygon": [[0, 0], [5, 5], [5, 0]]}] * 201, "at most 200 items"),
-    ],
-)
-def test_polygons_of_another_form_name_their_key(tmp_path: Path, polygons: object, key: str) -> None:
-    with pytest.raises(ConfigError, match=rf"cameras\.mast\.mask.*{key}"):
-        load_site(site_with(tmp_path, polygons))
-
-
-def test_the_check_tells_the_share(tmp_path: Path) -> None:
-    write_mask(tmp_path / "m.png", corner())
-    (found,) = (f for f in check_site(site_with(tmp_path, "m.png")).findings if f.name == "mast: mask")
-    assert (found.verdict, found.said) == (SiteVerdict.OK, "hides 7.6% of 256 x 144 pixels")
-    write_mask(tmp_path / "n.png", ~corner())
-    (found,) = (f for f in check_site(site_with(tmp_path, "n.png")).findings if f.name == "mast: mask")
-    assert found.verdict is SiteVerdict.DOUBTFUL
-    assert "inverted" in found.said
-
-
-def test_a_polygon_covers_its_edge() -> None:
-    mask = CameraMask.of_polygons([MaskPolygon(polygon=((1, 1), (3, 1), (3, 2), (1, 2)))], 6, 4, "here")
-    expected = np.zeros((4, 6), np.bool_)
-    expected[1:3, 1:4] = True
-    np.testing.assert_array_equal(mask.hidden, expected)
-    assert mask.share == pytest.approx(0.25)
+def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
+    scene = site_scene_filter(write_small_site(tmp_path, recording=False).site, "tower")
+    assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None

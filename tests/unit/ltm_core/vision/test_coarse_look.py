@@ -1,17 +1,11 @@
-"""The coarse look: what the mean of two looks is, that sky keeps its probability, and that heads correct both looks."""
-
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
-from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.manifest import NetworkManifest
@@ -56,26 +50,6 @@ def test_the_crest_keeps_its_classes_and_a_cloud_does_not() -> None:
     np.testing.assert_allclose(odds[:, 100:], full, rtol=1e-5)
 
 
-def test_scores_of_a_network_without_sky_are_averaged_all() -> None:
-    fine, coarse = planes([1.0, 2.0], (4, 6)), planes([3.0, -1.0], (4, 6))
-    found = probabilities(with_coarse_look(fine, coarse, 0.5, ()))
-    np.testing.assert_allclose(found, probabilities(planes([2.0, 0.5], (4, 6))), rtol=1e-5)
-
-
-@given(arrays(np.float32, (5, 4, 7), elements=st.floats(-20, 20, width=32)), st.floats(0.05, 0.95))
-def test_a_second_look_that_says_the_same_changes_nothing(scores: Float32Array, share: float) -> None:
-    np.testing.assert_allclose(with_coarse_look(scores, scores, share, SKY), scores, atol=1e-4)
-
-
-@given(
-    arrays(np.float32, (5, 4, 7), elements=st.floats(-20, 20, width=32)),
-    arrays(np.float32, (5, 2, 3), elements=st.floats(-20, 20, width=32)),
-)
-def test_sky_is_as_likely_as_it_was_whatever_the_second_look_says(fine: Float32Array, coarse: Float32Array) -> None:
-    found = probabilities(with_coarse_look(fine, coarse, 0.5, SKY))
-    np.testing.assert_allclose(found[0], probabilities(fine)[0], atol=1e-4)
-
-
 def photo() -> UInt8Array:
     """Sky above stripes of red and lime that a coarse look cannot tell apart, and one broad field of each."""
     image = np.empty((96, 144, 3), np.uint8)
@@ -102,23 +76,3 @@ def test_a_network_looks_twice_where_its_manifest_says_so(tmp_path: Path, headed
     assert np.abs(found - plain).max() > 0.1, "the stripes are another colour from afar"
     own = Segmenter(once).logits(photo())
     np.testing.assert_array_equal(Segmenter(twice).scores_and_maps(photo())[0], own)  # what heads are taught by
-
-
-@pytest.mark.parametrize(
-    ("look", "message"),
-    [
-        (LOOK | {"share": 1.0}, r"share.*less than 1"),
-        (LOOK | {"width": 0}, r"width.*greater than 0"),
-        ({"width": 20, "share": 0.5}, r"height.*missing"),
-    ],
-)
-def test_a_look_that_cannot_be_is_refused(tmp_path: Path, look: dict[str, float], message: str) -> None:
-    path = write_classifier(tmp_path, coarse_look=look)
-    with pytest.raises(ModelError, match=message):
-        NetworkManifest.load(path)
-
-
-def test_only_scores_can_be_averaged(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path, "probabilities", coarse_look=LOOK)
-    with pytest.raises(ModelError, match=r"coarse_look belongs to output kind logits; remove it for probabilities"):
-        NetworkManifest.load(path)

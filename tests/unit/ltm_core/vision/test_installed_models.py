@@ -1,5 +1,3 @@
-"""`ltm models`: a trial with a picture, words instead of classes, and adding networks that share file names."""
-
 from __future__ import annotations
 
 import hashlib
@@ -14,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 from scenes.networks import changed, write_classifier, write_depth_network
 from scenes.public_exports import depth_anything, depth_anything_3, segformer
 from typer.testing import CliRunner
@@ -156,31 +153,6 @@ def test_a_file_that_is_no_network_is_rejected(tmp_path: Path, data_folder: Path
     assert not data_folder.exists()
 
 
-def test_a_manifest_may_state_the_checksum_of_the_onnx_file_alone(tmp_path: Path) -> None:
-    """As hubs publish it; the installed one covers the weights."""
-    file = depth_anything_3(tmp_path / "net")
-    stated = {"file": "model.onnx", "sha256": hashlib.sha256(file.read_bytes()).hexdigest(), "name": "da3"}
-    (file.parent / "da3.yaml").write_text(yaml.safe_dump(stated))
-    add(file.parent / "da3.yaml")
-    assert NetworkManifest.find("da3").sha256 == NetworkFile.read(file).digest
-
-
-def test_the_kind_decides_which_key_of_a_site_a_network_is_for(tmp_path: Path) -> None:
-    labels, depth = (NetworkManifest.load(write(tmp_path)) for write in (write_classifier, write_depth_network))
-    assert labels.require(depth=False) is labels
-    assert depth.require(depth=True) is depth
-    for wrong, role in ((labels, True), (depth, False)):
-        with pytest.raises(ModelError, match=rf"'{wrong.name}'.*`{'model' if role else 'depth_model'}`"):
-            wrong.require(depth=role)
-    assert "`depth_model: depth`" in add(tmp_path / "depth.yaml")
-
-
-def test_the_depth_of_one_file_with_labels_and_depth_is_chosen_by_its_output(tmp_path: Path) -> None:
-    write_depth_network(tmp_path, two_heads=True)
-    add(tmp_path / "depth.onnx", "--set", "output.name=depth", "--set", "output.kind=metric", "--set", "normalise=unit")
-    assert NetworkManifest.find("depth").output.name == "depth"
-
-
 def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path, data_folder: Path) -> None:
     path = _renamed(tmp_path)
     elsewhere = (tmp_path / "nets" / "colors.onnx").rename(tmp_path / "elsewhere.onnx")
@@ -195,24 +167,6 @@ def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path
     elsewhere.write_bytes(elsewhere.read_bytes()[:-1])
     add(path, "--fetch")
     assert files(data_folder) == ["mine.yaml", "mine/mine.onnx"]
-
-
-def test_a_url_of_another_kind_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"url"):
-        NetworkManifest.load(changed(write_classifier(tmp_path), url="ftp://host/net.onnx"))
-
-
-def test_the_name_of_a_shipped_model_cannot_be_taken(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"'mosaic_r4_ade20k31'.*--name"):
-        add(changed(write_classifier(tmp_path), name="mosaic_r4_ade20k31"))
-
-
-def test_a_check_leaves_a_picture(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path)
-    ltm("check", path, "--out", tmp_path / "out")
-    picture = cv2.imread(str(tmp_path / "out" / "trial_scene_colors.jpg"))
-    assert picture.shape[1] == 640
-    assert picture.std() > 10
 
 
 class _Hub(BaseHTTPRequestHandler):
@@ -325,3 +279,9 @@ def test_every_recipe_has_a_licence_and_an_address_and_can_be_exported_or_downlo
     with pytest.raises(ModelError, match=r"depth-anything-v2-small"):
         ltm("add", "depth-nothing")
     assert install_io.merged({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
+
+
+def test_the_depth_of_one_file_with_labels_and_depth_is_chosen_by_its_output(tmp_path: Path) -> None:
+    write_depth_network(tmp_path, two_heads=True)
+    add(tmp_path / "depth.onnx", "--set", "output.name=depth", "--set", "output.kind=metric", "--set", "normalise=unit")
+    assert NetworkManifest.find("depth").output.name == "depth"

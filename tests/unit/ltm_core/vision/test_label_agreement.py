@@ -1,5 +1,3 @@
-"""How sure labels are by those around them."""
-
 from __future__ import annotations
 
 import numpy as np

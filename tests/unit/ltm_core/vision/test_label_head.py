@@ -3,7 +3,6 @@ refused."""
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +10,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
-from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
-from ltm_core.site.networks import site_segmenter
-from ltm_core.site.site import Site
 from ltm_core.vision.label_head import (
     LabelHead,
-    LabelHeadFile,
     find_label_head,
     label_heads_folder,
     read_label_head,
-    write_label_head,
 )
 from ltm_core.vision.label_rules import LabelAgreement
 from ltm_core.vision.labels import UNLABELLED, Label
@@ -38,20 +31,6 @@ def _photo() -> np.ndarray[Any, np.dtype[np.uint8]]:
     rng = np.random.default_rng(3)
     small = rng.integers(0, 256, (9, 14, 3), np.uint8)
     return np.asarray(cv2.resize(small, (251, 117), interpolation=cv2.INTER_CUBIC), np.uint8)
-
-
-def test_a_head_of_zeros_leaves_the_shipped_network_s_answers_equal_to_the_bit() -> None:
-    plain = Segmenter.open()
-    manifest = plain.manifest
-    zeros = {name: np.zeros((len(manifest.classes), count), np.float32) for name, count in manifest.maps.items()}
-    bias, output = np.zeros(len(manifest.classes), np.float32), manifest.output
-    head = LabelHead("zeros", "zeros", zeros, bias, output.temperature, output.withdraw)
-    photo = _photo()
-    bare, headed = plain.segment(photo), Segmenter(manifest, head=head).segment(photo)
-    assert len(np.unique(bare.labels)) > 1
-    np.testing.assert_array_equal(headed.labels, bare.labels)
-    np.testing.assert_array_equal(headed.confidence, bare.confidence)
-    np.testing.assert_array_equal(Segmenter(manifest, head=head).logits(photo), plain.logits(photo))
 
 
 def test_agreement_changes_how_sure_labels_are_and_not_the_labels() -> None:
@@ -152,18 +131,6 @@ def test_maps_that_the_network_does_not_have_are_refused(tmp_path: Path) -> None
         Segmenter.open(path).scores_and_maps(_photo())
 
 
-def test_a_head_that_was_written_is_read_again(tmp_path: Path) -> None:
-    manifest = write_classifier(tmp_path, maps=True)
-    content = LabelHeadFile.model_validate(
-        yaml.safe_load(write_swapping_head(tmp_path / "a.yaml", manifest).read_text())
-    )
-    values = tuple(tuple(float(v) for v in row) for row in np.random.default_rng(1).normal(size=(5, 3)))
-    write_label_head(tmp_path / "b.yaml", content.model_copy(update={"maps": {"mean": values}}))
-    head, again = read_label_head(tmp_path / "b.yaml", NetworkManifest.load(manifest))
-    np.testing.assert_allclose(head.weights["mean"], values, rtol=1e-3)
-    assert again.classes == content.classes
-
-
 def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) -> None:
     names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
     confusion = np.full((7, 7), 0.05) + 0.65 * np.eye(7)
@@ -178,20 +145,6 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
     assert not known_errors(str(manifest)).measured
 
 
-def test_a_head_states_what_it_was_tested_on(tmp_path: Path) -> None:
-    names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
-    calibration = {"classes": list(names), "confusion": np.eye(7).tolist(), "measured_on": "meadows (9 frames)"}
-    manifest = write_classifier(tmp_path, maps=True)
-    for name, photographs, state in (
-        ("rendered", {"photographs": 0}, "measured on renderings only"),
-        ("seen", {"photographs": 9}, "measured on photos"),
-    ):
-        write_swapping_head(tmp_path / f"{name}.yaml", manifest, calibration=calibration | photographs)
-        assert known_errors(str(manifest), name, tmp_path).state == state
-    write_swapping_head(tmp_path / "bare.yaml", manifest)
-    assert not known_errors(str(manifest), "bare", tmp_path).measured
-
-
 def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (72, 128, 3), np.uint8)
     by_default, of_it = (Segmenter.open(name, head="near") for name in ("landscape_v2", "landscape_lite0"))
@@ -200,31 +153,3 @@ def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> 
     assert Segmenter.open("landscape_v2").model_path != by_default.model_path
     errors = [known_errors(name, "near") for name in ("landscape_v2", "landscape_lite0")]
     np.testing.assert_array_equal(errors[0].shares, errors[1].shares)
-
-
-def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
-    cameras = {"north": {}, "east": {"label_head": "near"}}
-    site = Site.model_validate(
-        {
-            "name": "s",
-            "crs": "EPSG:32611",
-            "origin": [346000, 3783000],
-            "dem": {"path": "dem.tif"},
-            "depth_model": "landscape_v2_depth",
-            "cameras": cameras,
-        }
-    )
-    for camera, network in (("north", "landscape_v2"), ("east", "landscape_lite0")):
-        depth = depth_manifest(site, camera, FusingConfig())
-        assert depth.name == f"{network}_depth"
-        assert depth.model_file() == site_segmenter(site, camera).model_path
-
-
-def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:
-    manifest = NetworkManifest.load(write_classifier(tmp_path, maps=True))
-    (tmp_path / "x.yaml").write_text("name: [")
-    with pytest.raises(ModelError, match=r"x\.yaml"):
-        read_label_head(tmp_path / "x.yaml", manifest)
-    shutil.rmtree(tmp_path / "colors_heads", ignore_errors=True)
-    with pytest.raises((ModelError, ConfigError), match="no label head"):
-        Segmenter.open(tmp_path / "colors.yaml", head="absent")

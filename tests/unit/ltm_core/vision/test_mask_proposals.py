@@ -1,5 +1,3 @@
-"""What is proposed for a mask, on drawn pictures whose parts are known."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -8,9 +6,8 @@ from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
-from ltm_core.vision.areas import NamedArea, polygons_of
+from ltm_core.vision.areas import NamedArea
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.mask_config import MaskPolygon
 from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
 
 
@@ -53,19 +50,6 @@ def test_pictures_of_two_sizes_are_not_of_one_camera() -> None:
         propose_mask([tower_picture(1), tower_picture(2)[:-8]])
     with pytest.raises(ImageError, match="no images"):
         propose_mask([])
-
-
-def test_outlines_give_back_what_they_enclose() -> None:
-    hidden = np.zeros((40, 70), np.bool_)
-    hidden[5:20, 10:30] = True
-    hidden[25:38, 40:69] = True
-    outlines = polygons_of(hidden)
-    assert len(outlines) == 2
-    areas = [NamedArea(image="a.jpg", kind="roof", polygon=outline) for outline in outlines]
-    drawn = drawn_proposals(areas, LabelSet.load().names, hidden.shape)
-    np.testing.assert_array_equal(drawn[0].hidden | drawn[1].hidden, hidden)
-    assert {p.kind for p in drawn} == {"roof"}
-    assert MaskPolygon(kind="roof", polygon=outlines[0]).kind == "roof"
 
 
 def test_what_is_drawn_or_erased_later_is_no_part_of_a_drawn_mask() -> None:

@@ -1,5 +1,3 @@
-"""Networks of one process do not each keep what a run needs."""
-
 from __future__ import annotations
 
 import subprocess

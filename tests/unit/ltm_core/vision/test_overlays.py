@@ -1,5 +1,3 @@
-"""Bars and frames are found by themselves, land, sky, night and fog are none, and what is hidden is filled."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -79,16 +77,6 @@ def test_landscapes_have_none(way: str) -> None:
     assert scene_of(photo) is photo
 
 
-def test_rows_and_columns_show_the_scene_mirrored() -> None:
-    photo = np.arange(6 * 5 * 3, dtype=np.uint8).reshape(6, 5, 3)
-    hidden = np.zeros((6, 5), np.bool_)
-    hidden[:2], hidden[:, 4] = True, True
-    filled = fill_hidden(photo, hidden)
-    np.testing.assert_array_equal(filled[2:, :4], photo[2:, :4])
-    np.testing.assert_array_equal(filled[:2, :4], photo[[3, 2], :4])
-    np.testing.assert_array_equal(filled[:, 4], filled[:, 3])
-
-
 @pytest.mark.parametrize("width", [320, 1283])
 def test_a_hole_continues_its_surroundings(width: int) -> None:
     rows, columns = np.mgrid[0:240, 0:width]
@@ -125,15 +113,6 @@ def test_bars_are_proposed_for_a_mask_from_one_image_or_several(kind: str) -> No
     for given in (frames[:1], frames):
         (bar,) = (proposal.hidden for proposal in propose_mask(given) if proposal.kind == "bar")
         assert (bar & truth).sum() > 0.97 * truth.sum()
-
-
-def test_two_bars_inside_one_another() -> None:
-    inner, truth = FRAMES["white below"](clear())
-    drawn = cv2.copyMakeBorder(inner, 20, 20, 30, 30, cv2.BORDER_CONSTANT, value=(0, 0, 0))
-    found = find_overlay(np.asarray(drawn, np.uint8))
-    assert found is not None
-    assert found[20:-20, 30:-30][truth].mean() > 0.99
-    assert found[:20].all()
 
 
 def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

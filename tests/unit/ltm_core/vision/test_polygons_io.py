@@ -1,5 +1,3 @@
-"""polygons.json: areas of photos that a person has named."""
-
 from __future__ import annotations
 
 import json
@@ -21,12 +19,6 @@ def test_areas_come_back_as_they_were_written(tmp_path: Path) -> None:
     first = json.loads((tmp_path / "polygons.json").read_text())[0]
     assert first == {"image": "a b.jpg", "class": "shrub", "polygon": [[1, 2], [30.5, 2], [30, 40]]}
     assert [path.name for path in tmp_path.iterdir()] == ["polygons.json"]
-
-
-def test_the_hand_labels_of_the_towers_are_read(shared_data: Path) -> None:
-    areas = read_areas(shared_data / "hpwren_towers/polygons.json")
-    assert len(areas) == 34
-    assert {area.kind for area in areas} <= {"sky", "grass", "shrub", "tree", "bare", "water", "built"}
 
 
 @pytest.mark.parametrize(

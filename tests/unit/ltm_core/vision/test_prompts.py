@@ -1,5 +1,3 @@
-"""Tests labels by prompts: an LSeg-shaped network trained on the demo, a CLIPSeg-shaped one, and what is rejected."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -15,10 +13,9 @@ from ltm_core.fuel.label_errors import labels_digest
 from ltm_core.vision.install_io import install, source_of
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.prompts import encoded, prompted
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.vocabulary import load_text
 
 pytest.importorskip("tokenizers")
 
@@ -67,15 +64,6 @@ def test_prompts_of_a_site_decide_the_labels_of_a_held_out_image(
     without = {**RIGHT, "shrub": (), "other": ("chaparral",)}
     unlabelled = Segmenter(prompted(manifest, without, LABELS)).segment(photo).labels == UNLABELLED
     np.testing.assert_array_equal(unlabelled, labels["right"] == Label.SHRUB)
-
-
-def test_prompts_of_a_label_are_averaged_and_encoded_once(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = NetworkManifest.find(trained)
-    words = load_text(prompted(manifest, RIGHT, LABELS))
-    mean = encoded(manifest, ["meadow", "straw"]).mean(axis=0)
-    np.testing.assert_allclose(words.vectors[words.names.index("grass")], mean / np.linalg.norm(mean), atol=1e-6)
-    monkeypatch.setattr("ltm_core.vision.prompts.encoded", None)  # everything is in the cache
-    np.testing.assert_array_equal(load_text(prompted(manifest, RIGHT, LABELS)).vectors, words.vectors)
 
 
 def test_a_folder_with_text_encoder_is_added_by_one_command(

@@ -1,5 +1,3 @@
-"""The second network: what the mean of both is, where it has no say, and what labels are named by."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -8,7 +6,6 @@ import numpy as np
 import pytest
 from scenes.networks import COLORS, MAPPING, changed, write_classifier, write_swapping_head
 
-from ltm_core.base.errors import ModelError
 from ltm_core.fuel.label_errors import labels_digest
 from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.labels import Label
@@ -58,8 +55,3 @@ def test_labels_are_named_by_both_networks(tmp_path: Path) -> None:
     names = {labels_digest(manifest), labels_digest(manifest.model_copy(update={"second": None}))}
     changed(Path(manifest.second.model), mapping=MAPPING)
     assert len(names | {labels_digest(manifest)}) == 3
-
-
-def test_a_network_of_ids_cannot_be_averaged(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="ids"):
-        Segmenter(pair(tmp_path, 0.5, "ids"))

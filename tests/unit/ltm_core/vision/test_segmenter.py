@@ -1,5 +1,3 @@
-"""Segmentation: every kind and layout of network gives the same labels; upsampling against OpenCV; confidence."""
-
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
@@ -10,11 +8,10 @@ import numpy as np
 import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
-from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE
 from ltm_core.vision.network_image import InputSpec, as_tensor
 from ltm_core.vision.second_scale import upsampled_winner
 from ltm_core.vision.segmenter import Segmentation, Segmenter
@@ -67,14 +64,6 @@ def test_channel_order_follows_the_manifest(tmp_path: Path) -> None:
     swapped = Segmenter.open(changed(tmp_path / "colors.yaml", input={"channels": "rgb"}))
     labels = swapped.segment(photo).labels
     assert np.all(labels[:20] == Label.BUILT)
-
-
-@pytest.mark.parametrize("size", [(9, 15), (32, 48), (31, 200), (540, 960)])
-def test_any_photo_size_gives_labels_of_that_size(tmp_path: Path, size: tuple[int, int]) -> None:
-    photo, truth = _photo(size)
-    labels = Segmenter.open(write_classifier(tmp_path)).segment(photo).labels
-    assert labels.shape == size
-    assert (labels == truth).mean() > 0.85
 
 
 @pytest.mark.parametrize("kind", ["logits", "ids"])
@@ -149,28 +138,6 @@ def test_a_class_that_is_green_loses_where_the_photo_is_red(tmp_path: Path) -> N
     assert np.all(np.delete(taken, lime, axis=0) == 0)
 
 
-def test_colour_speaks_against_classes_that_there_are_alone(tmp_path: Path) -> None:
-    path = write_classifier(tmp_path)
-    with pytest.raises(ModelError, match="redness names violet"):
-        Segmenter.open(changed(path, output={"redness": {"violet": 1.0}}))
-    (tmp_path / "p").mkdir()
-    other = write_classifier(tmp_path / "p", "probabilities")
-    with pytest.raises(ModelError, match="redness belongs to kind logits"):
-        Segmenter.open(changed(other, output={"redness": {"lime": 1.0}}))
-
-
-def test_split_classes_of_one_label_beat_a_single_rival(tmp_path: Path) -> None:
-    """lime and olive halve the vote between them; red is the most probable single class, grass the better label."""
-    gain = 2.0
-    photo = np.full((40, 60, 3), (150, 110, 0), np.uint8)
-    distance = ((np.array(list(COLORS.values())) - photo[0, 0].astype(float)) / 255.0) ** 2
-    scores = dict(zip(COLORS, np.exp(-gain * distance.sum(axis=1)), strict=True))
-    assert max(scores, key=lambda name: scores[name]) == "red"
-    assert scores["red"] < scores["lime"] + scores["olive"]
-    labels = Segmenter.open(write_classifier(tmp_path, gain=gain)).segment(photo).labels
-    assert np.all(labels == Label.GRASS)
-
-
 def test_normalisation_follows_the_manifest() -> None:
     spec = InputSpec(
         width=5, height=3, layout="NCHW", dtype="float32", channels="bgr", scale=0.5, mean=(1, 2, 3), std=(2, 4, 8)
@@ -217,34 +184,6 @@ def test_upsampling_agrees_with_opencv(rows: int, cols: int, height: int, width:
     np.testing.assert_allclose(confidence, planes.max(axis=0) * 255, atol=0.51)
 
 
-def test_a_tie_goes_to_the_lower_index() -> None:
-    half = np.full((2, 3, 4), 0.5, np.float32)
-    winner, confidence = upsampled_winner(half, 7, 11)
-    assert not winner.any()
-    assert np.all(confidence == 128)
-
-
-@pytest.mark.parametrize(
-    "photo",
-    [
-        np.zeros((4, 6), np.uint8),
-        np.zeros((4, 6, 4), np.uint8),
-        np.zeros((4, 6, 3), np.float32),
-        np.zeros((0, 6, 3), np.uint8),
-    ],
-)
-def test_what_is_no_rgb_photo_is_refused(tmp_path: Path, photo: UInt8Array) -> None:
-    segmenter = Segmenter.open(write_classifier(tmp_path))
-    with pytest.raises(ImageError, match=r"expected \(H, W, 3\) uint8 RGB"):
-        segmenter.segment(photo)
-
-
-def test_a_mapping_to_no_label_is_refused(tmp_path: Path) -> None:
-    path = changed(write_classifier(tmp_path), mapping={"red": "bush"})
-    with pytest.raises(ModelError, match=r"mapping\.red.*'bush'.*shrub"):
-        Segmenter.open(path)
-
-
 def test_logits_declared_as_probabilities_are_refused(tmp_path: Path) -> None:
     segmenter = Segmenter.open(changed(write_classifier(tmp_path), output={"kind": "probabilities"}))
     with pytest.raises(ModelError, match=r"kind: logits"):
@@ -267,14 +206,3 @@ def test_the_default_network_tells_sky_from_ground() -> None:
         SegmentationScore.empty(2).plus(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8)).iou.min() > 0.9
     )
     assert np.mean(np.isin(found[ground], [Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE])) > 0.9
-
-
-def test_mosaic_sees_sky_above_ground(shared_models: Path, shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(MODEL_PATH_VARIABLE, str(shared_models))
-    segmenter = Segmenter.open("mosaic_r4_ade20k31", threads=2)
-    photo = cv2.imread(str(shared_data / "mountain_photos" / "images" / "image298_resized.jpg"))[..., ::-1]
-    result = segmenter.segment(np.ascontiguousarray(photo))
-    assert result.labels.shape == photo.shape[:2]
-    assert np.mean(result.labels[:150] == Label.SKY) > 0.95
-    assert np.mean(result.labels[-150:] == Label.SKY) < 0.01
-    assert np.mean(np.isin(result.labels[-150:], [Label.GRASS, Label.BARE, Label.TREE, Label.SHRUB])) > 0.5

@@ -1,5 +1,3 @@
-"""Several that ask one file for different outputs of a picture have it run once."""
-
 from __future__ import annotations
 
 import gc
@@ -53,19 +51,6 @@ def test_a_picture_is_run_once_for_both() -> None:
     (again,) = runs.run(file.tensor, ["depth"], file.compute)
     assert again is not depth
     assert len(file.runs) == 2
-    assert len(askers) == 2
-
-
-def test_another_picture_and_further_maps_are_run_anew() -> None:
-    runs, askers = _joined("labels", "depth")
-    first, second = _File(5.0), _File(6.0)
-    runs.run(first.tensor, ["depth"], first.compute)
-    (labels,) = runs.run(second.tensor, ["labels"], second.compute)
-    np.testing.assert_array_equal(labels, [6.0, ord("l")])
-    assert second.runs == [["labels", "depth"]]
-    labels, maps = runs.run(first.tensor, ["labels", "maps"], first.compute)
-    assert first.runs[1][:2] == ["labels", "maps"]
-    np.testing.assert_array_equal(maps, [5.0, ord("m")])
     assert len(askers) == 2
 
 

@@ -1,5 +1,3 @@
-"""Smoke before the land is told by what the view showed before; light, clouds, shade and what stays are not smoke."""
-
 from __future__ import annotations
 
 import tracemalloc
@@ -84,12 +82,6 @@ def test_another_light_another_view_and_the_shade_of_a_cloud_are_no_smoke() -> N
     assert after([land(), shade], land()) is None
 
 
-def test_what_loses_its_pattern_and_is_dark_is_no_smoke() -> None:
-    picture = land()
-    picture[120:180, 60:160] = 60
-    assert after([land()], picture) is None
-
-
 def test_a_felled_stand_is_land_again_once_it_was_seen_and_moving_smoke_stays_smoke() -> None:
     felled = land()
     felled[110:170, 60:160] = np.clip(land(seed=5)[110:170, 60:160].astype(int) + 60, 0, 255).astype(np.uint8)
@@ -105,24 +97,6 @@ def test_of_a_patrol_the_pictures_of_the_same_view_are_compared() -> None:
     assert found is not None
     assert found[there & (labels() != Label.SKY)].mean() > 0.9
     assert after(views, land(2)) is None
-
-
-def test_a_patrol_that_comes_round_as_often_as_pictures_are_remembered_has_them_of_all_views() -> None:
-    """By time alone they would all be of the first one."""
-    views, dwell = 3, APART_S / 3
-    for asked in range(views):
-        memory = SmokeMemory()
-        for stay in range(2 * views + asked):
-            memory.look(land(stay % views), labels(), stay * dwell)
-        at_s = (2 * views + asked) * dwell
-        assert memory.look(plume(land(asked), 7)[0], labels(), at_s) is not None, asked
-
-
-def test_one_stamp_of_another_time_does_not_end_it() -> None:
-    memory = SmokeMemory()
-    memory.look(land(), labels(), 4e9)
-    memory.look(land(), labels(), 1e9)
-    assert memory.look(plume(land(), 2)[0], labels(), 1e9 + APART_S) is not None
 
 
 def test_pictures_without_a_pattern_leave_room_for_what_was_seen_before() -> None:
@@ -148,21 +122,6 @@ def test_what_it_will_hold_in_three_hours_it_holds_from_the_first_picture_on() -
     assert memory.nbytes == REMEMBERED * small * (1 + 1 / 8 + 4 / 16)
     assert memory.nbytes <= first < memory.nbytes + 50_000
     assert last < first + 50_000
-
-
-def test_pictures_of_other_sizes_are_remembered_besides() -> None:
-    """Larger ones than the first, and smaller ones."""
-    memory = SmokeMemory()
-
-    def look(picture: UInt8Array, size: tuple[int, int], at_s: float) -> BoolArray | None:
-        of_size = cv2.resize(picture, size)
-        return memory.look(of_size, cv2.resize(labels(), size, interpolation=cv2.INTER_NEAREST), at_s)
-
-    sizes = (SIZE[1], SIZE[0]), (SIZE[1], SIZE[0] + 60), (SIZE[1] - 100, SIZE[0] - 40)
-    for number, size in enumerate(sizes):
-        look(land(), size, number * APART_S)
-    for number, size in enumerate(sizes, len(sizes)):
-        assert look(plume(land(), 2)[0], size, number * APART_S) is not None
 
 
 def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,16 +1,13 @@
-"""The second look at distant slopes: which tiles, and how their answers join that for the whole photo."""
-
 from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from scenes.networks import COLORS, write_classifier
 
 from ltm_core.vision.labels import Label
-from ltm_core.vision.second_scale import tile_corners, with_distant_tiles
+from ltm_core.vision.second_scale import tile_corners
 from ltm_core.vision.segmenter import Segmenter
 
 SIZE = (36, 60)
@@ -27,33 +24,6 @@ def test_tiles_cover_the_skyline(zoom: float) -> None:
         assert any(seen), col
     assert all(0 <= top <= rows - rows / zoom and 0 <= left <= cols - cols / zoom for top, left in corners)
     assert len(corners) < 4 * zoom**2
-
-
-def test_a_photo_without_skyline_is_looked_at_once() -> None:
-    probabilities = np.zeros((2, *SIZE), np.float32)
-    probabilities[1] = 1.0
-    image = np.zeros((72, 120, 3), np.uint8)
-    assert with_distant_tiles(image, probabilities, 0, 2.0, lambda _: pytest.fail("looked")) is probabilities
-
-
-def test_tiles_that_agree_change_nothing() -> None:
-    """A `look` that answers with the truth of its own part gives back the truth, enlarged."""
-    truth = np.zeros((2, 144, 240), np.float32)
-    rows = np.arange(144)[:, None] < np.linspace(40, 90, 240)[None]
-    truth[0], truth[1] = rows, ~rows
-    image = np.repeat((truth[0] * 255).astype(np.uint8)[..., None], 3, axis=2)
-
-    def look(part: np.ndarray) -> np.ndarray:
-        sky = cv2.resize(part[..., 0], SIZE[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255.0
-        return np.stack([sky, 1.0 - sky])
-
-    coarse = look(image)
-    fine = with_distant_tiles(image, coarse, 0, 2.0, look)
-    assert fine.shape == (2, 72, 120)
-    expected = cv2.resize(truth[0], (120, 72), interpolation=cv2.INTER_AREA)
-    enlarged = cv2.resize(coarse[0], (120, 72), interpolation=cv2.INTER_LINEAR)
-    np.testing.assert_allclose(fine.sum(axis=0), 1.0, atol=1e-5)
-    assert np.abs(fine[0] - expected).mean() < 0.75 * np.abs(enlarged - expected).mean()
 
 
 def test_zoom_finds_what_the_whole_photo_is_too_coarse_for(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Masks of a turning camera's views: chosen by where a picture looks, with those of all views, or none."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -11,7 +9,6 @@ import yaml
 from scenes.small_site import TOWER, write_small_site
 
 from ltm_core.base.errors import ConfigError, SiteVerdict
-from ltm_core.geometry.pose import Pose
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
@@ -46,13 +43,6 @@ def test_the_angle_between_a_picture_and_a_view() -> None:
     assert Looking(359.8, 59.0, 41.0).off_deg(east) == pytest.approx(1.0)
     assert Looking(359.8, 60.0, 41.5).off_deg(east) == np.inf
     assert Looking(359.8, 60.0, 38.5).off_deg(east) == np.inf
-
-
-def test_where_a_picture_looked_is_its_poses() -> None:
-    looking = Looking.of(TOWER, Pose.from_angles((1.0, 2.0, 3.0), 271.5, -4.25, 1.0))
-    assert (looking.azimuth_deg, looking.pitch_deg) == pytest.approx((271.5, -4.25))
-    assert looking.hfov_deg == pytest.approx(62.0)
-    assert str(looking) == "azimuth 271.5, pitch -4.2, 62.0 deg wide"
 
 
 def test_each_view_has_its_mask_and_that_of_all_views(tmp_path: Path) -> None:
@@ -123,19 +113,3 @@ def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
         (tmp_path / str(number)).mkdir()
         with pytest.raises(ConfigError, match=said):
             load_site(site_with(tmp_path / str(number), views, camera))
-
-
-def test_the_check_tells_a_file_that_is_not_there_and_a_size_that_is_wrong(tmp_path: Path) -> None:
-    path = site_with(tmp_path, [view("a", 10.0, "none.png")])
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is SiteVerdict.WRONG
-    assert "cannot be read" in found.said
-    write_mask(tmp_path / "small.png", np.eye(20, 30, dtype=np.bool_))
-    lens = {"width": 320, "height": 180, "hfov_deg": 62.0}
-    path = site_with(tmp_path, [view("a", 10.0, "small.png")], calibration=lens)
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is SiteVerdict.WRONG
-    assert "30 x 20 pixels, but the camera's images have 320 x 180" in found.said
-    path = site_with(tmp_path, [view("a", 10.0, [rectangle(0, 0, 90, 320)])], calibration=lens)
-    (found,) = (f for f in check_site(path).findings if f.name == "tower: mask of view a")
-    assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (SiteVerdict.OK, True)

@@ -1,5 +1,3 @@
-"""Open vocabulary: words read as classes, and the arithmetic of embeddings of pixels and of words."""
-
 from __future__ import annotations
 
 import hashlib
@@ -12,11 +10,10 @@ from onnx import TensorProto, helper, numpy_helper
 from scenes.networks import write_manifest
 
 from ltm_core.base.errors import ConfigError, ModelError
-from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.prompts import labels_of_prompts, prompted
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.vocabulary import Vocabulary, labels_of_classes
+from ltm_core.vision.vocabulary import labels_of_classes
 
 WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
 DIMENSIONS, SCALE = 6, 9.0
@@ -108,28 +105,6 @@ def test_only_the_queried_words_compete(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_text_network_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         Segmenter.open(_write_embedder(tmp_path, **changes))
-
-
-def test_words_of_another_dimension_are_refused(tmp_path: Path) -> None:
-    path = _write_embedder(tmp_path)
-    np.savez(tmp_path / "words.npz", names=np.array(WORDS), embeddings=np.ones((len(WORDS), 4)))
-    with pytest.raises(ModelError, match=r"shape \(5, 4\); expected \(K, 6\)"):
-        Segmenter.open(path)
-    path = _write_embedder(tmp_path, text={"file": "words.npz", "dimensions": 4})
-    np.savez(tmp_path / "words.npz", names=np.array(WORDS), embeddings=np.ones((len(WORDS), 4)))
-    with pytest.raises(ModelError, match=r"expected \[1, 4, h, w\] .*found \[1, 6, 24, 40\]"):
-        Segmenter.open(path)
-
-
-def test_the_shipped_vocabulary_has_words_for_all_labels() -> None:
-    assert set(Vocabulary.load().synonyms) == set(LabelSet.load().names)
-
-
-def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "vocabulary.yaml"
-    path.write_text("synonyms: {grass: [oats], shrub: [oats]}\n")
-    with pytest.raises(ConfigError, match=r"'oats' is mapped to grass and to shrub"):
-        Vocabulary.load(path)
 
 
 @pytest.mark.parametrize(

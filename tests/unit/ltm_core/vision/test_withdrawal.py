@@ -1,5 +1,3 @@
-"""Labels that are withdrawn: of low probability, and tree where the photo has no texture."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,7 +7,7 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.vision.label_rules import contrast, withdraw
+from ltm_core.vision.label_rules import withdraw
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmenter
@@ -25,22 +23,6 @@ def _answer() -> tuple[UInt8Array, UInt8Array, UInt8Array]:
     return image, labels, confidence
 
 
-def test_contrast_is_the_deviation_of_grey() -> None:
-    found = contrast(_answer()[0])
-    assert found.shape == (300, 640)
-    np.testing.assert_allclose(found[20:280, 20:300], 0.0, atol=0.1)
-    np.testing.assert_allclose(found[20:280, 340:620], 100.0, atol=1.0)
-    assert contrast(np.zeros((60, 1280, 3), np.uint8)).shape == (30, 640)
-
-
-def test_no_rule_withdraws_nothing() -> None:
-    image, labels, confidence = _answer()
-    before = labels.copy(), confidence.copy()
-    withdraw(image, labels, confidence, Withdrawal())
-    np.testing.assert_array_equal(labels, before[0])
-    np.testing.assert_array_equal(confidence, before[1])
-
-
 def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
     image, labels, confidence = _answer()
     before = labels.copy()
@@ -49,15 +31,6 @@ def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
     assert (confidence[:140, :300] == 0).all()
     np.testing.assert_array_equal(labels[:140, 330:], before[:140, 330:])
     np.testing.assert_array_equal(labels[140:], before[140:])
-
-
-def test_a_forest_keeps_its_flat_trees() -> None:
-    image, labels, confidence = _answer()
-    labels[:290] = Label.TREE
-    before = labels.copy(), confidence.copy()
-    withdraw(image, labels, confidence, Withdrawal(tree_contrast=11))
-    np.testing.assert_array_equal(labels, before[0])
-    np.testing.assert_array_equal(confidence, before[1])
 
 
 def test_labels_of_low_probability_are_withdrawn() -> None:

@@ -1,5 +1,3 @@
-"""Pictures taken out of serialised messages without the middleware are what the middleware makes of them."""
-
 from __future__ import annotations
 
 import subprocess

@@ -13,9 +13,6 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.ring import RecordingRing
 from ltm_msgs_py.bag.writer import BagWriter, Split
 
-SIZE = 20_000
-"""Of a file with one message, about."""
-
 
 def record(ring: RecordingRing, folder: Path, count: int, first: int = 0) -> Path:
     """A bag with a file for each message."""
@@ -110,26 +107,6 @@ def test_a_bag_comes_after_all_that_are_there(ring: RecordingRing, tmp_path: Pat
     assert ring.new_folder() == tmp_path / "bag_4"
     (tmp_path / "bag_10").write_text("not ours")
     assert ring.new_folder() == tmp_path / "bag_11"
-
-
-def test_what_is_written_stays_within_the_bound(tmp_path: Path) -> None:
-    ring = RecordingRing(tmp_path / "bag", "/ridge/recorder", 8 * SIZE)
-    sizes = []
-    with BagWriter(
-        ring.new_folder(),
-        compression=None,
-        split=Split(SIZE, 1 << 62),
-        library=ring.library,
-        before_file=lambda: sizes.append((len(ring.make_room(2 * SIZE)), ring.total())) or None,
-    ) as writer:
-        for i in range(60):
-            writer.write("/a", String(data=f"{i}:" + "x" * 9_000), i)
-            writer.flush()
-            assert ring.total() <= 8 * SIZE
-    assert sum(removed for removed, _ in sizes) > 10
-    left = numbers(tmp_path / "bag")
-    assert left == [*range(60 - len(left), 60)]
-    assert len(left) >= 8
 
 
 def test_a_disk_that_is_read_only_after_a_power_cut_keeps_no_recorder_from_its_start(

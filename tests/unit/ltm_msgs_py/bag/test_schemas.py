@@ -1,15 +1,13 @@
 from __future__ import annotations
 
-import re
 import sys
 
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from sensor_msgs.msg import Image
 
 from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag import schemas
-from ltm_msgs_py.bag.schemas import message_class, schema_text, type_hash, type_name_of
+from ltm_msgs_py.bag.schemas import message_class, schema_text, type_hash
 
 TYPES = [
     "std_msgs/msg/String",
@@ -24,27 +22,6 @@ TYPES = [
     "rosgraph_msgs/msg/Clock",
     "visualization_msgs/msg/MarkerArray",
 ]
-
-
-def test_a_schema_holds_each_dependency_once_in_the_ros2msg_form() -> None:
-    parts = schema_text("nav_msgs/msg/OccupancyGrid").split("=" * 80 + "\n")
-    heads = [part.splitlines()[0] for part in parts[1:]]
-    assert sorted(heads) == [
-        "MSG: builtin_interfaces/Time",
-        "MSG: geometry_msgs/Point",
-        "MSG: geometry_msgs/Pose",
-        "MSG: geometry_msgs/Quaternion",
-        "MSG: nav_msgs/MapMetaData",
-        "MSG: std_msgs/Header",
-    ]
-    assert re.search(r"^int8\[\] data$", parts[0], re.MULTILINE)
-
-
-@pytest.mark.parametrize("type_name", TYPES)
-def test_another_parser_finds_the_fields_of_the_python_class(type_name: str) -> None:
-    parsed = get_types_from_msg(schema_text(type_name), type_name)
-    _, fields = parsed[type_name]
-    assert [name for name, _ in fields] == list(message_class(type_name).get_fields_and_field_types())
 
 
 @pytest.mark.parametrize("type_name", TYPES)
@@ -65,11 +42,6 @@ def test_hashes_are_those_of_rosbags() -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     for type_name in TYPES:
         assert type_hash(type_name) == store.hash_rihs01(type_name)
-
-
-def test_a_message_knows_its_type_and_the_type_its_class() -> None:
-    assert type_name_of(Image()) == "sensor_msgs/msg/Image"
-    assert message_class("sensor_msgs/msg/Image") is Image
 
 
 @pytest.mark.parametrize(

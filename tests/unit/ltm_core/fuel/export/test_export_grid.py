@@ -1,5 +1,3 @@
-"""Landscapes of which every cell has all of elevation, slope, aspect and code, or nothing."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -9,7 +7,7 @@ from ltm_core.base.types import Float32Array
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import make_landscape
-from ltm_core.fuel.export.landscape import Landscape, terrain_bands
+from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
@@ -49,14 +47,6 @@ def test_a_cell_that_the_terrain_covers_in_part_has_its_height() -> None:
     assert (landscape.band("slope")[0, 2:6] > 10).all()
 
 
-def test_cells_without_any_terrain_are_marked_and_told() -> None:
-    landscape = made()
-    dropped = landscape.bands[:, 6]
-    assert (dropped == NODATA).all()
-    assert landscape.dropped == int((landscape.band("fuel") == NODATA).sum()) > 8
-    assert f"{landscape.dropped} cells with a code have no elevation" in landscape.terrain_note()
-
-
 @pytest.mark.parametrize(("offset", "taken"), [(12.0, True), (-30.0, True), (700.0, False)])
 def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bool) -> None:
     rows, cols = np.indices(GRID.shape)
@@ -70,13 +60,3 @@ def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bo
     if taken:
         np.testing.assert_allclose(landscape.band("elevation"), plane, atol=6)
         assert "elevations of the prior map" in landscape.terrain_note()
-
-
-def test_slope_goes_on_where_a_neighbour_is_unknown() -> None:
-    plane = np.add.outer(-2.0 * np.arange(8.0), 3.0 * np.arange(9.0))
-    plane[3, 4] = plane[4, 6] = np.nan
-    bands = terrain_bands(plane, 1.0)
-    unknown = np.isnan(plane)[1:-1, 1:-1]
-    np.testing.assert_array_equal(bands == NODATA, np.broadcast_to(unknown, bands.shape))
-    assert set(np.unique(bands[1][~unknown]).tolist()) == {74}
-    assert set(np.unique(bands[2][~unknown]).tolist()) == {236}

@@ -1,5 +1,3 @@
-"""LCP files, byte for byte."""
-
 from __future__ import annotations
 
 import struct
@@ -35,17 +33,6 @@ def landscape() -> Landscape:
     return Landscape(bands, GRID)
 
 
-def test_sizes_and_order(tmp_path: Path) -> None:
-    made = landscape()
-    path = write_lcp(tmp_path / "a.lcp", made)
-    content = path.read_bytes()
-    assert len(content) == HEADER_BYTES + 2 * 8 * 13 * 11
-    cells = np.frombuffer(content, "<i2", offset=HEADER_BYTES).reshape(11, 13, 8)
-    np.testing.assert_array_equal(np.moveaxis(cells, -1, 0), made.bands)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.lcp", "a.prj", "a.qml"]
-    assert (tmp_path / "a.prj").read_text().startswith('PROJCS["NAD_1983_')
-
-
 def test_header_fields() -> None:
     header = lcp_header(landscape(), "of cameras")
     assert len(header) == HEADER_BYTES
@@ -76,11 +63,6 @@ def test_class_lists() -> None:
             assert listed[1 : count + 1] == sorted(values.tolist())
             assert not any(listed[count + 1 :])
     assert struct.unpack_from("<103i", header, 44 + 412 * 9) == (0,) * 103
-
-
-def test_south_of_the_equator() -> None:
-    grid = GridGeometry(500_000.0, 6_200_000.0, 30.0, 13, 11, "EPSG:32756")
-    assert struct.unpack_from("<i", lcp_header(Landscape(landscape().bands, grid)), 8) == (-34,)
 
 
 def test_what_cannot_be_written(tmp_path: Path) -> None:

@@ -1,9 +1,6 @@
-"""What exports say of themselves, read back from each format; styles and catalogue items beside them."""
-
 from __future__ import annotations
 
 import json
-import struct
 import zipfile
 from dataclasses import replace
 from datetime import datetime
@@ -18,7 +15,7 @@ from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.companion_files_io import style_path, write_item
 from ltm_core.fuel.export.landscape import LANDSCAPE_UNITS, Landscape
-from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
+from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
 from ltm_core.fuel.export.provenance import (
     NOTHING_SEEN,
     WITHOUT_DATES,
@@ -97,20 +94,6 @@ def test_somebodys_own_style_stays(tmp_path: Path) -> None:
         write_landscape(tmp_path / "b.tif", landscape())
     assert style_path(tmp_path / "a.tif").read_text() == "<qgis/>"
     assert palette_of(style_path(tmp_path / "b.tif"))
-
-
-def test_an_lcp_says_it_in_its_header(tmp_path: Path) -> None:
-    path = write_lcp(tmp_path / "a.lcp", landscape(), MADE.line())
-    with rasterio.open(path) as source:
-        said = source.tags()["DESCRIPTION"]
-    assert said == MADE.line().encode("ascii", "replace").decode()[:511]
-    for part in ("ridge <1>", "as of 2026-05-31T18:04:05", "seen 25.0%", "LC22_F40_230.tif", "ltm 0.1.0", "7 cells"):
-        assert part in said
-    content = path.read_bytes()
-    assert struct.unpack_from("<10h", content, 4224) == (0, 0, 2, 0, 1, 3, 3, 3, 0, 0)
-    assert struct.unpack_from("<2i", content, 4164) == (37, 29)
-    assert content[6804:7316].rstrip(b"\0").decode() == said
-    assert 145 in palette_of(style_path(path))
 
 
 def test_every_file_of_an_elmfire_folder(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""A pan-tilt head whose base leans and whose tilt axis reads off its zero, found by the pictures of several pans."""
-
 from __future__ import annotations
 
 import json
@@ -19,8 +17,6 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
-from ltm_msgs_py.pose import correction_to_msg, correction_values, msgs_to_correction
-from ltm_msgs_py.status import status_to_msg
 
 PANS = (20.0, 110.0, 205.0, 290.0)
 LEAN = np.radians([0.3, -0.25, 0.9])
@@ -74,20 +70,6 @@ def test_a_lean_alone_turns_into_no_tilt_zero() -> None:
     assert head.correction.tilt_zero == 0.0
     np.testing.assert_array_equal(head.correction.rotation, plain.correction.rotation)
     np.testing.assert_array_equal(head.correction.angles, plain.correction.angles)
-
-
-def test_its_message_and_its_variance_in_each_direction() -> None:
-    spread = np.random.default_rng(3).normal(scale=1e-3, size=(4, 6))
-    joint = spread @ spread.T
-    sent = PoseCorrection(LEAN, joint[:3, :3], 0.014, joint[3])
-    came = msgs_to_correction(correction_to_msg(sent, 5), status_to_msg("north/pose", 5, correction_values(sent)))
-    assert came.tilt_zero == sent.tilt_zero
-    np.testing.assert_allclose(came.tilt_covariance, sent.tilt_covariance, atol=1e-15)
-    stated = Pose.from_angles(eye(), 77.0, 3.0)
-    pose, after = came.applied(stated, covariance(stated))
-    np.testing.assert_allclose(pose.rotation, true_pose(stated, np.degrees(0.014)).rotation, atol=1e-12)
-    slopes = np.column_stack([np.eye(3), pose.rotation[:, 0]])
-    np.testing.assert_allclose(after[3:, 3:], slopes @ joint @ slopes.T, atol=1e-15)
 
 
 def test_a_restart_keeps_it(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""A mount whose stated poses are wrong, that slips, and whose pictures are foggy."""
-
 from __future__ import annotations
 
 import numpy as np

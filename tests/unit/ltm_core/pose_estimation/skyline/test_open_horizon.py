@@ -1,8 +1,5 @@
-"""Where land beyond the DEM may stand over its horizon: that horizon is the skyline or it is not, and pictures tell."""
-
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,13 +8,12 @@ from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose, pose_sigmas
-from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
@@ -36,22 +32,6 @@ def clear() -> PictureEvidence:
 @cache
 def found_clear() -> PictureSearch:
     return find_pose(clear(), OPEN, PRIOR)
-
-
-@cache
-def among_shrubs() -> PictureEvidence:
-    """The same, by its labels with shrubs on all of its land."""
-    photo, labels = view(TRUE)
-    labels[labels != Label.SKY] = Label.SHRUB
-    return picture_evidence(photo, labels, CAMERA)
-
-
-@cache
-def unsettled() -> PictureSearch:
-    """Among shrubs, but for the last step."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
-        return find_pose(among_shrubs(), OPEN, PRIOR)
 
 
 def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
@@ -91,14 +71,6 @@ def test_a_range_behind_half_of_it_is_no_misfit() -> None:
     assert search.hypotheses[0].refined.skyline.support > 0.9
 
 
-def test_of_a_skyline_that_is_mostly_another_s_the_rest_is_no_support() -> None:
-    picture = view(TRUE)
-    with_range_behind(picture, slice(0, 430), 14)
-    evidence = picture_evidence(*picture, CAMERA)
-    fit = skyline_fit(TRUE, evidence.camera, evidence, search_of(picture).horizon, CONFIG)
-    assert 0.1 < fit.support < 0.5
-
-
 def test_where_nothing_lies_beyond_it_is_misfit() -> None:
     picture = view(TRUE)
     with_range_behind(picture, slice(0, 260), 14)
@@ -122,11 +94,24 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
-def test_an_open_azimuth_must_be_surer() -> None:
-    wide = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.001})
-    config = CONFIG.model_copy(update={"verdict": wide})
-    assert find_pose(clear(), OPEN, PRIOR, config).verdict.word != "accepted"
-    assert find_pose(clear(), terrain(), PRIOR, config).verdict.word == "accepted"
+def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
+    picture = view(TRUE)
+    photo, labels = picture
+    for u, lift in enumerate(np.rint(4 * np.sin(np.arange(labels.shape[1]) / 9.0)).astype(int)):
+        top = int(np.argmax(labels[:, u] != Label.SKY))
+        rows = slice(min(top, top - lift), max(top, top - lift))
+        labels[rows, u], photo[rows, u] = (Label.BARE, (90, 100, 80)) if lift > 0 else (Label.SKY, (190, 210, 235))
+    search = search_of(picture)
+    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.most_variance
+    assert search.verdict.word == "ambiguous"
+
+
+@cache
+def among_shrubs() -> PictureEvidence:
+    """The same, by its labels with shrubs on all of its land."""
+    photo, labels = view(TRUE)
+    labels[labels != Label.SKY] = Label.SHRUB
+    return picture_evidence(photo, labels, CAMERA)
 
 
 def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
@@ -140,63 +125,3 @@ def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
     assert found.verdict.sigma_deg == pytest.approx(
         tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
     )
-
-
-def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: asked.append(0) or refined)
-    find_pose(clear(), OPEN, PRIOR)
-    assert not asked
-
-
-@pytest.mark.parametrize(("sunk", "sigma_deg", "settles"), [(0.0, 0.29, True), (0.0, 0.31, False), (500.0, 0.1, False)])
-def test_a_pose_stays_where_ridges_leave_it_open_or_under_the_ground(
-    sunk: float, sigma_deg: float, settles: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def settled(refined: RefinedPose, *given: object) -> RefinedPose:
-        turned_pose = turned(refined.pose, np.radians([0.0, 0.0, 0.2]))
-        pose = replace(turned_pose, position=turned_pose.position - np.array([0.0, 0.0, sunk]))
-        return replace(refined, pose=pose, covariance=np.diag(np.radians(np.full(7, sigma_deg)) ** 2))
-
-    before = unsettled()
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", settled)
-    after = find_pose(among_shrubs(), OPEN, PRIOR)
-    assert before.verdict.word == after.verdict.word == "accepted"
-    off = np.degrees(angles_between(before.hypotheses[0].refined.pose, after.hypotheses[0].refined.pose))
-    assert off[0] == pytest.approx(-0.2 if settles else 0.0, abs=0.01)
-    assert (after.verdict.sigma_deg == before.verdict.sigma_deg) is not settles
-
-
-def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:
-    true = [Pose.from_angles(TRUE.position, azimuth, 2.5, 1.2) for azimuth in (63.0, 131.0, 205.0)]
-    stated = [PosePrior(Pose.from_angles(t.position, t.angles_deg[0] + 1.1, 2.5, 1.2), 1.5, 0.5, 0.5) for t in true]
-    searches = [search_of(view(t), prior) for t, prior in zip(true, stated, strict=True)]
-    found = fit_mount(stated, searches, CONFIG, tilt_zero_sigma_deg=0.0)
-    assert found.word == "accepted", found.reason
-    assert (
-        max(np.degrees(np.abs(angles_between(t, pose))).max() for t, pose in zip(true, found.poses, strict=True)) < 0.1
-    )
-
-    doubted = [replace(search, verdict=replace(search.verdict, word="ambiguous")) for search in searches[1:]]
-    alone = fit_mount(stated, [searches[0], *doubted], CONFIG, tilt_zero_sigma_deg=0.0)
-    assert (alone.word, "no two images" in alone.reason) == ("ambiguous", True)
-
-
-def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
-    picture = view(TRUE)
-    photo, labels = picture
-    for u, lift in enumerate(np.rint(4 * np.sin(np.arange(labels.shape[1]) / 9.0)).astype(int)):
-        top = int(np.argmax(labels[:, u] != Label.SKY))
-        rows = slice(min(top, top - lift), max(top, top - lift))
-        labels[rows, u], photo[rows, u] = (Label.BARE, (90, 100, 80)) if lift > 0 else (Label.SKY, (190, 210, 235))
-    search = search_of(picture)
-    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.most_variance
-    assert search.verdict.word == "ambiguous"
-
-
-def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
-    strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"most_variance": 0.01})})
-    verdict = find_pose(clear(), OPEN, PRIOR, strict).verdict
-    assert (verdict.word, "variance" in verdict.reason) == ("ambiguous", True)
-    assert find_pose(clear(), terrain(), PRIOR, strict).verdict.word == "accepted"

@@ -1,5 +1,3 @@
-"""Far land, pale before the sky, above the edge of nearer land."""
-
 from __future__ import annotations
 
 import cv2
@@ -7,8 +5,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.pose_estimation.skyline.image_edges import image_skyline, pale_edges
-from ltm_core.vision.labels import Label
+from ltm_core.pose_estimation.skyline.image_edges import pale_edges
 
 HEIGHT, WIDTH = 210, 640
 COLUMNS = np.arange(1, WIDTH, 3)
@@ -58,11 +55,6 @@ def test_a_blurred_slanted_edge_is_no_range(steepness: float) -> None:
     assert (found < v).mean() < 0.02
 
 
-def test_what_stands_out_from_the_sky_as_much_as_the_crest_is_no_far_land() -> None:
-    found, v = edges(photo((RANGE, (60.0, 70.0, 45.0)), (CREST, NEAR)))
-    np.testing.assert_array_equal(found, v)
-
-
 def test_a_cloud_that_ends_above_the_crest_is_none() -> None:
     """Between them is the sky again."""
     image = photo((RANGE - 9.0, WHITE), (CREST, NEAR))
@@ -73,34 +65,8 @@ def test_a_cloud_that_ends_above_the_crest_is_none() -> None:
     np.testing.assert_array_equal(found, v)
 
 
-def test_a_cloud_that_rests_on_the_crest_is_none() -> None:
-    """It is lighter than the sky."""
-    found, v = edges(photo((RANGE, (222.0, 226.0, 244.0)), (CREST, NEAR)))
-    np.testing.assert_array_equal(found, v)
-
-
 def test_single_columns_are_not_believed() -> None:
     """A bird, a pole, a thin cloud."""
     spots = np.where(np.arange(WIDTH) % 40 < 4, RANGE, CREST)
     found, v = edges(photo((spots, PALE), (CREST, NEAR)))
     np.testing.assert_array_equal(found, v)
-
-
-def test_a_skyline_has_both_edges_and_what_grows_on_the_nearer() -> None:
-    image = photo((RANGE, PALE), (CREST, NEAR))
-    rows = np.mgrid[0:HEIGHT, 0:WIDTH][0]
-    labels = np.where(rows < CREST, np.uint8(Label.SKY), np.uint8(Label.SHRUB)).astype(np.uint8)
-    skyline = image_skyline(image, labels)
-    pale = skyline.v < skyline.crest_v
-    assert pale.mean() > 0.8
-    at = skyline.u.astype(int)
-    np.testing.assert_allclose(skyline.crest_v, CREST[at], atol=0.8)
-    assert np.percentile(np.abs(skyline.v - RANGE[at])[pale], 95) < 1.0
-    assert (skyline.cover == Label.SHRUB).all()
-    kept = skyline.only(pale)
-    np.testing.assert_array_equal(kept.crest_v, skyline.crest_v[pale])
-
-
-def test_a_picture_without_sky_has_none() -> None:
-    nothing = np.zeros(0)
-    assert len(pale_edges(photo(), np.zeros(0, np.int64), nothing)) == 0

@@ -1,14 +1,9 @@
-"""What a photo shows of its pose: its skyline and its edges; and the terrain's own horizon."""
-
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, view
 
-from ltm_core.base.errors import ImageError, PoseError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
@@ -56,30 +51,6 @@ def test_the_photo_s_skyline_is_found_to_a_part_of_a_pixel() -> None:
     assert (found.cover == Label.SHRUB).all()
 
 
-def test_edges_are_found_once_for_a_picture_with_and_without_its_skyline() -> None:
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    assert replace(evidence, skyline=None).edges is evidence.edges
-
-
-def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:
-    photo, labels = view(TRUE)
-    skyline = picture_evidence(photo, labels, CAMERA).skyline
-    assert skyline is not None
-    cloud = slice(int(skyline.v.min()) - 40, int(skyline.v.min()) - 25)
-    photo[cloud] = 120
-    response = picture_evidence(photo, labels, CAMERA).edges.response.max(axis=0)
-    assert response.shape == labels.shape
-    assert not response[: cloud.stop + 5].any()
-    at = response[np.rint(skyline.v).astype(int), skyline.u.astype(int)]
-    assert np.median(at) > 1.0
-
-
-def test_labels_of_another_size_are_told() -> None:
-    photo, labels = view(TRUE)
-    with pytest.raises(ImageError, match="same size"):
-        picture_evidence(photo, labels[:-1], CAMERA)
-
-
 def walls(near: float = 30.0, far: float = 90.0) -> Dem:
     """Flat ground at 100 m with two walls from west to east, 400 m and 1000 m north of y = 200."""
     geometry = GridGeometry(0.0, 1500.0, 5.0, 240, 300)
@@ -114,8 +85,3 @@ def test_land_beyond_the_dem_leaves_the_horizon_open() -> None:
     assert not low.open.any(), "no higher than the wall of 190 m"
     assert high.open.all()
     assert (high.bound > high.tangent + 0.1).all()
-
-
-def test_a_place_beside_the_dem_is_told() -> None:
-    with pytest.raises(PoseError, match="no known terrain around"):
-        terrain_horizon(walls(), np.array([90_000.0, 200.0, 110.0]), BEND)

@@ -1,26 +1,17 @@
-"""A pose found in its picture, and its verdicts."""
-
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
-from ltm_core.base.errors import PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
-from ltm_core.pose_estimation.skyline import pose_search as skyline_poses
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
-from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
-from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
-from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label
 
@@ -38,30 +29,12 @@ def test_a_disturbed_pose_is_found_again() -> None:
     assert (np.abs(away) < 4 * np.array(search.verdict.sigma_deg)).all()
 
 
-def test_a_pose_settles_where_its_rounds_end_too_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    photo, labels = view(TRUE)
-    evidence = picture_evidence(photo, labels, CAMERA)
-    prior = PosePrior(Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, (1.4, -0.5, 0.4))), 1.5, 0.6, 0.6)
-    whole = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
-    monkeypatch.setattr(skyline_poses, "ROUNDS", ROUNDS[:1])
-    soon = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
-    assert np.abs(np.degrees(angles_between(whole, soon))).max() < 0.001
-
-
 def test_without_any_heading() -> None:
     photo, labels = view(TRUE)
     start = Pose.from_angles(TRUE.position, 251.0, TRUE.angles_deg[1] + 0.3, TRUE.angles_deg[2] - 0.3)
     search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), PosePrior(start, UNKNOWN_DEG, 0.5, 0.5))
     assert search.verdict.word == "accepted", search.verdict.reason
     assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.1
-
-
-def test_a_wrong_focal_length_is_found() -> None:
-    photo, labels = view(TRUE)
-    wrong = replace(CAMERA, fx=CAMERA.fx * 1.06, fy=CAMERA.fy * 1.06)
-    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
-    search = find_pose(picture_evidence(photo, labels, wrong), terrain(), prior, focal_sigma=0.04)
-    assert result_of(search, prior, wrong).camera.fx == pytest.approx(CAMERA.fx, rel=0.005)
 
 
 def test_a_flat_skyline_leaves_the_pose_as_it_came() -> None:
@@ -79,38 +52,12 @@ def test_a_flat_skyline_leaves_the_pose_as_it_came() -> None:
     np.testing.assert_array_equal(result.covariance, prior.covariance)
 
 
-def test_fog_is_no_skyline() -> None:
-    fog = np.full((300, 480, 3), 190, np.uint8)
-    labels = np.full((300, 480), np.uint8(Label.SKY), np.uint8)
-    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
-    search = find_pose(picture_evidence(fog, labels, CAMERA), terrain(), prior)
-    assert search.verdict.word == "no_skyline"
-    assert not result_of(search, prior, CAMERA).accepted
-
-
 def test_a_picture_of_elsewhere_is_not_accepted() -> None:
     """Taken 80 degrees away from where a good mount says it looks."""
     photo, labels = view(Pose.from_angles(TRUE.position, 143.0, 2.5, 1.2))
     prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
     search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), prior)
     assert search.verdict.word != "accepted"
-
-
-def test_a_mean_that_fits_nowhere_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here one that lies 1.5 degrees beside all that it is of."""
-
-    def beside(found: list[Hypothesis], *given: object) -> list[Hypothesis]:
-        best = found[0]
-        mean = replace(best.refined, pose=turned(best.refined.pose, np.radians([0.0, 0.0, 1.5])))
-        return [replace(best, refined=mean, about=best.refined.pose), *found[1:]]
-
-    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 0.8])), 1.5, 0.5, 0.5)
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    assert find_pose(evidence, terrain(), prior).verdict.word == "accepted"
-    monkeypatch.setattr(pose_from_picture, "merged_with_others", beside)
-    verdict = find_pose(evidence, terrain(), prior).verdict
-    assert verdict.support < PicturePoseConfig().verdict.least_support
-    assert verdict.word != "accepted"
 
 
 def test_a_photo_upside_down_is_told() -> None:
@@ -125,10 +72,3 @@ def test_a_lens_s_distortion_is_taken_out() -> None:
     prior = PosePrior(Pose.from_angles(TRUE.position, 64.2, 2.2, 1.0), 1.5, 0.5, 0.5)
     search = find_pose(picture_evidence(photo, labels, bent), terrain(), prior)
     assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.12
-
-
-def test_sigmas_that_are_none_are_told() -> None:
-    with pytest.raises(PoseError, match="positive degrees"):
-        PosePrior(TRUE, -1.0)
-    with pytest.raises(PoseError, match="metres"):
-        PosePrior(TRUE, 1.0, position_sigma=-2.0)

@@ -1,5 +1,3 @@
-"""Poses of almost the same cost gap_by_ridges the best: how sure it is, and what is made of it."""
-
 from __future__ import annotations
 
 import math
@@ -16,9 +14,8 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     judge,
     mean_of_both,
     merged_with_others,
-    widened_by_others,
 )
-from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
 CONFIG = VerdictConfig(
@@ -70,38 +67,6 @@ def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> Non
     assert rest == others
 
 
-def test_starts_that_end_in_one_place_count_once() -> None:
-    apart = [hypothesis(60.0, -100.0), hypothesis(61.2, -100.0)]
-    (once, *_), (thrice, *_) = (
-        merged_with_others(found, CONFIG)
-        for found in (apart, [*apart, hypothesis(61.21, -99.999), hypothesis(61.19, -99.998)])
-    )
-    assert thrice.refined.pose.angles_deg[0] == pytest.approx(once.refined.pose.angles_deg[0], abs=1e-6)
-    assert azimuth_sigma_deg(thrice) == pytest.approx(azimuth_sigma_deg(once))
-
-
-def test_poses_that_cost_much_more_change_nothing() -> None:
-    first = hypothesis(60.0, -100.0)
-    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], CONFIG)
-    assert np.abs(angles_between(first.refined.pose, best.refined.pose)).max() < 1e-6
-    assert azimuth_sigma_deg(best) == pytest.approx(0.1, rel=1e-3)
-    (alone,) = merged_with_others([first], CONFIG)
-    assert azimuth_sigma_deg(alone) == pytest.approx(0.1)
-    assert merged_with_others([], CONFIG) == []
-
-
-def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
-    first, other = hypothesis(60.0, -100.0), hypothesis(60.4, -100.0)
-    pose = Pose(other.refined.pose.position + np.array([4.0, -2.0, 1.0]), other.refined.pose.rotation)
-    camera = replace(other.refined.camera, fx=other.refined.camera.fx * 1.02, fy=other.refined.camera.fy * 1.02)
-    other = replace(other, refined=replace(other.refined, pose=pose, camera=camera))
-    best, _ = merged_with_others([first, other], CONFIG)
-    np.testing.assert_allclose(best.refined.pose.position, (12.0, 19.0, 300.5), atol=1e-9)
-    assert best.refined.camera.fx == pytest.approx(first.refined.camera.fx * math.sqrt(1.02))
-    assert best.refined.covariance[0, 0] == pytest.approx(4.0)
-    assert best.refined.covariance[6, 6] == pytest.approx((math.log(1.02) / 2) ** 2)
-
-
 @pytest.mark.parametrize(
     ("second", "plants", "word"),
     [
@@ -149,15 +114,6 @@ def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: st
     assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
 
 
-@pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
-def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) -> None:
-    """60.0 and 60.6 make 60.3, from which 62.6 is less than 2.5 degrees away, but it is no part of it."""
-    apart = [hypothesis(60.0, -100.0), hypothesis(60.6, -100.0), hypothesis(third, -99.9)]
-    found = merged_with_others(apart, CONFIG)
-    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == "ambiguous"
-
-
 @pytest.mark.parametrize(
     ("support", "turn_deg", "open_share", "word"),
     [
@@ -174,18 +130,6 @@ def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
     assert word_of((0.1, 0.05, turn_deg), SkylineFit(support=support, open=open_share)) == word
 
 
-def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
-    best, others = hypothesis(60.0, -100.0), [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0)]
-    weight = math.exp(-2.0 / 2.0)
-    wider, *rest = widened_by_others([best, *others], CONFIG)
-    np.testing.assert_array_equal(wider.refined.pose.rotation, best.refined.pose.rotation)
-    away = (1.2**2 + weight * 0.6**2) / (2 + weight)
-    assert azimuth_sigma_deg(wider) == pytest.approx(math.sqrt(0.1**2 + away), rel=1e-3)
-    assert rest == others
-    assert widened_by_others([best], CONFIG) == [best]
-    assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
-
-
 def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
     skyline, ridges = moved(0.0, (0.6, 0.05, 0.2)), moved(0.5, (0.3, 0.05, 0.2))
     both = mean_of_both(skyline, ridges, CONFIG)
@@ -196,13 +140,6 @@ def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
     np.testing.assert_allclose(np.diag(both.refined.covariance)[:3], (4.0, 9.0, 16.0), rtol=1e-6)
     assert both.refined.covariance[6, 6] == 0.0
     assert both.refined.camera == skyline.refined.camera
-
-
-def test_what_both_know_alike_is_known_once() -> None:
-    one = moved(0.0, (0.6, 0.05, 0.2))
-    both = mean_of_both(one, one, CONFIG)
-    assert both is not None
-    np.testing.assert_allclose(both.refined.covariance, one.refined.covariance, atol=1e-12)
 
 
 @pytest.mark.parametrize(("apart_deg", "agree"), [(1.8, True), (2.0, False)])
@@ -246,8 +183,3 @@ def test_where_ridges_agree_half_of_the_skyline_will_do(
 ) -> None:
     seen = SkylineFit(support=support, open=open_share)
     assert word_of((0.25, 0.05, 0.4), seen, gap_by_ridges=gap_by_ridges) == word
-
-
-@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.0, "accepted")])
-def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(gap_by_ridges: float | None, word: str) -> None:
-    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, gap_by_ridges) == word

@@ -1,8 +1,5 @@
-"""A pose by ridges alone, where land beyond the DEM may be what stands against the sky."""
-
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +9,12 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CoverHeights, CrestCover, PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
 from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
@@ -52,30 +49,3 @@ def test_among_plants_crests_stand_over_the_dem_by_what_labels_say() -> None:
     by_trees, by_ground = off_deg(best_of((photo, wooded)))[1], off_deg(best_of((photo, bare)))[1]
     assert by_trees < 0.1
     assert by_ground > 0.15
-
-
-COVER = CrestCover(
-    near=CoverHeights(tree=(8.0, 5.0), shrub=(1.0, 0.5), grass=(0.2, 0.1), bare=(0.0, 0.3), other=(3.0, 6.0)),
-    far=CoverHeights(tree=(2.0, 3.0), shrub=(2.0, 1.5), grass=(0.4, 0.3), bare=(0.1, 0.5), other=(3.0, 4.0)),
-)
-
-
-def test_heights_go_from_near_to_far_by_the_logarithm_of_the_range() -> None:
-    labels = np.array([Label.TREE, Label.TREE, Label.TREE, Label.SHRUB, Label.WATER, UNLABELLED], np.uint8)
-    ranges = np.array([40.0, math.sqrt(250 * 1500), 9000.0, math.sqrt(250 * 1500), 250.0, 1500.0])
-    height, sigma = COVER.at(labels, ranges)
-    np.testing.assert_allclose(height, [8.0, 5.0, 2.0, 1.5, 0.0, 3.0])
-    np.testing.assert_allclose(sigma, [5.0, 4.0, 3.0, 1.0, 0.3, 4.0])
-
-
-def test_the_compiled_search_gets_both_ends() -> None:
-    labels = np.array([Label.GRASS, Label.BARE], np.uint8)
-    np.testing.assert_allclose(COVER.of(labels), [[0.2, 0.1, 0.4, 0.3], [0.0, 0.3, 0.1, 0.5]])
-
-
-def test_plants_stand_the_higher_the_larger_they_are() -> None:
-    labels = np.array([Label.BARE, Label.GRASS, Label.SHRUB, Label.TREE], np.uint8)
-    for metres in (100.0, 700.0, 5000.0):
-        height, sigma = BARE_EARTH.at(labels, np.full(4, metres))
-        assert (np.diff(height) > 0).all()
-        assert sigma[3] > sigma[2] > sigma[1]

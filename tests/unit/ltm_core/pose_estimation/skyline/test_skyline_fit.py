@@ -1,5 +1,3 @@
-"""How sure a pose is, by what its skyline's misfits are."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -12,7 +10,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 
@@ -49,27 +47,6 @@ def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_
     assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
     assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
     assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
-
-
-def test_the_more_places_a_skyline_has_of_its_own_the_surer_it_makes_a_pose(exact: PictureEvidence) -> None:
-    picture = uneven(exact, 1.0)
-    found = []
-    for places in (10.0, 40.0):
-        config = PicturePoseConfig(skyline=SkylineConfig(independent_fit=places))
-        found.append(find_pose(picture, terrain(), PRIOR, config))
-    few, many = found
-    assert (sigmas(many) < 0.8 * sigmas(few)).all()
-    assert many.hypotheses[0].refined.skyline.cost == pytest.approx(few.hypotheses[0].refined.skyline.cost, rel=0.1)
-
-
-def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureEvidence) -> None:
-    """A picture of few places, near a crest, is not believed at once."""
-    variances = []
-    for places in (1.0, 1000.0):
-        config = PicturePoseConfig(skyline=SkylineConfig(stated=places))
-        variances.append(find_pose(exact, terrain(), PRIOR, config).hypotheses[0].refined.skyline.variance)
-    assert variances[0] < 0.5
-    assert variances[1] == pytest.approx(1.0, abs=0.03)
 
 
 def with_two_edges(evidence: PictureEvidence, up_px: float, down_px: float) -> PictureEvidence:

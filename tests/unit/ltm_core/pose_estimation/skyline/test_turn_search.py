@@ -1,5 +1,3 @@
-"""A camera that was turned, seen by its skyline."""
-
 from __future__ import annotations
 
 import numpy as np
