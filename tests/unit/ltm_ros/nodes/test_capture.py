@@ -13,12 +13,11 @@ import numpy as np
 import PIL.Image
 import pytest
 import yaml
-from nav_msgs.msg import Odometry
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain
 from scenes.transforms import transform_to_msg
 
-from ltm_core.base.errors import CameraError, ConfigError, ImageError, PoseError
+from ltm_core.base.errors import CameraError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
@@ -40,7 +39,6 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
-    IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
     POSED_CAMERA_INFO,
@@ -212,14 +210,6 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     assert outlet.stamps(POSED_IMAGE) == [2 * S]
 
 
-def test_without_calibration_that_is_the_cause(capture_of: CaptureOf) -> None:
-    capture, _, health = capture_of(max_wait=1.0)
-    capture.subscriptions[POSE](pose(S))
-    capture.on_image(image(S))
-    capture.tick(1.1)
-    assert health.dropped == {"no_calibration": 1}
-
-
 def test_oldest_goes_when_too_many_wait(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of(max_waiting=3)
     capture.on_camera_info(info(0))
@@ -325,13 +315,6 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
     assert msg_to_camera(outlet.on(POSED_CAMERA_INFO)[0]) == Camera(12, 7, 9.0, 9.0, 5.5, 3.0)
 
 
-def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
-    capture, _, _ = capture_of()
-    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, IMAGE_RAW, CAMERA_INFO, POSE, FINISHED}
-    capture, _, _ = capture_of({"image": "compressed"})
-    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE, FINISHED}
-
-
 def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of({"topics": {"image": "/rig/image_raw", "pose": "/odom"}})
     topics = {topic.name: topic for topic in capture.subscriptions}
@@ -355,11 +338,6 @@ def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: Capture
     for sent in outlet.on(POSED_IMAGE):
         np.testing.assert_array_equal(msg_to_rgb(sent), PHOTO)
     assert health.dropped == {}
-
-
-def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
-    with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
-        CaptureHandler(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
 
 
 FUSE = "/ridge/eye/topodepth"
@@ -454,32 +432,6 @@ def grown() -> Iterator[Callable[[], int]]:
     tracemalloc.stop()
 
 
-def test_equal_poses_and_calibrations_are_held_once(capture_of: CaptureOf, grown: Callable[[], int]) -> None:
-    """A thousand are remembered, and those of a camera that stands still are all the same."""
-    capture, _, health = capture_of()
-
-    def held_by(first: int, at_x: Callable[[int], float]) -> int:
-        before = tracemalloc.get_traced_memory()[0]
-        for number in range(first, first + 200):
-            capture.on_camera_info(info(number * S, 10.0 + at_x(number)))
-            capture.subscriptions[POSE](pose(number * S, at_x(number)))
-        return tracemalloc.get_traced_memory()[0] - before
-
-    moving = held_by(100, lambda number: number / 10)
-    still = held_by(300, lambda _: 1.0)
-    assert 0 < still < 0.4 * moving
-    assert health.dropped == {}
-
-
-def test_a_pose_that_differs_in_its_covariance_alone_is_another(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of()
-    for stamp, sigma in ((S, 2.0), (2 * S, 2.0), (3 * S, 5.0)):
-        capture.on_camera_info(info(stamp))
-        capture.subscriptions[POSE](pose_to_msg(at(1.0), stamp, "map", np.diag([1.0, 2, 3, 4, 5, sigma])))
-        capture.on_image(image(stamp))
-    assert [sent.pose.covariance[35] for sent in outlet.on(POSED_POSE)] == [2.0, 2.0, 5.0]
-
-
 def refuse_to_decode(monkeypatch: pytest.MonkeyPatch) -> None:
     def decode(*_: object) -> Any:
         raise AssertionError("decoded")
@@ -523,15 +475,6 @@ def test_images_of_too_many_bytes_do_not_wait(capture_of: CaptureOf, site: Calla
     for message in (vast, padded):
         raw.on_image(message)
     assert health.dropped == {"too_large": 2}
-
-
-def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    capture, _, _ = capture_of()
-    refuse_to_decode(monkeypatch)
-    capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
-    capture.subscriptions[POSE](pose(S))
-    with pytest.raises(ImageError, match="12 x 7 pixels, but its calibration is for 13 x 7"):
-        capture.on_image(image(S))
 
 
 def test_calibrations_of_too_many_pixels_are_dropped(capture_of: CaptureOf) -> None:
@@ -605,17 +548,3 @@ def test_a_pose_from_live_transforms_and_frames_for_others(capture_of: CaptureOf
     through = msg_to_transform(fixed).after(msg_to_transform(moved))
     np.testing.assert_allclose(through.rotation, expected.rotation, atol=1e-12)
     np.testing.assert_allclose(through.position, expected.position)
-
-
-def test_a_named_pose_may_be_odometry(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of({"topics": {"pose": "/odom"}})
-    (callback,) = (callback for topic, callback in capture.subscriptions.items() if topic.name == "/odom")
-    sent = Odometry(header=make_header(S, "map"), child_frame_id="eye_optical")
-    sent.pose = pose(S).pose
-    callback(sent)
-    capture.on_camera_info(info(S))
-    capture.on_image(image(S))
-    assert msg_to_pose(outlet.on(POSED_POSE)[0]).position == pytest.approx([1.0, 2.0, 3.0])
-    sent.child_frame_id = "base_link"
-    with pytest.raises(PoseError):
-        callback(sent)

@@ -13,7 +13,7 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
-from ltm_core.base.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import MessageError, StoreError
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
@@ -164,16 +164,6 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     assert confirmed != ""
 
 
-def test_whoever_starts_again_has_the_version_that_counts(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2, 4):
-        chain.look(truth, hours)
-    counts = chain.versions[-1]
-    chain.restart()
-    chain.look(truth, 6)
-    assert chain.versions == [counts]
-
-
 def test_a_kill_before_the_version_was_written_is_made_good_without_a_frame(chain: Chain) -> None:
     for hours in (0, 2):
         chain.look(sunk(chain.small), hours)
@@ -305,17 +295,3 @@ def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Ch
     chain.look(chain.small.dem, 0)
     assert chain.versions == [""]
     assert chain.depth_health.summary()["noted.below_confirmed_surface"] == "1"
-
-
-def test_a_site_that_asks_for_it_needs_a_place(small: SmallSite) -> None:
-    without = small.site.model_copy(update={"nodes": {}})
-    with pytest.raises(ConfigError, match="trace_confirmed needs a folder for the confirmed surfaces"):
-        describe(without, small.path)
-    given = describe(small.site, small.path)
-    wanted = str(small.folder / "kept" / FOLDER)
-    assert {node.label: node.parameters.get("surfaces") for node in given if node.name != "capture"} == {
-        "fuel_map": None,
-        "terrain": wanted,
-        **{f"{camera}/depth": wanted for camera in ("tower", "mast")},
-        **{f"{camera}/{kind}": None for camera in ("tower", "mast") for kind in ("segmentation", "fuel_votes")},
-    }

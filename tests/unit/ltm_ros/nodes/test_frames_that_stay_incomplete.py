@@ -5,7 +5,6 @@ When a node of its camera hangs, no newer frame pushes it out for long where a c
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,11 +15,9 @@ from scenes.terrain_frames import write_terrain_site
 from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
-from ltm_ros.nodes.fuel_votes import FuelVotesHandler
 from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import JoinConfig
 from ltm_ros.runtime.topics import POSED_POSE, camera_topic
 
 
@@ -49,27 +46,9 @@ def test_depth(small: SmallSite) -> None:
     assert given_up(handler, health, 60.0) == {"noted.unjoined.info": "1"}
 
 
-def test_fuel_votes(small: SmallSite) -> None:
-    health = Health()
-    handler = FuelVotesHandler(JoinConfig(site=str(small.path), camera="mast", max_wait=7.0), Kept(), health)
-    lacked = ("depth", "info", "labels", "confidence")
-    assert given_up(handler, health, 7.0) == {f"noted.unjoined.{part}": "1" for part in lacked}
-
-
 def test_terrain_says_whose_frame(small: SmallSite) -> None:
     health = Health()
     handler = TerrainHandler(TerrainNodeConfig(site=str(small.path), depth_from_elsewhere=True), Kept(), health)
     lacked = ("depth", "sigma", "info")
     assert given_up(handler, health, 120.0) == {f"noted.unjoined.mast.{part}": "1" for part in lacked}
     assert "measured/sigma (sensor_msgs/msg/Image)" in health.last_error
-
-
-def test_viewer_says_whose_frame(small: SmallSite, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="the viewer's extra is not installed")
-    from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
-
-    health = Health()
-    handler = ViewerHandler(ViewerConfig(site=str(small.path), save=str(tmp_path / "view.rrd")), Kept(), health)
-    noted = given_up(handler, health, 60.0)
-    handler.finish()
-    assert noted == {f"noted.unjoined.mast.{part}": "1" for part in ("image", "depth", "info", "labels")}

@@ -20,10 +20,7 @@ from scenes.fuel_frames import (
     CAMERAS,
     LABELS,
     NAME,
-    camera_of,
     message,
-    stamp_of_frame,
-    votes,
     write_site,
 )
 from scenes.fuel_map_node import Node, state
@@ -31,14 +28,10 @@ from scenes.fuel_map_node import Node, state
 from ltm_core.base.errors import ConfigError, LtmError, MessageError
 from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.life_form import LifeForm, life_form_labels
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_INFO, FUEL_VOTES
 
@@ -111,19 +104,6 @@ def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPat
     assert node.gauge("frames") == "1"
 
 
-def test_many_votes_of_a_minute_push_out_none_of_the_day(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
-    now = BEGIN_NS + 10**15
-    node = Node(site, now=now)
-    for number in range(50):
-        node.handler.on_votes("north", message(0, node.map.geometry, now + 9 * 10**9 + number))
-        node.handler.idle()
-    node.handler.on_votes("north", message(0, node.map.geometry, now - 3600 * 10**9))
-    node.handler.idle()
-    assert node.health.dropped == {}
-    assert node.gauge("frames") == "51"
-
-
 def test_clear_and_burn_are_off_unless_the_site_allows_them(site: Path) -> None:
     node = Node(site)
     for service, serve in (("clear", node.handler.clear), ("burn", node.handler.burn)):
@@ -189,18 +169,6 @@ def test_query_of_a_point(kept: Callable[..., Node]) -> None:
     for asked, complaint in ((point(x, y, "odom"), "odom"), (point(1e7, y), "outside"), (point(np.nan, y), "finite")):
         with pytest.raises(MessageError, match=complaint):
             node.handler.on_query(asked)
-
-
-def test_network_that_labels_is_kept_with_the_frames(kept: Callable[..., Node]) -> None:
-    node = kept()
-    node.feed(0)
-    node.handler.on_label_info(camera_of(0), label_set_to_msg(LABELS, "spine 0123456789ab"))
-    node.handler.on_votes(camera_of(0), message(0, node.map.geometry, stamp_of_frame(0) + 1))
-    node.handler.idle()
-    seen = votes(0, node.map.geometry)
-    key = (int(seen.rows[0]) // 32, int(seen.cols[0]) // 32)
-    found = node.handler.persistence.store.touches(key)
-    assert [(t.source, t.model, t.frames) for t in found] == [("north", "", 1), ("north", "spine 0123456789ab", 1)]
 
 
 @pytest.mark.parametrize(("model", "state"), [("", "measured on photos"), ("mosaic_r4_ade20k31", "unmeasured")])
@@ -287,27 +255,6 @@ def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], sit
                 assert found.tags()["unit_height"] == "m x 10"
         item = json.loads((tmp_path / "kept" / f"{name}.stac.json").read_text())
         assert name in item["assets"]
-
-
-def test_frames_survive_as_bytes() -> None:
-    grid = GridGeometry(0.0, 2100.0, 30.0, 90, 70)
-    given = votes(5, grid)
-    back = votes_of(FrameRecord(given.source, given.stamp_ns, payload=votes_to_bytes(given)), grid)
-    for name in ("rows", "cols", "counts", "z", "confidence"):
-        found, expected = getattr(back, name), getattr(given, name)
-        assert found.dtype == expected.dtype
-        np.testing.assert_array_equal(found, expected)
-    for found, expected in zip(back.visibility.columns(), given.visibility.columns(), strict=True):
-        np.testing.assert_array_equal(found, expected)
-    for payload in (b"", b"x" * 40, votes_to_bytes(given)[:-7]):
-        with pytest.raises(ConfigError, match="damaged"):
-            votes_of(FrameRecord("north", 1, payload=payload), grid)
-
-
-def test_classes_of_the_map_are_the_life_forms() -> None:
-    classes = life_form_labels(LABELS)
-    assert [classes.name_of(form) for form in LifeForm] == [form.name.lower() for form in LifeForm]
-    assert classes.colors[: len(LABELS)] == LABELS.colors
 
 
 def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:

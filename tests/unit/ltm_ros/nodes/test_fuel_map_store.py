@@ -230,12 +230,3 @@ def test_foreign_and_damaged_stores_end_the_node_and_stay_as_they_are(site: Path
         with pytest.raises(ConfigError, match=complaint):
             Node(write_site(tmp_path, **changes), folder=str(folder))
         assert path.read_bytes() == content
-
-
-def test_folder_is_made_but_not_the_way_to_it(site: Path, tmp_path: Path) -> None:
-    Node(site, folder="beside").handler.finish()
-    assert (tmp_path / "beside" / STORE_FILE).is_file()
-    with pytest.raises(ConfigError, match=r"missing.* does not exist"):
-        Node(site, folder="missing/kept")
-    with pytest.raises(ConfigError, match="folder"):
-        Node(site, folder="site.yaml")

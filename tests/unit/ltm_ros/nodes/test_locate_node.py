@@ -306,14 +306,6 @@ def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
         running.send("north", LOCATE_REGION, region(seen))
 
 
-def test_a_stamp_of_tomorrow_is_refused(tmp_path: Path) -> None:
-    running = Running(tmp_path)
-    seen = seen_by("north")
-    running.pose(seen)
-    running.send("north", LOCATE_REGION, region(seen, STAMP + 86_400 * SECOND))
-    assert running.kept.on(LOCATE_FUSED) == []
-
-
 def test_a_region_without_a_stamp_after_the_clock_was_set_back(tmp_path: Path) -> None:
     """It is of the pose that was told last; one of the time before would be of the future, and end every track."""
     running = Running(tmp_path)

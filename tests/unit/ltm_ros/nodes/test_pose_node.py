@@ -207,35 +207,6 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
     assert (masked.labels == 255).mean() > 0.9 * hidden.mean()
 
 
-def test_a_picture_by_night_is_not_looked_at_and_the_next_one_is(tmp_path: Path) -> None:
-    health = Health()
-    node = PoseHandler(
-        PoseKeepingConfig(site=write_site(tmp_path, every=10.0, gather=2), camera="mast"), Kept(), health
-    )
-    photo, labels = view(TRUE)
-    for stamp, dark in ((STAMP, True), (STAMP + SECOND, False)):
-        node.subscriptions[STATED_POSE](pose_to_msg(STATED, stamp, "map", COVARIANCE))
-        node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, stamp, "mast_optical"))
-        image = (photo * 0.06).astype(np.uint8) if dark else photo
-        node.subscriptions[POSED_IMAGE](image_to_msg(image, "rgb8", stamp, "mast_optical"))
-        node.subscriptions[LABELS_IMAGE](image_to_msg(labels, "mono8", stamp, "mast_optical"))
-    summary = health.summary()
-    assert summary["noted.unusable.night"] == "1"
-    assert summary["noted.clear"] == "1"
-
-
-@pytest.mark.parametrize("angles", [None, np.diag([1e-6, 2e-6, 3e-6]), np.diag([3.2, 3.3, 3.4])])
-def test_a_correction_travels(angles: Any) -> None:
-    sent = PoseCorrection(np.array([0.01, -0.02, 0.3]), angles)
-    came = msg_to_correction(correction_to_msg(sent, STAMP))
-    np.testing.assert_allclose(came.rotation, sent.rotation, atol=1e-12)
-    assert came.known == sent.known == (angles is None or angles[0, 0] < 1)
-    pose, covariance = came.applied(STATED, COVARIANCE)
-    np.testing.assert_allclose(pose.rotation, turned(STATED, sent.rotation).rotation, atol=1e-12)
-    expected = COVARIANCE[3:, 3:] if angles is None else angles
-    np.testing.assert_allclose(covariance[3:, 3:], expected)
-
-
 def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
     site = write_site(tmp_path)
     with pytest.raises(ConfigError, match="refine_poses"):

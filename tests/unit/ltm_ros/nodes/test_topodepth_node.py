@@ -13,7 +13,6 @@ from scenes.depth_scene import CAMERA, DepthScene, depth_scene
 from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
@@ -140,19 +139,6 @@ def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch
     assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
 
 
-def test_a_frame_that_never_gets_its_depth_is_given_up_by_its_age(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = Node(tmp_path, monkeypatch, label_wait=1.0, max_wait=9.0)
-    node.feed("image", "info", "pose", "labels")
-    node.handler.tick(9.0)
-    assert node.health.dropped == {}
-    node.handler.tick(0.5)
-    assert node.health.dropped == {"unjoined": 1}
-    assert node.health.summary()["noted.unjoined.depth"] == "1"
-    assert "is incomplete, without depth/image (sensor_msgs/msg/Image) (waited 9 s)" in node.health.last_error
-
-
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -197,9 +183,3 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
     assert node.health.summary()["noted.verdict.pose_suspected"] == "1"
     assert float(node.infos[0]["pose.pitch_deg"]) == pytest.approx(-0.8, abs=0.15)
     np.testing.assert_array_equal(msg_to_depth(node.kept.on(FUSED_DEPTH)[0]), depth_scene().turned(0.8).depth())
-
-
-def test_a_site_without_a_depth_network_cannot_run_the_node(tmp_path: Path) -> None:
-    path = site_file(tmp_path, depth_model="")
-    with pytest.raises(ConfigError, match="no depth network; set `depth_model`"):
-        TopoDepthHandler(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())

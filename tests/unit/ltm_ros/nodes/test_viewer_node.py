@@ -78,12 +78,6 @@ def test_fused_depth_is_shown_beside_traced_and_the_networks_of_the_same_stamp(t
     assert shown[f"/fusion/{camera}/network"] == 1, "the second frame's network depth never came"
 
 
-def test_without_a_depth_network_nobody_is_asked_for_fused_depth(tmp_path: Path) -> None:
-    node = viewer(write_small_site(tmp_path).path, tmp_path / "view.rrd")
-    assert not [topic.name for topic in node.subscriptions if "fused" in topic.name or "network" in topic.name]
-    node.finish()
-
-
 def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Path) -> None:
     small = write_small_site(tmp_path)
     path = small.path
