@@ -8,7 +8,7 @@ import random
 import numpy as np
 import pytest
 
-from ltm_ros.cameras.protocols.exposure import ExposureClock, FastestArrival, OffsetBounds
+from ltm_ros.cameras.protocols.exposure import ExposureClock
 from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 
 WALL = 1_790_000_000.0
@@ -43,12 +43,6 @@ def test_a_snapshots_time_is_within_six_tenths_whatever_the_cameras_clock_says(a
     assert np.quantile(np.abs(errors), 0.95) < 0.6
     assert (np.abs(errors) <= told).mean() >= 0.95
     assert max(told) < 1.2
-
-
-def test_exif_in_local_time_counts_by_its_own_offset() -> None:
-    errors, told = errors_of_snapshots(37.0, "exif", zone_s=-7 * 3600.0)
-    assert (np.abs(errors) <= told).mean() >= 0.95
-    assert np.abs(errors).max() < 1.1
 
 
 def test_a_clock_that_is_set_is_learnt_anew_at_once() -> None:
@@ -118,21 +112,3 @@ def test_a_trusted_clock_is_taken_at_its_word() -> None:
 def test_no_picture_is_taken_after_it_came() -> None:
     future = CameraTime(WALL + 900.0, 0.0, "name")
     assert ExposureClock().estimate(Timing(500.0, None, 0.5, future, trusted=True), WALL).at == 500.0
-
-
-def test_bounds_of_a_clock_of_whole_seconds_become_narrow() -> None:
-    bounds, chance = OffsetBounds(), random.Random(4)
-    for i in range(64):
-        now = 10.0 * i + chance.random()
-        reading = math.floor(now + 12.34)
-        assert not bounds.add(reading - now, reading + 1.0 - now, now)
-    low, high = bounds.at(640.0)
-    assert low <= 12.34 <= high
-    assert high - low < 0.2
-
-
-def test_of_a_slow_stream_enough_pictures_count() -> None:
-    fastest = FastestArrival()
-    for i in range(30):
-        fastest.add(30.0 * i, 30.0 * i + (0.1 if i == 15 else 0.3))
-    assert fastest.offset() == pytest.approx(-0.1)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import pytest
 from scenes.http_camera import HttpCamera, running
 from scenes.source_under_test import CALIBRATION, Sourced, settings
@@ -155,18 +154,6 @@ def painted(change: Callable[[UInt8Array], UInt8Array], mode: str = "RGB") -> Ca
     return lambda moment: jpeg(change(with_time(scene(), moment)), mode)
 
 
-def frozen_with_caption() -> Callable[[float], bytes]:
-    """An encoder whose sensor has stopped, while its caption's clock goes on."""
-    still = scene(1280, 720)
-
-    def render(moment: float) -> bytes:
-        image = still.copy()
-        cv2.putText(image, f"{moment:.0f}"[-5:], (10, 715), cv2.FONT_HERSHEY_PLAIN, 0.8, (255, 255, 255))
-        return jpeg(image)
-
-    return render
-
-
 def corrupt(moment: float) -> bytes:
     """Whole by its markers, of no use within: the tables are gone."""
     whole = jpeg(with_time(scene(), moment))
@@ -266,10 +253,6 @@ FAULTS = (
     Fault("camera's clock set by an hour", lambda b: b.behave(clock_ahead=3600.0), "alive", 15, "", frames=1000),
     Fault("camera's clock in 1970", lambda b: b.behave(clock_ahead=-1.7e9), "alive", 15, "", frames=1000),
 )
-
-
-def test_there_are_thirty() -> None:
-    assert len({fault.name for fault in FAULTS}) == len(FAULTS) >= 30
 
 
 @pytest.mark.parametrize(

@@ -82,15 +82,6 @@ def test_a_wrong_password_is_refused_and_not_told(monkeypatch: pytest.MonkeyPatc
         assert "guess" not in said
 
 
-def test_a_closed_port_and_another_path_are_told() -> None:
-    with running(RtspCamera()) as camera:
-        for url in (camera.url.replace(str(camera.port), "1"), camera.url + "/else"):
-            sourced = Sourced(settings(kind="rtsp", url=url, timeout=2.0), SystemClock(), CALIBRATION)
-            sourced.steps(1)
-            assert sourced.state == "stalled"
-            assert "no stream" in sourced.why
-
-
 @pytest.mark.slow
 def test_a_stream_that_stalls_or_dies_comes_back_by_itself() -> None:
     with running(RtspCamera(ahead=-12.0)) as camera:

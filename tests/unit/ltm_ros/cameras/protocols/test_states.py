@@ -23,7 +23,6 @@ from ltm_ros.cameras.protocols.picture import (
     at_rest,
     difference_hash,
     is_night,
-    same_share,
     thumbnail_of_bytes,
     thumbnail_of_rgb,
 )
@@ -53,13 +52,6 @@ def test_night_is_dark_but_for_lamps_or_without_colour() -> None:
     assert is_night(thumbnail_of_bytes(jpeg(image, "L")))
     fog = np.clip(200 + (image.astype(int) - 128) // 20, 0, 255).astype(np.uint8)
     assert not is_night(thumbnail_of_bytes(jpeg(fog)))
-
-
-def test_two_exposures_are_never_equal_and_a_frozen_one_is() -> None:
-    first, second = (thumbnail_of_bytes(jpeg(scene(640, 360))) for _ in range(2))
-    assert same_share(first, second) < 0.8
-    assert same_share(first, first) == 1.0
-    assert same_share(first, first[:, :-1]) == 0.0
 
 
 def test_stuck_after_so_long_and_well_again_at_the_first_change() -> None:

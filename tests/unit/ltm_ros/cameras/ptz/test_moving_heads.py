@@ -19,7 +19,7 @@ from scenes.timed_picture import jpeg, scene
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
-from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig, VapixConfig
+from ltm_core.site.source_config import PatrolConfig, VapixConfig
 from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
 from ltm_ros.cameras.protocols.credentials import SourceError
@@ -101,19 +101,6 @@ def test_while_the_head_slews_every_picture_is_refused(camera: HttpCamera, head:
     assert tested.state == "moved"
 
 
-@pytest.mark.slow
-def test_after_a_slew_pictures_come_again_by_themselves(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera)
-    head.rate = 40.0
-    head.go_to("north")
-    for _ in range(60):
-        tested.steps(1)
-        if len(tested.frames) >= 3 and abs(seen(tested.frames[-1])[0] - 10.0) < 0.01:
-            break
-    assert tested.state == "alive"
-    assert max(off_deg(frame) for frame in tested.frames) < 0.1
-
-
 def test_a_flicker_of_the_encoders_is_no_motion(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera)
     head.rate, head.starts_after_s = 1e9, 0.0
@@ -155,11 +142,6 @@ def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) 
     assert not tested.health.dropped
 
 
-def test_without_a_patrol_nothing_is_driven(camera: HttpCamera, head: FakeHead) -> None:
-    sourced(camera).steps(3)
-    assert not head.commands
-
-
 @pytest.mark.slow
 def test_a_head_that_starts_late_is_waited_for(camera: HttpCamera, head: FakeHead) -> None:
     head.starts_after_s = 0.8
@@ -182,15 +164,6 @@ def test_a_head_that_does_not_go_is_told_and_no_picture_is_published(camera: Htt
     tested.steps(1)
     assert tested.state == "alive"
     assert len(tested.frames) == 3
-
-
-@pytest.mark.slow
-def test_a_head_dead_from_the_start_is_told_at_its_second_preset(camera: HttpCamera, head: FakeHead) -> None:
-    head.dead = True
-    tested = sourced(camera, ("north", "east"))
-    tested.steps(2)
-    assert tested.state == "stuck"
-    assert "from preset 'north' to 'east', the PTZ head reads the same direction" in tested.why
 
 
 def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
@@ -217,35 +190,6 @@ def test_a_preset_that_was_changed_is_told_once_and_then_taken(camera: HttpCamer
     assert "preset 'north' was at pan 10.00" in tested.why
     tested.steps(1)
     assert seen(tested.frames[-1])[0] == pytest.approx(14.0, abs=0.02)
-
-
-@pytest.mark.slow
-def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, ("north",))
-    head.presets["north"] = (5000.0, 0.0, 1.0)  # it never arrives
-    head.rate = 30.0
-    tested.steps(1)
-    assert not tested.frames
-    assert "did not come to rest within 3 s" in tested.why
-
-
-def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
-    head: FakeHead, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HEAD_PASSWORD", "not-the-one")
-    with running(ptz_camera(head)) as camera:
-        head.user, head.password = "viewer", "the-one"
-        source = settings(kind="snapshot", url=camera.url(), every=0.01)
-        config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
-        direction = PtzDirection(lambda: open_ptz(config, source))
-        gaze = CameraDirection(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
-        tested = Sourced(source, SystemClock(), gaze=gaze)
-        (pause,) = tested.steps(1)
-    assert tested.state == "unauthorised"
-    assert "rejected user viewer (ONVIF" in tested.why
-    assert "the-one" not in tested.why
-    assert pause >= 599.0
-    assert not tested.frames
 
 
 def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
@@ -281,22 +225,6 @@ def test_a_head_that_cannot_be_asked_ends_in_no_picture(camera: HttpCamera) -> N
     camera.routes["/axis-cgi/com/ptz.cgi"] = page
     tested.steps(1)
     assert len(tested.frames) == 2
-
-
-def test_a_preset_that_is_not_there_is_told_with_those_that_are(camera: HttpCamera) -> None:
-    tested = sourced(camera, ("west",))
-    tested.steps(1)
-    assert "no preset 'west'; it has north, east, south ridge" in tested.why
-
-
-def test_a_direction_connects_again_after_it_was_closed(camera: HttpCamera) -> None:
-    source = settings(kind="snapshot", url=camera.url())
-    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
-    first = direction.read()
-    direction.close()
-    assert direction.read().pan_deg == first.pan_deg
-    direction.close()
-    direction.close()
 
 
 def test_two_readings_are_never_too_near_to_show_motion(camera: HttpCamera) -> None:
