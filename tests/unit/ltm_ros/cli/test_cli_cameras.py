@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from scenes import rtsp_camera
 from scenes.http_camera import HttpCamera, Request, certificate, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
@@ -145,14 +144,6 @@ def test_probe_tells_each_kind_of_head(camera: HttpCamera, kind: str, page: str)
     assert kind in said
 
 
-def test_probe_signs_to_an_onvif_camera_whose_clock_is_two_minutes_off(camera: HttpCamera, head: FakeHead) -> None:
-    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
-    head.clock_ahead, head.user, head.password = 120.0, "viewer", PASSWORD
-    said = run("probe", camera.url(), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert "kind: onvif" in said
-    assert "+120." in said or "+119." in said
-
-
 def test_probe_takes_the_password_nowhere_but_to_the_host_that_was_named(camera: HttpCamera, head: FakeHead) -> None:
     """A camera states an address of its pictures by ONVIF: another host's, or of its own behind a gateway."""
     camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
@@ -183,26 +174,6 @@ def test_an_address_that_cannot_be_asked_is_told_and_the_head_is_found_all_the_s
 def test_what_a_camera_calls_its_presets_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
     head.presets = {"[/] [bold]north": (10.0, -5.0, 1.0)}
     assert "[/] [bold]north" in run("probe", camera.url(""))
-
-
-@pytest.mark.slow
-def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
-    said = run("probe", camera.url("/stream.mjpg"))
-    assert "kind: mjpeg" in said
-    assert "images per second" in said
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
-def test_probe_listens_to_rtsp_measures_its_clock_and_adds_it_to_a_site(small: SmallSite) -> None:
-    with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
-        where = (*POSE, "--hfov", 62, "--site", small.path, "--camera", "north")
-        said = run("probe", stream.url, "--timeout", 3, *where)
-    assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
-    assert "+37." in said or "+36.9" in said
-    source = load_site(small.path).camera("north").source
-    assert source is not None
-    assert source.kind == "rtsp"
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
@@ -240,39 +211,11 @@ def test_a_password_in_the_address_is_refused_without_repeating_it(url: str) -> 
     assert "s3cret" not in str(told.value)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("--camera", "x"), "--site and --camera together"),
-        (("--password-env", "HEAD_PASSWORD"), "a password needs --user"),
-        (("--lonlat", "7"), "LON,LAT"),
-        (("--user", "a", "--password-env", "X", "--password-file", "y"), "not both"),
-    ],
-)
-def test_mistakes_are_told(arguments: tuple[str, ...], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
-        run("probe", "http://127.0.0.1:9", *arguments)
-
-
 def test_what_is_still_lacking_is_told_and_the_site_file_stays(camera: HttpCamera, small: SmallSite) -> None:
     before = small.path.read_text()
     with pytest.raises(ConfigError, match=r"not changed: camera north lacks mount"):
         run("probe", camera.url(""), "--site", small.path, "--camera", "north")
     assert small.path.read_text() == before
-
-
-def test_nothing_there_is_told_with_what_was_asked() -> None:
-    with running() as camera:
-        camera.behaviour.status = 404
-        with pytest.raises(
-            ConfigError, match=r"neither an image nor a PTZ head[\s\S]*/snapshot.jpg: the camera answered HTTP 404"
-        ):
-            run("probe", camera.url())
-
-
-def test_no_connection_is_told() -> None:
-    with pytest.raises(ConfigError, match="no connection"):
-        run("probe", "http://127.0.0.1:9/a.jpg", "--timeout", 1)
 
 
 ANSWER = """<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"
@@ -336,12 +279,6 @@ def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
 def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
     with pytest.raises(ConfigError, match="this computer"):
         run("discover", "--interface", interface, "--seconds", 0.2)
-
-
-def test_discover_ends_where_nobody_answers() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        assert discover("127.0.0.1", 0.2, port=silent.getsockname()[1]) == ([], 0)
 
 
 MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}
@@ -425,11 +362,6 @@ def test_the_table_shows_states_in_words_and_no_markup_of_a_stranger() -> None:
         assert told in shown
 
 
-def test_watch_needs_a_source(small: SmallSite) -> None:
-    with pytest.raises(ConfigError, match="no camera has a section `source`"):
-        run("watch", small.path, "--once")
-
-
 @pytest.mark.parametrize("with_ptz", [False, True])
 def test_probe_finds_the_picture_of_an_onvif_camera_with_or_without_a_head(
     camera: HttpCamera, head: FakeHead, with_ptz: bool
@@ -441,26 +373,6 @@ def test_probe_finds_the_picture_of_an_onvif_camera_with_or_without_a_head(
     said = run("probe", camera.url("/none.jpg"), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
     assert f"url: {camera.url('/own.jpg')}?channel=1" in said
     assert ("kind: onvif" in said) is with_ptz
-
-
-def test_probe_finds_dahua_s_picture_by_the_bare_address(camera: HttpCamera) -> None:
-    camera.routes = {
-        "/cgi-bin/snapshot.cgi": Request.snapshot,
-        "/snapshot.jpg": lambda request: request.answer(404, b"", ""),
-    }
-    assert f"url: {camera.url('/cgi-bin/snapshot.cgi')}" in run("probe", camera.url(""))
-
-
-def test_a_camera_that_signs_its_clock_or_reports_none_is_read(camera: HttpCamera, head: FakeHead) -> None:
-    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
-    head.user, head.password, head.time = "viewer", PASSWORD, "signed"
-    login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert "kind: onvif" in run("probe", camera.url(), *login)
-    head.time = "none"
-    assert "kind: onvif" in run("probe", camera.url(), *login)
-    head.clock_ahead = 900.0
-    with pytest.raises(UnauthorisedError):
-        run("probe", camera.url(), *login)
 
 
 def test_the_message_of_a_self_signed_certificate_names_the_option(tmp_path: Path) -> None:

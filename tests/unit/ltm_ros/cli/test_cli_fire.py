@@ -68,11 +68,3 @@ def test_without_the_fire_model(landscapes: tuple[Path, Path], tmp_path: Path, m
         monkeypatch.setenv("LTM_PYRETECHNICS", sys.executable)
         with pytest.raises(LtmError, match=r"ModuleNotFoundError"):
             fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
-
-
-def test_what_is_there_is_not_written_over(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
-    now, was = landscapes
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/fire.tif").write_text("mine")
-    with pytest.raises(LtmError, match=r"fire.tif: exists already"):
-        fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")

@@ -118,14 +118,6 @@ def test_a_process_that_is_ended_leaves_nothing_half_written(
     assert {path.name for path in tmp_path.iterdir()} == {"cache", "getty", "sources.yaml"}
 
 
-def test_sources_are_listed(services: SiteServices) -> None:
-    result = CliRunner().invoke(cli, ["init", "--sources", "list"], env={"COLUMNS": "300"})
-    assert result.exit_code == 0
-    for name in ("usgs_3dep_1m", "copernicus_glo30", "landfire", "EPSG:5703"):
-        assert name in result.output
-    assert services.requests == []
-
-
 def test_an_existing_site_gets_a_camera_and_a_newer_fuel_map(services: SiteServices, tmp_path: Path) -> None:
     assert init(services, tmp_path, *NEW, *NORTH).exit_code == 0
     services.fuel_years = {2025: 1.0}
@@ -166,24 +158,3 @@ def test_wrong_options_are_errors(
     with pytest.raises(LtmError, match=told):
         init(services, tmp_path, *arguments)
     assert not (tmp_path / "getty").exists()
-
-
-def test_a_service_that_fails_while_fetching_leaves_nothing(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
-    services.statuses["lfps/job/submit"] = [503] * 1000
-    with pytest.raises(LtmError, match="503"):
-        init(services, tmp_path, *NEW)
-    assert not (tmp_path / "getty").exists()
-
-
-def test_a_site_without_a_horizon_says_which_service_failed(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
-    services.statuses["GLO30"] = [503] * 1000
-    result = init(services, tmp_path, *NEW)
-    assert result.exit_code == 0
-    assert "503" in result.output
-    assert load_site(tmp_path / "getty/site.yaml").coarser == ()

@@ -14,7 +14,7 @@ from scenes.networks import write_classifier
 from scenes.small_site import PAINT, SKY
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, LtmError, PoseError
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig
@@ -195,9 +195,3 @@ def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> N
     places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
     with pytest.raises(LtmError, match=told):
         run(*(argument.format(**places) for argument in arguments))
-
-
-def test_points_without_readings_are_told(tmp_path: Path) -> None:
-    (tmp_path / "points.csv").write_text("id,x,y,z,u,v\na,1,2,3,4,5\n")
-    with pytest.raises(PoseError, match=r"no column 'pan'.*need id, x, y, z, u, v, pan, tilt, zoom"):
-        run(write_site(tmp_path), "north", "--points", tmp_path / "points.csv")
