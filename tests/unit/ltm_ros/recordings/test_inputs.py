@@ -129,19 +129,6 @@ def test_topics_are_named_beside_the_expected_ones_with_a_mapping() -> None:
     assert "north: {image: auto}" in beside_expected(site(north={"image": "compressed"}), {BOTH[0][0]: RAW})
 
 
-@pytest.mark.parametrize(
-    ("other", "said"),
-    [
-        (Pose.from_angles((4.0, 6.0, 3.0), 40.0, -5.0, 1.0), "0.00 degrees and 5.00 m"),
-        (Pose.from_angles((1.0, 2.0, 3.0), 40.0, 0.0, 1.0), "5.00 degrees and 0.00 m"),
-        (Pose.from_angles((1.0, 2.0, 3.0), 40.0 + 1e-4, -5.0, 1.0), ""),
-    ],
-)
-def test_poses_differ_by_an_angle_and_a_distance(other: Pose, said: str) -> None:
-    found = pose_difference(STATED, other)
-    assert found.endswith(said) if said else found == ""
-
-
 BASE_MAST = Pose.from_angles((0.5, 0.0, 4.0), 90.0)
 FRAME = "camera_color_frame"
 

@@ -82,17 +82,6 @@ def test_what_is_over_either_bound_is_dropped_and_counted(
     assert health.dropped == {"overload": 50 - kept}
 
 
-def test_a_flush_that_waits_stands_for_all_that_follow(recorder: Any) -> None:
-    thread, disk, _ = recorder(1000, 40)
-    for _ in range(5):
-        thread.flush()
-    disk.goes.set()
-    wait_for(lambda: disk.flushed > 0, "a flush")
-    thread.flush()
-    assert thread.close()
-    assert disk.flushed == 2
-
-
 def test_what_still_waits_at_the_end_is_given_up_and_counted(recorder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_thread, "CLOSE_S", -1.0)
     thread, disk, health = recorder(1000, 40)

@@ -98,13 +98,6 @@ def test_a_portrait_is_turned_upright_with_its_lens(tmp_path: Path, site: Site) 
         np.testing.assert_allclose(found.rotation, pose.rotation, atol=1e-5)
 
 
-def test_without_a_row_the_place_is_asked_for(tmp_path: Path, site: Site) -> None:
-    with pytest.raises(
-        PoseError, match=r"no position in Stray Scanner: give the position of its first frame in a row named"
-    ):
-        import_photos([stray(tmp_path / "scan1")], tmp_path / "bag", site=site)
-
-
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
@@ -156,12 +149,6 @@ def test_a_record3d_capture_needs_the_first_frames_whole_pose(tmp_path: Path, si
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == (52.0, 51.0, 31.0, 21.0)
         np.testing.assert_allclose(found.position, expected(pose).position, atol=0.02)
         np.testing.assert_allclose(found.rotation, pose.rotation, atol=1e-6)
-
-
-def test_a_capture_without_a_date_is_told(tmp_path: Path, site: Site) -> None:
-    rows = poses(tmp_path, "tree.r3d", ",-4,1", ",pitch_deg,roll_deg")
-    with pytest.raises(RecordingError, match="has no date: give it a `stamp`"):
-        import_photos([record3d(tmp_path / "tree.r3d")], tmp_path / "bag", rows, site)
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,9 @@ import pytest
 from scenes.phone_site import imported
 
 from ltm_core.base.resources import project_path
-from ltm_core.cameras.sensor_pose import SensorsConfig, sensed_pose
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.sensors import msg_to_attitude, msg_to_fix
-from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.demo.score import recorded_pose_errors
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
@@ -64,26 +60,3 @@ def test_the_recording_is_what_the_photos_and_the_sensors_give(tmp_path: Path) -
             assert np.abs(pictures[0] - pictures[1]).max() <= 2
         else:
             assert messages[0] == messages[1], one.topic
-
-
-def test_the_phones_fix_and_attitude_give_the_imported_pose() -> None:
-    """The live way, by `sensors` of the site file, on the same recording."""
-    site = load_site(WALK / "site.yaml")
-    reader = BagReader(WALK / "recording")
-    topics = {name: f"/phone_walk/phone/{name}" for name in ("fix", "imu", "pose")}
-    fixes, attitudes, poses = (
-        [take(reader.decode(m)) for m in reader.messages([topics[name]])]
-        for name, take in (("fix", msg_to_fix), ("imu", msg_to_attitude), ("pose", lambda m: m))
-    )
-    dem, config = site.open_dem(), SensorsConfig(north="true")
-    for message, size in zip(poses[:2], ((1024, 768), (768, 1024)), strict=True):
-        stamp, pose = stamp_of(message), msg_to_pose(message)
-        fix, attitude = (min(some, key=lambda one: abs(one.stamp_ns - stamp)) for some in (fixes, attitudes))
-        sensed, covariance = sensed_pose(fix, attitude, stamp, size, site.frame, dem, config)
-        np.testing.assert_allclose(sensed.position, pose.position, atol=0.6)
-        np.testing.assert_allclose(sensed.angles_deg, pose.angles_deg, atol=0.01)
-        assert covariance[0, 0] == pytest.approx(msg_to_covariance(message)[0, 0], rel=0.01)
-
-
-def test_it_stays_small() -> None:
-    assert sum(path.stat().st_size for path in WALK.rglob("*") if path.is_file()) < 8_000_000

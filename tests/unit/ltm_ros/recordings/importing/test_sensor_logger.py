@@ -168,20 +168,6 @@ def test_a_recording_without_frames_tells_of_the_photos_beside_it(tmp_path: Path
         np.testing.assert_allclose(pose.angles_deg, photo.pose.angles_deg, atol=0.02)
 
 
-def test_the_same_photos_by_exif_alone_have_direction_and_place(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "photos").mkdir()
-    for photo in WALK:
-        write_phone_photo(tmp_path / "photos" / photo.name, photo, FRAME, 90)
-    import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=Assumptions(keep_unknown=True))
-    for photo, (_, camera, pose, covariance) in zip(WALK, imported(tmp_path / "bag"), strict=True):
-        assert camera == photo.camera
-        assert pose.angles_deg[0] == pytest.approx(photo.pose.angles_deg[0], abs=1e-3)
-        np.testing.assert_allclose(pose.position[:2], photo.pose.position[:2], atol=0.1)
-        np.testing.assert_allclose(
-            covariance, pose_covariance(pose, 4.0, 10.0, 8.2, UNKNOWN_PITCH_SIGMA_DEG, 3.0), atol=1e-9
-        )
-
-
 @pytest.mark.parametrize("undulation", [None, -35.4])
 def test_without_a_barometer_altitudes_tell_the_height_with_their_own_sigma(
     tmp_path: Path, site: Site, undulation: float | None
@@ -212,15 +198,6 @@ def test_a_stated_start_height_goes_before_the_terrain(tmp_path: Path, site: Sit
     import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=assumed)
     heights = [pose.position[2] for _, _, pose, _ in imported(tmp_path / "bag")]
     np.testing.assert_allclose(heights, [GROUND + 40.0, GROUND + 39.1, GROUND + 38.2], atol=0.01)
-
-
-def test_pressure_alone_tells_the_climb(tmp_path: Path, site: Site) -> None:
-    path = recorded(tmp_path)
-    pressure = column_set(member(path, "Barometer.csv"), "relativeAltitude", "")
-    import_photos([changed(path, {"Barometer.csv": pressure})], tmp_path / "bag", site=site, assumed=LENS)
-    heights = [pose.position[2] for _, _, pose, _ in imported(tmp_path / "bag")]
-    # The standard atmosphere from 1013 hPa at sea level: at 1500 m a metre is a seventh more.
-    np.testing.assert_allclose(np.diff(heights), [-0.9, -0.9], atol=0.2)
 
 
 def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, site: Site) -> None:
@@ -269,23 +246,6 @@ def test_recordings_that_tell_nothing_are_told_with_the_remedy(
     assert not (tmp_path / "bag").exists()
 
 
-def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, site: Site) -> None:
-    path = recorded(tmp_path)
-    late = changed(path, {f"Camera/{STAMP // 1_000_000 + 3_600_000}.jpg": _jpeg()})
-    with pytest.raises(
-        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from the nearest"
-    ):
-        import_photos([late], tmp_path / "bag", site=site, assumed=LENS)
-    report = import_photos([late], tmp_path / "bag", site=site, assumed=LENS, skip_bad=True)
-    assert [path.name for path, _ in report.rejected] == [f"{STAMP // 1_000_000 + 3_600_000}.jpg"]
-
-
-def test_a_place_under_the_ground_is_taken_as_above_it_and_told(tmp_path: Path, site: Site) -> None:
-    deep = Assumptions(focal_35mm=27.0, start_height=GROUND - 20.0)
-    report = import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=deep)
-    assert any("barometer's height 1480.0 m is 20.0 m under the terrain: 2 m above" in n for _, n in report.notes)
-
-
 def _jpeg() -> bytes:
     from PIL import Image
 
@@ -325,22 +285,6 @@ class TestArchives:
         path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
         with pytest.raises(RecordingError, match=r"is not a complete zip.*export or copy it again"):
             import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
-
-    def test_a_member_that_is_damaged(self, tmp_path: Path, site: Site) -> None:
-        path = recorded(tmp_path)
-        data = bytearray(path.read_bytes())
-        with zipfile.ZipFile(path) as archive:
-            at = archive.getinfo("Location.csv").header_offset + 60
-        data[at : at + 20] = bytes(20)
-        path.write_bytes(data)
-        with pytest.raises(RecordingError, match=r"'Location.csv': cannot be read"):
-            import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
-
-    def test_a_zip_of_something_else(self, tmp_path: Path, site: Site) -> None:
-        with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
-            archive.writestr("IMG_1.jpg", _jpeg())
-        with pytest.raises(RecordingError, match=r"a zip of an unknown app \(it contains IMG_1\.jpg\)"):
-            import_photos([tmp_path / "other.zip"], tmp_path / "bag", site=site, assumed=LENS)
 
     @pytest.mark.parametrize("text", ["{", "[1, 2]", '{"a": 1}', "[" * 100_000])
     def test_json_of_another_kind(self, tmp_path: Path, site: Site, text: str) -> None:
