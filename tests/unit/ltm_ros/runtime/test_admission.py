@@ -67,21 +67,6 @@ def test_the_newest_waits_until_all_have_finished_a_frame() -> None:
     assert door.stated("in_flight", "waiting", "finished") == [2, 0, 1]
 
 
-def test_a_late_one_does_not_replace_a_newer_one() -> None:
-    door = Door()
-    door.offer(1, 2, 8, 5)
-    door.finished(1, "fuse", "vote")
-    assert door.admitted == [1, 2, 8]
-
-
-def test_nobody_who_works_nothing_limits() -> None:
-    door = Door(workers=set())
-    door.offer(*range(50))
-    assert door.admitted == [*range(50)]
-    assert door.health.dropped == {}
-    assert door.stated("in_flight", "waiting") == [0, 0]
-
-
 def test_a_recording_waits_in_order_and_comes_through_whole() -> None:
     door = Door(shed=False)
     door.offer(1, 2, 3, 5, 4)
@@ -180,28 +165,6 @@ def test_a_slow_worker_is_waited_for_as_long_as_it_goes_on() -> None:
     assert door.stated("finished", "noted.unfinished") == [2, 0]
 
 
-def test_one_that_comes_counts_from_the_next_frame_on() -> None:
-    door = Door(workers={"vote"})
-    door.offer(1)
-    door.workers.add("fuse")
-    door.offer(2, 3)
-    door.finished(1, "vote")
-    assert door.admitted == [1, 2, 3]
-    door.offer(4)
-    door.finished(2, "vote")
-    assert door.admitted == [1, 2, 3]
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2, 3, 4]
-
-
-def test_strangers_change_nothing() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.finished(1, "stranger")
-    door.finished(99, "fuse", "vote", "stranger")
-    assert door.admitted == [1, 2]
-
-
 def test_a_broken_frame_takes_no_room_and_is_named() -> None:
     door = Door(broken={1, 3, 4}, shed=False)
     with pytest.raises(ImageError, match="frame 1"):
@@ -215,14 +178,6 @@ def test_a_broken_frame_takes_no_room_and_is_named() -> None:
     assert door.health.dropped == {"image": 1}, "the last is counted by who called"
 
 
-def test_the_end_turns_away_what_waits() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.admission.finish()
-    assert door.health.dropped == {"shed": 1}
-    assert "the node ended" in door.health.last_error
-
-
 def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
     """Four views in turn, of which every second finds room: the newest alone would always be of the same two."""
     door = Door(workers={"fuse"}, view_of=lambda stamp: stamp % 4)
@@ -234,15 +189,6 @@ def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
     counts = Counter(stamp % 4 for stamp in door.admitted)
     assert min(counts.values()) >= 10
     assert all(new > old for old, new in pairwise(door.admitted[::4]))
-
-
-def test_of_one_view_the_newest_waits() -> None:
-    door = Door(view_of=lambda stamp: stamp % 2)
-    door.offer(2, 4, 5, 7, 8)
-    said = "frame of stamp 8 ns: an older one is queued, of a view that was admitted longer ago"
-    assert said in door.health.summary()["last_error"]
-    door.finished(2, "fuse", "vote")
-    assert door.admitted == [2, 4, 7]
 
 
 STEPS = st.lists(

@@ -227,17 +227,6 @@ def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFi
     assert camera.jobs["fuse"].health.dropped == {}
 
 
-def test_a_job_that_is_made_anew_knows_the_states_that_others_have_told() -> None:
-    camera = Camera()
-    for stamp in (11, 12, BUG):
-        camera.offer(stamp)
-        camera.turn()
-    assert camera.made["label"] == 2
-    label = camera.jobs["label"].handler
-    assert isinstance(label, Label)
-    assert label.state == 12
-
-
 def test_a_job_that_cannot_be_made_anew_is_left_out_and_tried_again() -> None:
     camera = Camera()
     camera.unmakeable = {"label"}

@@ -105,17 +105,3 @@ def test_jitter_shortens_pauses_by_up_to_half() -> None:
     assert all(max(1.0, 2.0**i / 2) <= pause <= 2.0**i for i, pause in enumerate(pauses[:6]))
     assert all(30.0 <= pause <= 60.0 for pause in pauses[6:])
     assert len(set(pauses[6:])) == 6
-
-
-def test_it_is_due_once_the_pause_has_passed() -> None:
-    backoff = Backoff(2.0, 15.0)
-    assert backoff.due
-    for pause in (2.0, 4.0):
-        assert backoff.failed() == pause
-        backoff.passed(pause - 0.5)
-        assert not backoff.due
-        backoff.passed(0.5)
-        assert backoff.due
-    backoff.failed()
-    backoff.succeeded()
-    assert backoff.due

@@ -124,16 +124,6 @@ for one in (both, without):
     print(one.heap_bytes - before.heap_bytes, (one.python_blocks - before.python_blocks) // 2)
 """
 
-_ASKED_OFTEN = """
-import gc, sys
-from ltm_ros.runtime.process_memory import memory_in_use
-gc.disable()  # it looks at what is old hours later
-for number in range(300):
-    now = memory_in_use()
-    if number == 50:
-        before = now
-print(now.python_blocks - before.python_blocks)
-"""
 
 _TIDIED = """
 import gc, sys
@@ -185,10 +175,6 @@ def test_supervised_process_gets_no_huge_pages(tmp_path: Path) -> None:
     assert _run(_HUGE_PAGES, tmp_path, NUMPY_MADVISE_HUGEPAGE="1").strip() == "1"
 
 
-def test_users_choice_of_heaps_wins(tmp_path: Path) -> None:
-    assert int(_run(_HEAPS, tmp_path, MALLOC_ARENA_MAX="3")) == 3
-
-
 def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() -> None:
     before, after, looks = _run(_CYCLES).splitlines()
     assert (before, after) == ("1000 True", "0 False")
@@ -225,11 +211,6 @@ def test_what_objects_lie_in_is_counted() -> None:
     assert abs(blocks - 50_000) < 2_000  # Python keeps some to use again
     assert abs(heap_after) < 100_000
     assert abs(blocks_after) < 2_000
-
-
-def test_asking_for_it_leaves_nothing_behind() -> None:
-    """A report a second, between two of Python's looks for cycles."""
-    assert abs(int(_run(_ASKED_OFTEN))) < 100
 
 
 def test_cycles_and_tuples_to_use_again_are_given_up_when_a_process_is_tidied() -> None:

@@ -9,13 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from scenes import rtsp_camera
 from scenes.http_camera import Behaviour, HttpCamera, running
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import jpeg, scene
 from scenes.waiting import wait_for
 
-from ltm_core.geometry.camera import Camera
 from ltm_ros.runtime.clocks import SystemClock
 
 RECONNECTS, WARM_UP, STREAMS = 1000, 100, 100
@@ -81,37 +79,4 @@ def test_a_thousand_reconnects_leave_nothing_behind(monkeypatch: pytest.MonkeyPa
 
         grew = grown(connect, RECONNECTS // 2, WARM_UP // 2)
     assert int(sourced.health.summary()["noted.connected"]) >= RECONNECTS
-    assert grew < GROWTH_KB
-
-
-@pytest.mark.slow
-def test_a_hundred_real_streams_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each with a picture that was decoded."""
-    monkeypatch.setenv("NORTH", rtsp_camera.PASSWORD)
-    login = {"user": rtsp_camera.USER, "password": {"environment": "NORTH"}}
-    with rtsp_camera.running(rtsp_camera.RtspCamera(authentication="digest", keys=1)) as camera:
-        sourced = Sourced(
-            settings(kind="rtsp", url=camera.url, timeout=5.0, **login),
-            SystemClock(),
-            Camera.from_fov(*rtsp_camera.SIZE, 62.0),
-        )
-
-        def connect() -> None:
-            sourced.frames.clear()
-            wait_for(lambda: sourced.source.step() >= 0 and sourced.frames, "a picture", lambda: sourced.why)
-            sourced.source.close()
-
-        grew = grown(connect, STREAMS, WARM_UP // 10)
-    assert int(sourced.health.summary()["noted.connected"]) >= STREAMS + WARM_UP // 10
-    assert grew < GROWTH_KB
-
-
-@pytest.mark.slow
-def test_a_thousand_refused_streams_leave_nothing_behind() -> None:
-    if why := rtsp_camera.missing():
-        pytest.skip(why)
-    pytest.importorskip("av", reason="the extra rtsp is not installed")
-    sourced = Sourced(settings(kind="rtsp", url="rtsp://127.0.0.1:1/live", timeout=2.0), SystemClock())
-    grew = grown(lambda: sourced.steps(1), RECONNECTS, WARM_UP)
-    assert sourced.state == "stalled"
     assert grew < GROWTH_KB

@@ -9,7 +9,7 @@ import pytest
 
 from ltm_core.base.errors import ImageError
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import REMEMBERED, Match, Part, StampJoin
+from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
 
 
 @pytest.fixture
@@ -31,14 +31,6 @@ def test_any_order_of_parts_makes_a_set(health: Health) -> None:
         assert done[-1] == {name: f"{name}{stamp}" for name in "abc"}
     join.finish()
     assert health.dropped == {}
-
-
-def test_interleaved_stamps_stay_apart(health: Health) -> None:
-    join, done = join_of(health)
-    for name in "abc":
-        for stamp in (20, 10):
-            join.add(name, stamp, (name, stamp))
-    assert done == [{name: (name, stamp) for name in "abc"} for stamp in (20, 10)]
 
 
 def test_second_message_of_a_part_is_a_duplicate_before_and_after_the_set_is_whole(health: Health) -> None:
@@ -69,16 +61,6 @@ def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
     assert health.dropped == {"unjoined": 3}
 
 
-def test_stamps_that_are_done_are_forgotten_one_day(health: Health) -> None:
-    join, done = join_of(health, ("a",), capacity=2)
-    for stamp in range(REMEMBERED + 2):
-        join.add("a", stamp, stamp)
-    join.add("a", REMEMBERED, "again")
-    assert health.dropped == {"duplicate": 1}
-    join.add("a", 0, "forgotten")
-    assert len(done) == REMEMBERED + 3
-
-
 def test_frames_go_on_without_what_they_can_do_without_when_they_have_waited(health: Health) -> None:
     done: list[Any] = []
     parts = ("a", Part("labels", wait_s=2.0, remembered=2))
@@ -99,23 +81,6 @@ def test_frames_go_on_without_what_they_can_do_without_when_they_have_waited(hea
     assert done.pop() == {"a": "a4", "labels": None}
     join.finish()
     assert [found["a"] for found in done] == ["a5", "a6"]
-    assert health.dropped == {}
-
-
-def test_frames_wait_no_longer_than_they_are_told(health: Health) -> None:
-    told: list[Any] = []
-    join = StampJoin(
-        ("a", "b"),
-        lambda **_: None,
-        health,
-        max_wait=3.0,
-        give_up=lambda stamp, lacking, why: told.append((stamp, lacking, why)),
-    )
-    join.add("b", 7, "b")
-    join.tick(3.0)
-    assert not told
-    join.tick(0.1)
-    assert told == [(7, ["a"], "waited 3 s")]
     assert health.dropped == {}
 
 
@@ -185,15 +150,3 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     assert [stamp for stamp, *_ in given_up] == [1, 2, 3], "one alone has room, whatever it holds"
     join.add("pose", 4, Heavy(0))
     assert len(done) == 1
-
-
-def test_what_is_remembered_is_bounded_in_bytes() -> None:
-    health = Health()
-    done: list[dict[str, Any]] = []
-    parts = (Part("depth"), Part("labels", wait_s=0.0))
-    join = StampJoin(parts, lambda **found: done.append(found), health, capacity_bytes=10 << 20)
-    for stamp in range(5):
-        join.add("labels", stamp, Heavy(4 << 20))
-    for stamp in range(5):
-        join.add("depth", stamp, Heavy(0))
-    assert [found["labels"] is not None for found in done] == [False, False, False, True, True]
