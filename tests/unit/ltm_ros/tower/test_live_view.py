@@ -10,7 +10,6 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import numpy as np
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_core.base.errors import ConfigError, ImageError, LtmError
+from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import RgbImage
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -88,18 +87,6 @@ def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
     assert content[: record.sizes[0]].startswith(b"\xff\xd8"), "the photo is first"
 
 
-def test_more_cameras_get_smaller_images() -> None:
-    def size(cameras: int) -> int:
-        scene = Scene(*(f"c{number}" for number in range(cameras)))
-        records = LiveStream(scene.page, scene, pytest.fail, rate=50_000.0)._records()
-        *_, (record, content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
-        photo = cv2.imdecode(np.frombuffer(content[: record.sizes[0]], np.uint8), cv2.IMREAD_COLOR)
-        return int(photo.shape[1])
-
-    one, many = size(1), size(12)
-    assert 160 <= many < one == 480
-
-
 def test_all_streams_together_keep_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a clock of the test's own."""
     now = 0.0
@@ -117,15 +104,6 @@ def test_all_streams_together_keep_the_rate(monkeypatch: pytest.MonkeyPatch) -> 
         for stream in streams:
             sent += len(next(stream))
     assert sent <= 10_000.0 * now + 4096
-
-
-def test_a_frame_without_an_image_is_told_of_and_the_next_is_sent() -> None:
-    scene, told = Scene("north", "east"), list[LtmError]()
-    scene.frames["north"] = replace(scene.frames["north"], photo=np.zeros((7, 9), np.uint8))
-    records = LiveStream(scene.page, scene, told.append, rate=1e9)._records()
-    *_, (record, _content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
-    assert record.camera == "east"
-    assert [type(error) for error in told] == [ImageError]
 
 
 @pytest.fixture
@@ -251,12 +229,3 @@ def test_an_ssh_tunnel_lasts_as_long_as_the_view(
         port = reach()
     with pytest.raises(ConfigError):
         port.request("GET", "/live")
-
-
-def test_an_ssh_that_fails_is_reported_with_its_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "ssh"
-    program.write_text("#!/bin/sh\nexit 255\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with pytest.raises(ConfigError, match="255"), reached("tower", None, None):
-        pass

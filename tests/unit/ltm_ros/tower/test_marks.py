@@ -96,12 +96,6 @@ def test_each_shown_pixels_middle_is_the_one_it_was_taken_from() -> None:
             assert abs(v - round(v)) < 1e-6
 
 
-def test_the_border_is_within_the_picture() -> None:
-    small = picture().small()
-    assert small.pixel(0.0, 0.0) == (0.0, 0.0)
-    assert small.pixel(1.0, 1.0) == (1918.5, 1078.5)
-
-
 @pytest.mark.parametrize(
     ("sent", "status", "said"),
     [
