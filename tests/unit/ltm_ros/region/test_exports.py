@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
 from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.mqtt_link import votes_topic
 from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import RegionExports
 from ltm_ros.runtime.health import Health
@@ -86,33 +85,6 @@ def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) 
     aggregator.close()
 
 
-def test_an_export_that_fails_by_a_bug_is_told_and_tried_again_and_the_map_lives_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene, health = write_region_scene(tmp_path), Health()
-    (tmp_path / "out").mkdir()
-    aggregator = Aggregator(scene.config, health, lambda: 0)
-    exports = RegionExports(ExportConfig(folder=tmp_path / "out", every=5.0), aggregator, health)
-
-    def broken(*_: object) -> None:
-        raise ValueError("a library's")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("ltm_ros.region.tiles.export_site", broken)
-        exports.look(0.0, changed=True)
-
-        def looked() -> bool:
-            exports.look(1.0, changed=False)
-            return health.troubled
-
-        wait_for(looked, "the failure", lambda: health.last_error)
-        assert "the map was not exported (ValueError: a library's)" in health.last_error
-    exports.look(60.0, changed=False)
-    wait_for(lambda: (tmp_path / "out/life_form.tif").exists(), "the next one", lambda: health.last_error)
-    exports.close()
-    aggregator.close()
-
-
 class Unheard:
     """A connection on which nobody comes."""
 
@@ -146,33 +118,3 @@ def test_the_last_export_has_what_was_not_yet_shown(tmp_path: Path, monkeypatch:
     service.run(stopping)
     with rasterio.open(tmp_path / "out/life_form.tif") as raster:
         assert (raster.read(1) != raster.nodata).any()
-
-
-def test_the_map_is_decided_less_often_while_frames_are_left_to_wait_and_no_longer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in {"SHOWN_SHARE": 1.0, "SHOWN_SHARE_LATE": 1e-12, "LATE_S": 3600.0, "SETTLE_S": 0.0}.items():
-        monkeypatch.setattr(f"ltm_ros.region.service.{name}", value)
-    heard: list[Callable[[str, bytes], None]] = []
-
-    class Link(Unheard):
-        def __init__(self, *given: Any, will: object = None) -> None:
-            super().__init__()
-            heard.append(given[4])
-
-    scene = write_region_scene(tmp_path)
-    link: Any = Link
-    service = RegionService(scene.config, Health(), lambda: BEGIN_NS + 10**13, link)
-    persistence = service.aggregator.persistence
-    service.step(0.0)
-    for number in range(4):
-        heard[0](votes_topic(scene.config.name, "alta"), scene.sealed("alta", number))
-    service.step(0.0)  # without time to count any
-    monkeypatch.setattr("ltm_ros.region.service.SETTLE_S", 600.0)
-    service.step(0.0)
-    assert persistence.saved_frames == 4
-    assert persistence.shown.seen_cells == 0
-    monkeypatch.setattr("ltm_ros.region.service.LATE_S", 0.0)
-    service.step(0.0)
-    assert persistence.shown.seen_cells > 0
-    service.aggregator.close()

@@ -152,15 +152,6 @@ def test_after_kills_of_map_and_broker_the_map_is_that_of_all_frames(scene: Regi
     assert same_map(found, expected)
 
 
-def test_a_frame_that_is_refused_stays_and_is_told_in_words(scene: RegionScene, broker: Broker) -> None:
-    with mapped(scene) as service, sending(scene, "alta", resolution=10.0) as (alta, said):
-        offer(alta, scene, range(2))
-        wait_for(lambda: said.summary().get("noted.refused") == "2", "a refusal")
-        assert "fuel cells are 10 m wide, the region's 30 m" in said.last_error
-        assert waiting(said) == "2"
-        assert service.frames == 0
-
-
 def test_a_disk_that_does_not_serve_holds_up_no_frame_that_lies_on_it(
     scene: RegionScene, broker: Broker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

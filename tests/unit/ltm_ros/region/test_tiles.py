@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,6 @@ from scenes.fuel_frames import BEGIN_NS
 from scenes.region_scene import CAMERA, write_region_scene
 
 from ltm_core.fuel.cell_state import TILE
-from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
-from ltm_core.storage.tile_store import TileStore
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.inbox import KEPT_BYTES, Inbox
 from ltm_ros.region.tiles import TilePublisher, opened_tile
@@ -54,25 +51,6 @@ def test_of_most_of_a_region_nobody_has_seen_anything_and_nothing_is_sent(tmp_pa
     assert set(link.taken()) == seen
     down, across = aggregator.persistence.map.tiles
     assert 0 < len(seen) < down * across
-    aggregator.close()
-
-
-def test_tiles_of_a_store_that_was_away_at_the_start_go_once_it_is_back(tmp_path: Path) -> None:
-    scene, link = write_region_scene(tmp_path), Link()
-    before = Aggregator(scene.config, Health(), lambda: BEGIN_NS + 10**13)
-    for number in range(3):
-        before.take("alta", scene.sealed("alta", number))
-    before.close()
-    blocker = TileStore.open(scene.config.folder / STORE_FILE, fuel_schema(scene.site, scene.geometry))
-    aggregator = Aggregator(scene.config, Health(), lambda: BEGIN_NS + 10**13)
-    tiles = TilePublisher("kern", aggregator, link)  # type: ignore[arg-type]
-    tiles.note_all()
-    tiles.send()
-    assert link.taken() == []
-    blocker.close()
-    aggregator.persistence.wait(1e6)
-    tiles.send()
-    assert link.taken()
     aggregator.close()
 
 
@@ -157,13 +135,3 @@ def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() ->
     inbox.put("alta" + 60_000 * "x", b"")
     ((name, _),) = drained(inbox)
     assert name == "alta" + 96 * "x"
-
-
-def test_who_waits_is_woken() -> None:
-    inbox, got = Inbox(["alta"], Health()), []
-    thread = threading.Thread(target=lambda: got.append(inbox.get(60.0)))
-    thread.start()
-    inbox.put("alta", b"x")
-    thread.join(60.0)
-    assert got == [("alta", b"x")]
-    assert inbox.get(0.01) is None
