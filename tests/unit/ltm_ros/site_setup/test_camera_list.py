@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import CameraConfig
@@ -27,16 +26,6 @@ def test_an_option_becomes_a_pose_and_a_calibration() -> None:
     }  # fmt: skip
     assert remarks == []
     CameraConfig.model_validate(entry)
-
-
-def test_photos_give_the_size_of_the_images(tmp_path: Path) -> None:
-    Image.new("RGB", (640, 360)).save(tmp_path / "a.jpg")
-    entry, _ = section(parse_camera(f"a=1,2,azimuth=0,hfov=50,photos={tmp_path}"), None)
-    config = CameraConfig.model_validate(entry)
-    assert config.calibration is not None
-    assert (config.calibration.width, config.calibration.height) == (640, 360)
-    assert config.source is not None
-    assert (config.source.kind, config.source.path) == ("folder", tmp_path)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -86,17 +75,6 @@ def test_tables_may_name_their_columns_in_several_ways(text: str, tmp_path: Path
     (tmp_path / "c.csv").write_text(text, encoding="utf-8")
     (camera,), _ = read_cameras(tmp_path / "c.csv")
     assert (camera.name, camera.lon, camera.lat, camera.azimuth, camera.hfov) == ("north", -118.5, 34.1, 214, 54)
-
-
-def test_geojson_has_points_with_properties(tmp_path: Path) -> None:
-    feature = {
-        "type": "Feature",
-        "geometry": {"type": "Point", "coordinates": [-118.5, 34.1, 700]},
-        "properties": {"name": "north", "azimuth_deg": 214, "hfov": 54, "height": 12, "z": None},
-    }
-    (tmp_path / "c.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    (camera,), _ = read_cameras(tmp_path / "c.geojson")
-    assert (camera.azimuth, camera.height, camera.z) == (214, 12, None)
 
 
 def test_the_list_of_alertcalifornia_gives_turning_cameras(tmp_path: Path) -> None:

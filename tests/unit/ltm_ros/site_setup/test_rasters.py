@@ -13,9 +13,8 @@ import rasterio
 from pyproj import Transformer
 from rasterio.transform import Affine, from_origin
 
-from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_ros.site_setup.rasters import files_of, grid_over, overlapping, resample, site_resolution, tiles_of
+from ltm_ros.site_setup.rasters import grid_over, overlapping, resample, site_resolution, tiles_of
 
 US_FOOT = 1200 / 3937
 
@@ -190,29 +189,3 @@ def test_a_file_that_covers_only_part_leaves_the_rest_unknown(tmp_path: Path) ->
     assert not known[:, 0].any()
     whole = known & np.roll(known, 2, axis=1)  # the cells at the hole's edge are nearer to it than to the next height
     np.testing.assert_allclose(made.heights[whole], expected(DEGREES, grid)[whole], atol=2e-3)
-
-
-@pytest.mark.parametrize(("size", "lat", "metres"), [(1 / 10800, 34.2, 10), (1 / 3600, 34.2, 30), (1 / 3600, -35, 30)])
-def test_cell_size_of_degrees(size: float, lat: float, metres: float, tmp_path: Path) -> None:
-    source = Source("EPSG:4326", size, 149.0, lat, "EPSG:32755")
-    assert site_resolution(tiles_of([write(tmp_path / "a.tif", source, 50)]), 16_000, 8192) == metres
-
-
-def test_cell_size_grows_with_the_site(tmp_path: Path) -> None:
-    tiles = tiles_of([write(tmp_path / "a.tif", Source("EPSG:32611", 1.0, -118, 34, ""), 50)])
-    assert [site_resolution(tiles, side, 8192) for side in (8_000, 16_000, 40_000)] == [1, 2, 5]
-
-
-def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
-    grid = grid_of(DEGREES)
-    elsewhere = write(tmp_path / "far.tif", SOURCES["Hawaii"], 50)
-    with pytest.raises(RasterError, match="far"):
-        overlapping(tiles_of([elsewhere]), grid.bounds, grid.crs or "")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(RasterError, match="empty"):
-        files_of([tmp_path / "empty"])
-    bare = tmp_path / "bare.tif"
-    with rasterio.open(bare, "w", driver="GTiff", width=9, height=8, count=1, dtype="float32") as sink:
-        sink.write(np.ones((8, 9), np.float32), 1)
-    with pytest.raises(RasterError, match="bare"):
-        tiles_of([bare])

@@ -12,8 +12,7 @@ import pytest
 import rasterio
 from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
 
-from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.base.resources import project_path
+from ltm_core.base.errors import LtmError
 from ltm_core.fuel.fuel_bands_io import open_bands
 from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError
 from ltm_ros.site_setup.services import CoverageGrid, LandfireSource
@@ -251,17 +250,6 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     assert all(source.name in str(error.value) for source in elevation)
 
 
-def test_too_large_an_area_gives_the_message_of_the_service(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keyed(monkeypatch)
-    area = Area((-119.0, 30.0, -114.0, 35.0))
-    listed = sources(services, tmp_path, opentopography_cop30={"resolution_m": 90.0})
-    source = choose(Kind.COARSE_ELEVATION, area, "opentopography_cop30", listed)
-    with pytest.raises(FetchError, match="450,000 km2"):
-        source.fetch(source.plan(area), tmp_path / "out")
-
-
 @pytest.mark.parametrize(
     ("place", "elevation", "fuel"),
     [
@@ -297,24 +285,6 @@ def test_place_decides_the_source(
             choose(Kind.FUEL, area, sources=listed)
 
 
-def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
-    services: SiteServices, tmp_path: Path
-) -> None:
-    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(
-        np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
-    )
-    services.statuses["/tnm/"] = [502] * 99
-    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path))
-    assert source.name == "usgs_3dep_10m"
-    assert "502" in source.plan(HERE).notes[0]
-
-
-def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
-    services.fuel_years = {2016: 1.0}
-    source = choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
-    assert "2016" in source.plan(HERE).notes[0]
-
-
 def test_requests_go_through_the_proxy_of_the_environment(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -328,12 +298,6 @@ def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: p
     monkeypatch.setenv("ALL_PROXY", proxy)
     with pytest.raises(FetchError, match="PROXY"):
         Web()
-
-
-@pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
-def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
-    with pytest.raises(LtmError):
-        choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address}))
 
 
 @pytest.mark.parametrize(
@@ -354,24 +318,6 @@ def test_a_coverage_is_cut_at_the_edges_of_its_cells(
     bounds, cells = grid.cut(Area((-5.05, 44.95, -4.35, 45.25)), "here")
     assert bounds == pytest.approx((-5.6, 44.4, -3.8, 45.8))
     assert cells == 9 * 7
-
-
-def test_the_page_lists_the_sources() -> None:
-    page = project_path("docs/site.md").read_text(encoding="utf-8")
-    listed = load_sources()
-    assert {kind for source in listed for kind in source.kinds} == set(Kind)
-    assert not [source.name for source in listed if f"`{source.name}`" not in page]
-
-
-def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
-    listed = sources(services, tmp_path)
-    with pytest.raises(ConfigError, match="usgs_3dep_1m"):
-        choose(Kind.ELEVATION, HERE, "usgs", listed)
-    with pytest.raises(ConfigError, match="adress"):
-        sources(services, tmp_path, copernicus_glo30={"adress": "x"})
-    (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
-    with pytest.raises(ConfigError):
-        load_sources(tmp_path / "bad.yaml")
 
 
 def test_a_download_continues_where_it_broke_off(services: SiteServices, tmp_path: Path) -> None:

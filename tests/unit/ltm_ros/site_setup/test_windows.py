@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.io import MemoryFile
-from rasterio.warp import transform, transform_bounds
+from rasterio.warp import transform
 from scenes.site_services import SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.resources import project_path
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
@@ -118,26 +117,6 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     assert services.bytes_sent <= 1.1 * expected
 
 
-@pytest.mark.parametrize("name", ["bags/demo/dem.tif", "../shared/data/dem_bigtujunga/bigtujunga.tif"])
-def test_real_terrain_arrives_unchanged(name: str, services: SiteServices, tmp_path: Path) -> None:
-    path = (project_path(".") / name).resolve()
-    services.add_product("USGS_1M_11_x34y379_A.tif", path.read_bytes(), "2021-01-01")
-    with rasterio.open(path) as raster:
-        west, south, east, north = transform_bounds(raster.crs, "EPSG:4326", *raster.bounds)
-        lon, lat = (west + east) / 2, (south + north) / 2
-        source = named(services, tmp_path, "usgs_3dep_1m", resolution_m=abs(raster.res[0]))
-        area = Area.around(lon, lat, min(Area((west, south, east, north)).size_m) / 6)
-        fetched = source.fetch(source.plan(area), tmp_path / "out")
-        values, about = opened(fetched.files[0])
-        np.testing.assert_array_equal(
-            values, raster.read(1, window=raster.window(*about.bounds).round_lengths().round_offsets())
-        )
-        assert about.crs == raster.crs
-    inside = transform_bounds(about.crs, "EPSG:4326", *about.bounds)
-    assert inside[0] < area.bounds_lonlat[0] < area.bounds_lonlat[2] < inside[2]
-    assert values.size < raster.width * raster.height / 4
-
-
 def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(
     services: SiteServices, tmp_path: Path
 ) -> None:
@@ -153,20 +132,6 @@ def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(
     fetched = source.fetch(source.plan(area), tmp_path / "out")
     assert [path.name[11:] for path in fetched.files] == ["x40y384_New.tif", "x41y384_New.tif", "x40y384_Old.tif"]
     assert fetched.year == 2023
-
-
-def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
-    services: SiteServices, tmp_path: Path
-) -> None:
-    west, _, east, north = AREA.bounds_lonlat
-    half = geotiff(np.ones((200, 200), np.float32), "EPSG:4326", west - 0.01, north + 0.01, (east - west + 0.02) / 400)
-    services.add_product("x1y1.tif", half, "2020")
-    for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
-        add_degree_tile(services, file, left, 35, 0, -0.5)
-    source = choose(Kind.ELEVATION, AREA, sources=sources(services, tmp_path))
-    assert source.name == "copernicus_glo30"
-    notes = source.plan(AREA).notes
-    assert [note.split()[0] for note in notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
 
 
 def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteServices, tmp_path: Path) -> None:
@@ -245,19 +210,6 @@ def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services
         source.fetch(source.plan(area), tmp_path / "out")
     services.files[name] = whole
     assert len(source.fetch(plan, tmp_path / "out").files) == 1
-
-
-def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteServices, tmp_path: Path) -> None:
-    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
-    assert "sea" in source.covers(Area.around(-30.0, 20.0, 8000.0))
-    unknown = np.full((360, 360), -9999.0, np.float32)
-    for west in (119, 118):
-        services.files[f"/cog/GLO30_N34_00_W{west}.tif"] = geotiff(
-            unknown, "EPSG:4326", -west, 35.0, STEP, nodata=-9999.0
-        )
-    with pytest.raises(NoCoverageError):
-        source.fetch(source.plan(AREA), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
