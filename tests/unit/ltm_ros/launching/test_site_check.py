@@ -17,8 +17,7 @@ from ltm_core.base.errors import SiteFinding, SiteVerdict
 from ltm_core.raster import prepared_heights_io
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_ros.launching import site_check
-from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine, examined_apart, exit_status
-from ltm_ros.recordings.replay import run as replay_run
+from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
 
 
 def finding(area: str, verdict: SiteVerdict) -> SiteFinding:
@@ -93,16 +92,6 @@ def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest
     (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
     assert (found.area, found.verdict) == (MACHINE, SiteVerdict.WRONG)
     assert "larger than the memory" in found.said
-
-
-def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay_run, "Runner", None)
-    monkeypatch.setattr(site_check, "examined_apart", lambda path, wanted: examine(path, wanted).findings)
-    small = write_small_site(tmp_path)
-    small.path.write_text(small.path.read_text().replace("EPSG:26911", "EPSG:26910"))
-    with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
-        replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print)
-    assert told.value.status == 78
 
 
 def test_what_a_source_or_an_alert_lacks_is_doubted_and_keeps_nothing_from_starting(
