@@ -108,10 +108,3 @@ def test_an_invalid_plot_is_rejected(plan: Plan, row: str) -> None:
     path.write_text(f"lon,lat,life_form,date\n{row}\n")
     with pytest.raises(ConfigError, match=r"plots\.csv"):
         read_field_plots(path, plan)
-
-
-def test_a_file_that_is_no_geopackage_is_rejected(plan: Plan) -> None:
-    path = plan.folder / "plots.gpkg"
-    path.write_bytes(b"SQLite format 3\x00" + b"\xff" * 200)
-    with pytest.raises(ConfigError, match=r"plots\.gpkg"):
-        read_field_plots(path, plan)

@@ -78,11 +78,6 @@ def test_hidden_learned_and_missing_cells_do_not_count_and_plots_replace_answers
     assert [(a.name, a.cells, a.share, a.kappa) for a in figures.agreements] == [("b", 15, 1.0, 1.0)]
 
 
-def test_no_answers_is_an_error(plan: MapPlan) -> None:
-    with pytest.raises(ConfigError, match="0"):
-        compute_figures(plan, None)
-
-
 def test_the_map_of_a_plan_is_that_of_its_day(plan: MapPlan) -> None:
     observed = plan.map.observed
     for cell in plan.shown.cells:

@@ -8,7 +8,6 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -189,14 +188,6 @@ def test_the_outline_contains_what_the_trace_finds_at_its_pixels(
             reach = 30.0 if photo.incidence_deg < 80 else 150.0
             assert abs(x + site.origin[0] - cell.x) < reach
             assert abs(y + site.origin[1] - cell.y) < reach
-
-
-def test_photos_without_the_cell_are_not_shown(
-    photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]]
-) -> None:
-    cell = sampled[0][0]
-    assert len(photos.best(cell, 30.0)) in (1, 2, 3)
-    assert photos.best(replace(cell, x=cell.x + 50_000), 30.0) == []
 
 
 @pytest.mark.slow
