@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from rclpy.serialization import serialize_message
 from scenes.masked_site import hidden_of_view, write_turning_site
 from scenes.small_site import TOWER, write_small_site
 
@@ -23,15 +22,11 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
-from ltm_msgs_py.bag.cdr import RAW_TYPE, RawPicture, picture_of
-from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.image import image_to_msg
+from ltm_msgs_py.bag.cdr import RawPicture
 from ltm_ros.archive.content_digest import (
     code_digest,
-    evidence_digest,
     file_digest,
     look_digest,
-    picture_digest,
     votes_digest,
 )
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
@@ -60,19 +55,6 @@ def test_digests_are_the_same_in_every_process(tmp_path: Path) -> None:
     assert len(said) == 1
 
 
-def test_other_errors_of_the_network_give_other_evidence(tmp_path: Path) -> None:
-    site = write_small_site(tmp_path, recording=False)
-    content = yaml.safe_load(site.path.read_text())
-    found = []
-    for wrong in (0.1, 0.2):
-        errors = {"source": "made up", "shares": {"grass": {"grass": 1 - wrong, "built": wrong}}}
-        (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
-        content["expert"] = {"fuel": {"label_errors": str(tmp_path / "errors.yaml")}}
-        site.path.write_text(yaml.safe_dump(content))
-        found.append(evidence_digest(load_site(site.path)))
-    assert found[0] != found[1]
-
-
 def test_masks_of_views_are_in_the_names_of_votes_and_looks(tmp_path: Path) -> None:
     """None, one, and the same file with another mask in it: of the camera that has them alone."""
     small = write_small_site(tmp_path, recording=False)
@@ -88,17 +70,6 @@ def test_masks_of_views_are_in_the_names_of_votes_and_looks(tmp_path: Path) -> N
 
 def _names(site: Site, camera: str) -> tuple[str, str]:
     return votes_digest(site, camera, TracingConfig(), LabellingConfig()), look_digest(site, camera)
-
-
-def test_limits_of_growth_are_in_the_names_of_votes(tmp_path: Path) -> None:
-    small = write_small_site(tmp_path, recording=False)
-    content = yaml.safe_load(small.path.read_text())
-    found = {votes_digest(small.site, "mast", TracingConfig(), LabellingConfig())}
-    for part, growth in (({}, {"tree_line_m": 2400.0}), ({"steepest_deg": 49.0}, {}), ({"steepest_deg": None}, {})):
-        changes = {"fuel": {"growth": growth}, "expert": {"fuel": {"growth": part}}}
-        small.path.write_text(yaml.safe_dump(content | changes))
-        found.add(votes_digest(load_site(small.path), "mast", TracingConfig(), LabellingConfig()))
-    assert len(found) == 4
 
 
 def test_the_program_is_its_own_sources_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,28 +125,3 @@ def test_what_a_view_s_mask_hides_is_not_judged(tmp_path: Path, azimuth_deg: flo
     frame = replace(frame, position=tuple(pose.position), quaternion=tuple(pose.quaternion))
     look = SmallLook(load_site(small.path), "tower", _Pictures(picture))
     assert (look(frame) == "") == clear
-
-
-def test_a_dim_picture_is_clear_at_noon_alone(tmp_path: Path) -> None:
-    """As live: the site is in California."""
-    small = write_small_site(tmp_path, recording=False)
-    dim = np.random.default_rng(3).integers(20, 140, (TOWER.height, TOWER.width, 3), np.uint8)
-    look = SmallLook(load_site(small.path), "tower", _Pictures(dim))
-    said = []
-    for moment in ("2026-06-21T20:00", "2026-06-22T04:00"):
-        stamp = int(np.datetime64(moment, "ns").astype(np.int64))
-        lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
-        said.append(look(ArchiveFrame("tower", stamp, "", "", 1, 5, "", lens, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0), ())))
-    assert said == ["", "dusk: the sun is low and the image dim"]
-
-
-def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:
-    raw = serialize_message(image_to_msg(np.full((4, 6, 3), 9, np.uint8), "rgb8", 7, "east_optical"))
-    with BagWriter(tmp_path / "bag") as bag:
-        for content in (raw[:11], raw):
-            bag.write_raw("/a/east/image_raw", RAW_TYPE, content, 50)
-    (file,) = (tmp_path / "bag").glob("*.mcap")
-    wanted = picture_digest(picture_of(raw, RAW_TYPE))
-    frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
-    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
-        assert reader.read(frame).size == (6, 4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -137,35 +136,6 @@ def test_what_is_held_stays_though_another_fetches_it_too(
     assert fetched.count("/files/one") == 1
 
 
-def test_what_the_disk_says_is_no_word_of_the_store(
-    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(self: object, path: str, place: str) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(fsspec.get_filesystem_class("memory"), "get_file", full)
-    with pytest.raises(OSError, match="No space left"):
-        at_hand.at_hand(store("one", b"1")).__enter__()
-    assert cached(tmp_path) == []
-
-
-def test_a_file_that_is_another_one_each_time_is_given_up(
-    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kind = fsspec.get_filesystem_class("memory")
-    fetch, size = kind.get_file, [1]
-
-    def growing(self: object, path: str, place: str) -> None:
-        size[0] += 1
-        store("one", b"1" * size[0])
-        fetch(self, path, place)
-
-    monkeypatch.setattr(kind, "get_file", growing)
-    with pytest.raises(ArchiveError, match="files/one"):
-        at_hand.at_hand(store("one", b"1")).__enter__()
-    assert cached(tmp_path) == []
-
-
 def test_a_file_is_fetched_once_and_anew_when_it_has_changed(
     store: Store, at_hand: ArchiveFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,13 +193,6 @@ def test_a_store_is_asked_again_some_times(
         with pytest.raises(ArchiveError, match=r"one cannot be read now \(OSError: SlowDown, tried 3 times"):
             at_hand.at_hand(url).__enter__()
         assert cached(tmp_path) == []
-
-
-def test_what_is_not_there_is_asked_for_once(store: Store, at_hand: ArchiveFiles) -> None:
-    with pytest.raises(ArchiveError, match=r"nothing: FileNotFoundError.*check the address"):
-        at_hand.at_hand("memory:///files/nothing").__enter__()
-    with pytest.raises(ArchiveError, match="not a location of archives"):
-        at_hand.at_hand("nosuch://bucket/a").__enter__()
 
 
 def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,16 +39,6 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
     assert results.read("votes/a.parquet") == b"content"
 
 
-def test_folders_are_no_files(tmp_path: Path) -> None:
-    """Somebody has put one beside the layers; they are what is removed when a later run has not written them."""
-    for url in (str(tmp_path), "memory://folders"):
-        results = ResultFolder(url)
-        results.write("layers/code.tif", b"content")
-        results.write("layers/mine/notes.txt", b"content")
-        assert results.names("layers") == {"code.tif"}
-        assert results.names("nothing") == set()
-
-
 def test_a_store_that_fails_in_whatever_way_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """As that of S3, whose library has errors that are no OSError."""
 

@@ -56,12 +56,6 @@ def test_a_span_is_of_one_camera_and_day() -> None:
     assert len(spans(FRAMES, Sample.parsed("1/hour"), 0.0)) == len(FRAMES)
 
 
-def test_days_begin_in_the_site_s_night() -> None:
-    """At 120 degrees west, at 8 h UTC."""
-    found = spans(FRAMES[:48], Sample.parsed("4/day"), -2 * np.pi / 3)
-    assert [hours(span)[0] for span in found] == [0, 8, 8]
-
-
 FOUR = Sample.parsed("4/day")
 DAY = FRAMES[6:18]
 """Pictures of an hour each, of a day on which the sun is up from 6 to 18 h."""
@@ -82,12 +76,6 @@ def test_looks_are_spread_over_a_day_and_begin_elsewhere_on_the_next() -> None:
     assert chosen(DAY, 1) == [7, 10, 13, 16]
     taken = [hour for turn in TURNS for hour in chosen(DAY, turn)]
     assert {hour: taken.count(hour) for hour in range(6, 18)} == {6 + k: (5, 6, 5)[k % 3] for k in range(12)}
-
-
-@pytest.mark.parametrize(("of", "count"), [((7, 12, 17), 3), ((10,), 1), ((10, 11), 1), ((6, 9, 12, 15), 4)])
-def test_few_pictures_are_as_many_looks_as_they_have_time_between_them(of: tuple[int, ...], count: int) -> None:
-    for turn in TURNS:
-        assert len(chosen([FRAMES[hour] for hour in of], turn)) == count
 
 
 def test_a_camera_that_sends_more_has_no_more_looks() -> None:
@@ -127,12 +115,6 @@ def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
     taken = [hour for turn in TURNS for hour in chosen(DAY, turn, look)]
     assert {taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17)} == {5, 6}
     assert len(taken) == sum(taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17))
-
-
-def test_of_a_day_with_any_clear_picture_one_is_taken() -> None:
-    for turn in TURNS:
-        assert chosen(DAY, turn, lambda one: "" if hours([one]) == [7] else "fog") == [7]
-    assert sampled((), FOUR, clear, 1, DAY_NS) == Sampled((), Counter())
 
 
 def test_the_sun_s_hours_of_a_day_are_counted(tmp_path: Path) -> None:
@@ -185,30 +167,7 @@ def test_a_picture_that_stands_still_for_weeks_is_one_look() -> None:
     assert ("east", 40 * DAY_NS + 6 * HOUR_NS) not in found
 
 
-def test_another_camera_s_picture_and_one_of_long_ago_are_no_repetition() -> None:
-    frames = [frame("east", 0, "a"), frame("east", DAY_NS, "b"), frame("east", 2 * DAY_NS, "a"), frame("west", 0, "a")]
-    assert repeated(frames, 0.0) == set()
-    assert repeated([*frames[:2], frame("east", DAY_NS + 1, "a")], 0.0) == {("east", DAY_NS + 1)}
-
-
-def test_a_choice_hangs_on_its_own_days_and_the_one_before() -> None:
-    """Wherever an archive is cut, what is found of all days but the first is the same."""
-    rng = np.random.default_rng(4)
-    frames = [frame("east", hour * HOUR_NS, str(rng.integers(30))) for hour in range(0, 24 * 12, 3)]
-    whole = repeated(frames, 0.3)
-    assert whole
-    for day in range(1, 12):
-        cut = [one for one in frames if solar_day(one.stamp_ns, 0.3) >= day]
-        later = {key for key in whole if solar_day(key[1], 0.3) > day}
-        assert {key for key in repeated(cut, 0.3) if solar_day(key[1], 0.3) > day} == later
-
-
 @pytest.mark.parametrize("text", ["", "0/day", "4", "4/week", "-1/day", "some"])
 def test_other_words_are_refused(text: str) -> None:
     with pytest.raises(ArchiveError, match="give all, or a number per time span"):
         Sample.parsed(text)
-
-
-@pytest.mark.parametrize("text", ["all", "4/day", "12/hour"])
-def test_says_itself(text: str) -> None:
-    assert Sample.parsed(text).described == text
