@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -39,23 +38,6 @@ def known() -> dict[str, Topic]:
 
 
 KNOWN = known()
-
-
-def leaves(layout: Any) -> Iterator[str]:
-    if isinstance(layout, str):
-        yield layout
-        return
-    assert layout["direction"] in ("row", "column")
-    assert 0 < layout["splitPercentage"] < 100
-    yield from leaves(layout["first"])
-    yield from leaves(layout["second"])
-
-
-def test_every_panel_of_foxglove_is_placed_once_and_described() -> None:
-    placed = list(leaves(FOXGLOVE["layout"]))
-    assert sorted(placed) == sorted(FOXGLOVE["configById"])
-    kinds = {panel.partition("!")[0] for panel in placed}
-    assert kinds == {"Image", "3D", "map", "DiagnosticSummary"}
 
 
 @pytest.mark.parametrize("panel", [panel for panel in FOXGLOVE["configById"] if panel.startswith("Image!")])

@@ -22,7 +22,7 @@ from ltm_core.base.errors import ConfigError
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from ltm_ros.viewer import RerunView
-from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, rerun_binary, web_url
+from ltm_ros.viewer.server import RerunProcess, listens, rerun_binary, web_url
 
 
 @pytest.fixture
@@ -132,8 +132,3 @@ def test_a_window_connects_to_no_other_host(
         process.stop()
     reached = re.findall(r"sin_addr=inet_addr\(\"([\d.]+)\"\)", calls.read_text())
     assert set(reached) == {"127.0.0.1"}
-
-
-def test_urls_name_the_loopback() -> None:
-    assert grpc_url(9876) == "rerun+http://127.0.0.1:9876/proxy"
-    assert web_url(9090, 9876) == "http://127.0.0.1:9090/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"

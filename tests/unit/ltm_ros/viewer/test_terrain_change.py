@@ -23,16 +23,3 @@ def test_changes_lie_in_the_map_and_stay_there_as_their_window_grows() -> None:
         (row, col) = np.argwhere(picture.kinds == 2)[0]
         place = np.array(picture.corner) + picture.pixel * (np.array([col, row]) + 0.5)
         np.testing.assert_allclose(place, [(60 + 21 + 100) / 20, (500 - 300 + 17) / 20])
-
-
-def test_a_small_change_is_seen_in_a_picture_that_skips_cells() -> None:
-    kinds = np.full((1700, 3300), 255, np.uint8)
-    kinds[100:1600, 100:3200] = 0
-    kinds[799:810, 1995:2006] = 2  # 30 square metres
-    geometry = GridGeometry(0.0, 900.0, 0.5, 3300, 1700)
-    picture = ChangePicture.over(kinds, geometry, geometry)
-    assert max(picture.kinds.shape) <= 1600
-    assert picture.kinds[803 // 3, 2000 // 3] == 2
-    assert picture.kinds[803 // 3, 2000 // 3 + 3] == 0
-    assert picture.kinds[20, 600] == 255
-    assert picture.pixel == 3.0
