@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError
 from ltm_core.label_heads.labelled_frames import read_frames
-from ltm_core.vision.areas import NamedArea, areas_of, labels_of, read_areas, write_areas
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.areas import NamedArea, read_areas, write_areas
 from ltm_ros.labelling.server import LabelSession
 
 WIDTH, HEIGHT = 60, 40
@@ -65,15 +63,6 @@ def test_strokes_are_kept_as_outlines_that_give_the_same_labels(folder: Path) ->
     np.testing.assert_array_equal(saved(folder, "a"), labels)
 
 
-def test_a_stroke_about_a_place_leaves_the_place_out(folder: Path) -> None:
-    ring = {"kind": "stroke", "name": "water", "points": [[10, 8], [50, 8], [50, 32], [10, 32], [10, 8]], "radius": 3}
-    session = LabelSession(folder)
-    session.save(0, {"shapes": [ring]})
-    labels = saved(folder, "a")
-    assert (labels[13:28, 15:46] == 255).all()
-    assert (labels[8, 10:51] == 5).all()
-
-
 def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
     """With a mask and an erased place, as the page saves them; by its label images and by its areas alone."""
     session = LabelSession(folder)
@@ -101,16 +90,6 @@ def test_other_photos_keep_their_areas(folder: Path) -> None:
     assert (saved(folder, "a") == 255).all()
 
 
-def test_a_label_image_comes_back_from_its_areas() -> None:
-    labels = LabelSet.load()
-    drawn = np.zeros((90, 130), np.uint8)
-    drawn[40:] = 2
-    drawn[50:70, 30:60] = 4
-    drawn[55:64, 40:52] = 3
-    back = labels_of(areas_of("a.jpg", drawn, labels.names), 90, 130, labels)
-    assert (back == drawn).mean() > 0.985
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -130,22 +109,3 @@ def test_what_is_no_list_of_areas_changes_nothing(folder: Path, content: object)
     with pytest.raises(ConfigError):
         session.save(0, content)
     assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png"]
-
-
-def test_folders_that_cannot_be_labelled(folder: Path, tmp_path: Path) -> None:
-    for number in (-1, 2):
-        with pytest.raises(ConfigError, match="there is no photo"):
-            LabelSession(folder).save(number, {"shapes": []})
-    with pytest.raises(ConfigError, match="no network"):
-        LabelSession(folder).suggested(0)
-    (folder / "a.jpg").write_bytes((folder / "a.png").read_bytes())
-    with pytest.raises(ConfigError, match="several photos are named a"):
-        LabelSession(folder)
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    with pytest.raises(RecordingError, match="no photos"):
-        LabelSession(empty)
-    (folder / "a.jpg").unlink()
-    (folder / "polygons.json").write_text(json.dumps([{"image": "a.png"}]))
-    with pytest.raises(ConfigError, match=r"polygons\.json"):
-        LabelSession(folder)
