@@ -7,9 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -102,22 +100,6 @@ def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., St
     assert verdicts[0].endswith("the DEM moon.tif does not exist")
 
 
-def test_a_graph_is_up_without_an_optional_node_that_was_given_up(start: Callable[..., Started]) -> None:
-    """Else a service would never be ready for want of its status page."""
-    viewer = replace(spec("viewer", behaviour="config_error"), required=False)
-    graph = start(spec("capture"), viewer)
-    graph.runner.wait_until_ready(30)
-    graph.wait_for(lambda: graph.runner.given_up == ["north/viewer"], "the verdict")
-    graph.runner.wait_until_ready(30)
-
-
-def test_names_the_node_that_is_not_ready(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth", behaviour="silent"), spec("capture"))
-    graph.wait_for(lambda: any("hello from /ridge/north/depth" in line for line in graph.lines), "the silent node")
-    with pytest.raises(GraphError, match="not ready: north/depth\n"):
-        graph.runner.wait_until_ready(6)
-
-
 def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     graph = start(spec("depth", behaviour="stubborn"), spec("capture"), stop_s=3.0)
     graph.runner.wait_until_ready(30)
@@ -130,13 +112,6 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     assert "[north/capture] goodbye" in graph.lines
     # Another test's runner may be about to remove them just now.
     assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
-
-
-def test_stops_quietly_in_the_middle_of_the_start(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth"), spec("capture"))
-    time.sleep(0.6)  # waits for nothing: it chooses the moment
-    graph.runner.stop()
-    assert not [line for line in graph.lines if "Traceback" in line or "still running" in line], graph.lines
 
 
 @pytest.mark.parametrize("behaviour", ["slow_to_start", "loses_the_stop"])
@@ -183,16 +158,6 @@ def test_signal_to_the_runner_ends_everything(ros_domain: int) -> None:
     output, _ = runner.communicate(timeout=30)
     assert runner.returncode == 0
     assert "still running" not in output
-    assert processes_of_domain(ros_domain) == []
-
-
-def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int) -> None:
-    runner = _run_in_process(1, {})
-    runner.terminate()
-    output, _ = runner.communicate(timeout=30)
-    assert runner.returncode == 0
-    assert "nodes are ready" not in output
-    assert "not ready" not in output
     assert processes_of_domain(ros_domain) == []
 
 

@@ -65,27 +65,3 @@ def test_a_worker_that_stands_is_noticed_though_its_node_answers(
     text = "\n".join(lines)
     assert text.count('handler_for_tests.py", line') >= 2
     assert "on_message" in text
-
-
-def test_a_node_that_hears_nothing_of_the_others_is_started_again_and_hears_them(
-    small_site: SmallSite, ros_domain: int, tmp_path: Path
-) -> None:
-    parameters = {"site": str(small_site.path)}
-    talker = NodeSpec("talker", f"/{NAME}", "handler_for_tests", parameters | {"camera": "talker"})
-    echo = NodeSpec("echo", f"/{NAME}", "handler_for_tests", parameters)
-    lines: list[str] = []
-    runner = Runner(
-        Graph(NAME, (talker, echo), WatchdogConfig(silent=20.0, deaf=10.0)),
-        domain_id=ros_domain,
-        console=lines.append,
-        policy=QUICK,
-        environment={"PYTHONPATH": str(HERE), "DEAF_ONCE": str(tmp_path / "deaf")},
-    )
-    with runner, Bystander() as bystander:
-        said = f"{echo.namespace}/{SAID.name}"
-        bystander.listen(said, SAID.type, latched=True)
-        wait_for(lambda: bystander.heard[said], "what it passes on", lambda: lines, 120.0)
-        told = [line for line in lines if "hung: " in line]
-        assert told[0].startswith("[echo] -- hung: received 0 of ")
-        assert told[0].endswith(f"most of them on /{NAME}/{HEARD.name}; killed, for the 1. time")
-        assert runner.processes["talker"].starts == 1, "what nobody speaks to is not deaf"

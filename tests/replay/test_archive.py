@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
+from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Int16Array
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -26,11 +25,9 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.engine import Engine, serial
 from ltm_ros.archive.frame_files import read_votes
-from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
-from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
 from ltm_ros.archive.task import work
@@ -81,24 +78,6 @@ def test_any_chunks_give_the_map_of_the_offline_replay(options: ArchiveOptions, 
     assert (summary.worked, summary.merged, summary.failed) == (2 * FRAMES, 2 * FRAMES, 0)
     assert digest_of(Path(options.out) / STORE_FILE) == expected
     assert summary.tasks == 2 * 2
-
-
-@pytest.mark.slow
-def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected: str) -> None:
-    """With SIGKILL, as the kernel does it to those that take all memory; twice, at whatever they do then."""
-    killed = list[int]()
-
-    def kill_a_worker(done: int, total: int) -> None:
-        children = [
-            child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())
-        ]
-        if children and len(killed) < 2:
-            children[0].kill()
-            killed.append(children[0].pid)
-
-    planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
-    assert run(planned, on_workers(2), kill_a_worker).digest == expected
-    assert len(killed) == 2
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
@@ -214,15 +193,6 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
         reprocessed(options)  # though a map is there that was made with more patience
 
 
-def test_a_cut_recording_gives_what_it_has(options: ArchiveOptions, small_site: SmallSite, tmp_path: Path) -> None:
-    cut = small_site.cut_in_half(tmp_path)
-    summary = reprocessed(replace(options, archives=(cut,), max_failed=0.5))
-    assert 2 <= summary.merged < 2 * FRAMES
-    assert summary.digest == replayed(cut, small_site.path, tmp_path / "state")
-    record = json.loads((Path(options.out) / "run.json").read_text())
-    assert "cut.mcap is truncated" in record["damage"][0] or "without a footer" in record["damage"][0]
-
-
 def test_clocks_that_stand_still_jump_or_were_never_set(own_site: SmallSite, tmp_path: Path) -> None:
     """Five days without a frame, then a clock that is set back by an hour, then one that begins in 1970: frames count
     by their stamps as in the replay, gaps are told before the run, and what has no time is named."""
@@ -261,60 +231,6 @@ def test_a_store_that_a_node_went_on_from_is_not_written_over(resumed: ArchiveOp
         store.write(b"more")
     with pytest.raises(ArchiveError, match="a node may have continued from it"):
         reprocessed(resumed)
-
-
-def test_a_store_of_our_own_is_written_over_after_runs_that_failed_or_were_killed(
-    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, expected: str
-) -> None:
-    reprocessed(replace(options, cameras=("mast",)))
-    bag = rewritten(small_site.bag, tmp_path / "cut", lambda number, raw: raw if number != 2 else raw[: len(raw) // 2])
-    with pytest.raises(ArchiveError, match="no map was written"):
-        reprocessed(replace(options, archives=(bag,)))
-    written = ResultFolder.write
-
-    def killed(results: ResultFolder, name: str, content: bytes) -> None:
-        if name == RUN:
-            raise KeyboardInterrupt
-        written(results, name, content)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(ResultFolder, "write", killed)
-        with pytest.raises(KeyboardInterrupt):
-            reprocessed(replace(options, cameras=("tower",)))
-    assert reprocessed(options).digest == expected
-
-
-def test_what_is_lost_before_frames_are_chosen_is_a_share_of_all(
-    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
-) -> None:
-    """One of 12 here, and a sample of 2: the mast's pictures are all the same, the tower's of one moment."""
-    bag = rewritten(small_site.bag, tmp_path / "cut", lambda number, raw: raw if number != 2 else raw[: len(raw) // 2])
-    options = replace(options, archives=(bag,), sample=Sample.parsed("2/day"))
-    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
-        reprocessed(replace(options, max_failed=0.08))
-    summary = reprocessed(replace(options, max_failed=0.09))
-    assert (summary.merged, summary.failed) == (2, 1)
-
-
-def test_an_archive_that_is_away_loses_no_frame_for_good(
-    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path, expected: str
-) -> None:
-    """As a network's file system that is not mounted for a while."""
-    shutil.copytree(small_site.bag, tmp_path / "bag")
-    options = replace(options, archives=(tmp_path / "bag",))
-    planned = look_through(options, lambda done, total: None)
-    (tmp_path / "bag").rename(tmp_path / "away")
-    with pytest.raises(ArchiveError, match=r"12 of 12 frames failed \(12 task\)"):
-        run(planned, serial, lambda done, total: None)
-    (tmp_path / "away").rename(tmp_path / "bag")
-    assert reprocessed(options).digest == expected
-
-
-def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) -> None:
-    """The mast's have 110,592 bytes; the limit is of compressed ones."""
-    edited(own_site, lambda site: site.update(expert={"limits": {"image_bytes": 100_000}}))
-    summary = reprocessed(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")))
-    assert (summary.merged, summary.failed) == (2 * FRAMES, 0)
 
 
 def test_a_live_node_goes_on_from_the_store(resumed: ArchiveOptions, small_site: SmallSite, expected: str) -> None:
@@ -408,15 +324,6 @@ def journal_of(store: TileStore, site: Site) -> list[Int16Array]:
     return [store.as_of("code", initial, (BEGIN_NS // day + number + 1) * day - 1) for number in range(5)]
 
 
-def test_burns_are_read_before_any_recording(options: ArchiveOptions, tmp_path: Path) -> None:
-    (tmp_path / "burns.geojson").write_text("none")
-    with pytest.raises(ConfigError, match="cannot be read as GeoJSON"):
-        look_through(
-            replace(options, archives=(tmp_path / "nothing",), burns=tmp_path / "burns.geojson"),
-            lambda done, total: None,
-        )
-
-
 def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:
     options = replace(options, sample=Sample.parsed("2/day"))
     planned = look_through(options, lambda done, total: None)
@@ -431,25 +338,12 @@ def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, sm
     assert [file.stat().st_mtime_ns for file in looks] == changed
 
 
-def test_layers_and_their_catalogue_entry_are_written(done: Path) -> None:
-    layers = done / "layers"
-    item = json.loads((layers / "item.stac.json").read_text())
-    assert item["properties"]["datetime"] == "2023-11-14T22:13:21Z"
-    assert {(layers / asset["href"]).is_file() for asset in item["assets"].values()} == {True}
-
-
 def test_other_programs_and_other_files_on_a_worker_are_refused(options: ArchiveOptions) -> None:
     planned = look_through(options, lambda done, total: None)
     with pytest.raises(ArchiveError, match="install the same version"):
         work(planned.tasks[0], replace(planned.settings, code="another"))
     with pytest.raises(ArchiveError, match="give all workers the same files"):
         work(replace(planned.tasks[0], steps_key="another"), planned.settings)
-
-
-def test_a_site_whose_poses_hang_on_the_order_of_frames_is_refused(own_site: SmallSite, tmp_path: Path) -> None:
-    edited(own_site, lambda site: site.update(refine_poses={}))
-    with pytest.raises(ArchiveError, match="refines poses"):
-        look_through(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")), lambda done, total: None)
 
 
 @pytest.mark.usefixtures("with_page")

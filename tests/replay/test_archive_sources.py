@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import csv
 import errno
-import gc
 import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from weakref import WeakSet
 
 import pytest
 import s3fs
@@ -21,10 +19,9 @@ from scenes.small_site import FRAMES, SmallSite
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.pipeline.stored_fuel import STORE_FILE
-from ltm_msgs_py.bag.cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.archive import files, photo_folder
+from ltm_ros.archive import files
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
@@ -185,33 +182,3 @@ def test_a_folder_of_photos_gives_the_map_of_the_recording_that_import_makes_of_
     on_s3 = replace(options, archives=(f"{store.address}/photos",), out=str(tmp_path / "of_s3"))
     small_cache = CacheConfig(str(tmp_path / "cache"), max(file.stat().st_size for file in folder.iterdir()))
     assert reprocessed(replace(on_s3, cache=small_cache)).digest == of_bag.digest
-
-
-def test_one_photo_of_a_folder_is_held_at_a_time(
-    small_site: SmallSite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A year of them would not fit."""
-    held, most, make = WeakSet[CompressedPicture](), list[int](), photo_folder.photo_picture
-
-    def noted(data: bytes, stamp_ns: int) -> CompressedPicture:
-        picture = make(data, stamp_ns)
-        gc.collect()
-        held.add(picture)
-        most.append(len(held))
-        return picture
-
-    monkeypatch.setattr(photo_folder, "photo_picture", noted)
-    folder = write_photos(small_site, tmp_path / "photos")
-    look_through(ArchiveOptions((folder,), small_site.path, str(tmp_path / "out")), lambda done, total: None)
-    assert len(most) == FRAMES
-    assert max(most) <= 2
-
-
-def test_photos_that_cannot_be_taken_are_named(small_site: SmallSite, tmp_path: Path) -> None:
-    folder = write_photos(small_site, tmp_path / "photos")
-    (folder / "001.jpg").write_bytes(b"\xff\xd8 and no more")
-    (folder / "002.jpg").unlink()
-    options = ArchiveOptions((folder,), small_site.path, str(tmp_path / "out"), max_failed=0.5)
-    summary = reprocessed(options)
-    assert (summary.merged, summary.failed) == (FRAMES - 2, 2)
-    assert {failure.place for failure in summary.failures} == {"tower"}

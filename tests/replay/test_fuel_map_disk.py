@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 from scenes.fuel_frames import write_site
-from scenes.own_disk import run_on_own_disk, run_on_own_disks
-from scenes.slow_fsync import slow_fsync
+from scenes.own_disk import run_on_own_disks
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
 CASES = ("full", "stopped_while_full", "lost", "full_from_the_start", "read_only", "no_inodes")
@@ -80,15 +79,3 @@ def test_disk_without_room_for_another_name(states: States) -> None:
     assert started["frames"] + started["unsaved"] in (3, 9)
     assert (after["frames"], after["unsaved"]) == (9, 0)
     assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (9, 0, False)
-
-
-@pytest.mark.slow
-def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
-    (tmp_path / "disk").mkdir()
-    during, restarted = run_on_own_disk(
-        PROGRAM, "slow", tmp_path / "disk", write_site(tmp_path), more=slow_fsync(tmp_path, 2.0)
-    )
-    assert (during["frames"], during["unsaved"], during["updates"]) == (30, 0, 30), "one wait for all that came"
-    assert during["troubled"]
-    assert "store_slow: the disk took" in during["error"]
-    assert (restarted["frames"], restarted["unsaved"]) == (30, 0)

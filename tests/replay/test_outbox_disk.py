@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from scenes.own_disk import run_on_own_disks
-from scenes.slow_fsync import slow_fsync
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "outbox_disk_process.py"
 States = dict[str, list[dict[str, Any]]]
@@ -53,10 +52,3 @@ def test_disk_without_room_for_another_name(states: States) -> None:
     assert (started["kept"], started["troubled"]) == (0, True)
     assert "No space left on device" in started["error"]
     assert after["frames"] == list(range(10))
-
-
-@pytest.mark.slow
-def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
-    (state,) = states_of(("slow",), tmp_path, slow_fsync(tmp_path, 2.0))["slow"]
-    assert (state["kept"], state["frames"]) == (60, list(range(60))), "one wait for all that came"
-    assert "outbox_slow: the disk took" in state["error"]
