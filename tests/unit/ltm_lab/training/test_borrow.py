@@ -10,7 +10,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
 from ltm_lab.training.augment import Lent, augmented
-from ltm_lab.training.borrow import photo_skies, photo_sky, with_ground, with_lake
+from ltm_lab.training.borrow import photo_sky, with_ground
 from ltm_lab.training.config import AugmentConfig
 from ltm_lab.training.training_frames import TrainingFrame
 
@@ -26,18 +26,6 @@ def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tupl
     labels = np.full(SIZE, ground, np.uint8)
     labels[:skyline] = Label.SKY
     return photo.astype(np.uint8), labels
-
-
-def _photo(skyline: int = 24) -> TrainingFrame:
-    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline)
-    return TrainingFrame(photo, labels, Path("photos/1.jpg"), np.ones(SIZE, np.float32), ordinal=True)
-
-
-def test_a_photo_lends_what_is_sky_from_side_to_side() -> None:
-    rendered = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
-    (sky,) = photo_skies([rendered, _photo(), _photo(skyline=6)])  # the last has too little of it
-    assert sky.shape == (22, 96, 3)
-    np.testing.assert_array_equal(sky, _photo().image[:22])
 
 
 def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
@@ -74,14 +62,6 @@ def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
     assert np.ptp(shares) > 0.05
 
 
-def test_a_picture_without_land_gets_no_lake() -> None:
-    photo, labels = _scene(Label.GRASS, (200, 180, 90), skyline=60)
-    unit = photo.astype(np.float32) / 255
-    same, found = with_lake(unit, labels, np.random.default_rng(0))
-    assert same is unit
-    assert found is labels
-
-
 def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() -> None:
     photo, labels = _scene(Label.TREE, (60, 90, 50))
     sand, other = _scene(Label.SHRUB, (210, 190, 150), skyline=30)
@@ -95,10 +75,3 @@ def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() ->
         np.testing.assert_array_equal(np.isnan(inverse), patch)
         own, before, after = photo[30:].mean(axis=(0, 1)), sand[patch].mean(axis=0), mixed[patch].mean(axis=0)
         assert np.abs(after - own).sum() < 0.8 * np.abs(before - own).sum()
-
-
-def test_ground_is_lent_to_ground_alone() -> None:
-    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline=64)
-    host = (photo, labels, np.ones(SIZE, np.float32))
-    donor = (*_scene(Label.SHRUB, (210, 190, 150)), np.ones(SIZE, np.float32))
-    assert with_ground(host, donor, np.random.default_rng(1)) is host
