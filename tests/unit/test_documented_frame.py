@@ -23,13 +23,6 @@ def test_at_most_twelve_files() -> None:
     assert len({*FILES}) == len(FILES)
 
 
-def test_each_file_imports_or_is_imported_by_another_one() -> None:
-    imports = {file: imported(file) & {*FILES} for file in FILES}
-    linked = {file for file in FILES if imports[file]} | set().union(*imports.values())
-    # The first file hands its frame on as messages.
-    assert linked | {FILES[0]} == {*FILES}
-
-
 def test_the_list_is_one_chain() -> None:
     """Every file but the first is linked to a file further up, or to the next one."""
     for number, file in enumerate(FILES[1:], 1):
