@@ -1,5 +1,3 @@
-"""The health of a real graph: what HTTP says is what /diagnostics says, and what a person reads."""
-
 from __future__ import annotations
 
 import http.client
@@ -63,7 +61,7 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
     path = small_site.folder / "watched.yaml"
     keys = yaml.safe_load(small_site.path.read_text())
     # A node that hangs is missed after 10 s, and shall be so until a person has asked, however long that takes: the
-    # runner leaves it to the test (`test_watchdog` has the runner end it).
+    # runner leaves it to the test.
     more = {"health": {"port": port}, "locating": {}}
     more["expert"] = {"health": {"frame_age": 3600.0}, "watchdog": {"silent": 3600.0}}
     path.write_text(yaml.safe_dump(keys | more))

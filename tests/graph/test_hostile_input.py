@@ -1,5 +1,3 @@
-"""What cameras and strangers may send to a running graph: each counted by its cause, none fatal, and work goes on."""
-
 from __future__ import annotations
 
 import time

@@ -1,5 +1,3 @@
-"""More frames than can be done: what is let in is finished everywhere, the rest is counted, and no fault stops it."""
-
 from __future__ import annotations
 
 import threading

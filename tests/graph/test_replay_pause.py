@@ -1,5 +1,3 @@
-"""A recording with long pauses goes through a graph without waiting for them, and waits for a graph that is behind."""
-
 from __future__ import annotations
 
 import threading

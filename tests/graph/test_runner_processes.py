@@ -1,5 +1,3 @@
-"""The runner on real ROS processes: they come up, come back, and leave nothing."""
-
 from __future__ import annotations
 
 import os
@@ -76,18 +74,6 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started]) -> None:
         assert f"[{label}] goodbye" in graph.lines
 
 
-def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started]) -> None:
-    def gone(line: str) -> None:
-        raise BrokenPipeError
-
-    graph = start(spec("depth"), console=gone)
-    graph.runner.wait_until_ready(30)
-    graph.runner.kill("north/depth")
-    depth = graph.runner.processes["north/depth"]
-    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
-    graph.runner.wait_until_ready(30)
-
-
 def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
     graph = start(spec("depth", behaviour="config_error"), spec("capture"))
     with pytest.raises(GraphError, match=r"not ready: north/depth\n.*given up.*2 starts.*78") as error:
@@ -112,16 +98,6 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     assert "[north/capture] goodbye" in graph.lines
     # Another test's runner may be about to remove them just now.
     assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
-
-
-@pytest.mark.parametrize("behaviour", ["slow_to_start", "loses_the_stop"])
-def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started], behaviour: str) -> None:
-    graph = start(spec("depth", behaviour=behaviour))
-    graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
-    graph.runner.stop()
-    # Fast DDS may tell of another graph's port that was being removed as it looked.
-    said = [line for line in graph.lines if "RTPS_TRANSPORT_SHM" not in line]
-    assert len(said) == 2, graph.lines  # its start and its greeting
 
 
 RUN = """

@@ -1,5 +1,3 @@
-"""`ltm run` as a service: what a service manager hears of a real graph whose cameras are all offline."""
-
 from __future__ import annotations
 
 import os

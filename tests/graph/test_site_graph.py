@@ -1,5 +1,3 @@
-"""A site's whole graph on a small recording, every node a process: nothing is lost, and what dies comes back."""
-
 from __future__ import annotations
 
 import os

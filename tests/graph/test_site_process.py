@@ -1,5 +1,3 @@
-"""The process that the nodes of all cameras share: what is wrong with one camera costs the others nothing."""
-
 from __future__ import annotations
 
 import shutil

@@ -1,5 +1,3 @@
-"""The living surface as processes on real DDS: from photos to maps, and killed."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""`ltm reprocess`: whatever works an archive, in whatever parts, its map is that of the serial offline replay."""
-
 from __future__ import annotations
 
 import json
@@ -15,7 +13,7 @@ import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ArchiveError, LtmError
+from ltm_core.base.errors import ArchiveError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Int16Array
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -144,19 +142,6 @@ def test_archives_that_hold_the_same_frames_count_them_once(
     planned = look_through(replace(options, archives=(small_site.bag, tmp_path / "copy")), lambda done, total: None)
     assert planned.manifest.repeated == 2 * FRAMES
     assert run(planned, serial, lambda done, total: None).digest == expected
-
-
-def test_pictures_that_repeat_the_last_one_are_no_frames_where_the_site_says_so(
-    own_site: SmallSite, tmp_path: Path
-) -> None:
-    """The mast's pictures are all the same; the map is that of the replay, whose capture leaves them out too."""
-    edited(own_site, lambda site: site["nodes"]["capture"].update(drop_repeated=True))
-    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
-    summary = reprocessed(options)
-    assert (summary.merged, summary.failed) == (FRAMES + 1, 0)
-    assert summary.digest == replayed(own_site.bag, own_site.path, tmp_path / "state")
-    record = json.loads((Path(options.out) / "run.json").read_text())
-    assert record["frames"]["unchanged"] == FRAMES - 1
 
 
 def rewritten(source: Path, target: Path, change: Callable[[int, bytes], bytes]) -> Path:
@@ -357,15 +342,3 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
     assert done.exit_code == 0, done.output
     assert "12 frames processed now, 12 in the map, 0 failed" in done.output
     assert expected in done.output.replace("\n", "")
-
-
-@pytest.mark.parametrize(
-    ("option", "wrong"),
-    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--workers", "tcp://10.0.0.1:8786"),
-     ("--workers", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
-)  # fmt: skip
-def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
-    command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
-    refused = CliRunner().invoke(cli, [*command, option, wrong])
-    assert isinstance(refused.exception, LtmError)
-    assert not (tmp_path / "out" / STORE_FILE).exists()

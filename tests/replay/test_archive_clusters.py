@@ -1,5 +1,3 @@
-"""`ltm reprocess` where things are elsewhere: results on an S3 server, workers behind mutual TLS, workers that die."""
-
 from __future__ import annotations
 
 import json
@@ -8,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,30 +49,6 @@ def test_results_on_s3_are_those_on_disk(small_site: SmallSite, bucket: str, exp
     results.write(STORE_FILE, b"a node went on")
     with pytest.raises(ArchiveError, match="a node may have continued from it"):
         reprocessed(options)
-
-
-@pytest.mark.slow  # half a minute of waiting between tries
-def test_a_store_that_has_too_many_requests_gets_the_same_results(
-    small_site: SmallSite, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each file's first request of a kind is answered with 503, and every seventh of all others."""
-    seen, refused = Counter[str](), Counter[str]()
-
-    def refuses(request: str) -> bool:
-        seen[request] += 1
-        if seen[request] > 1 and seen.total() % 7:
-            return False
-        refused[request.partition(" ")[0]] += 1
-        return True
-
-    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "5")
-    with empty_bucket("busy", refuses) as address:
-        options = ArchiveOptions((small_site.bag,), small_site.path, f"{address}/year", frames_per_task=1)
-        summary = reprocessed(options)
-        again = reprocessed(options)
-    assert (summary.digest, summary.worked, summary.failed) == (expected, 2 * FRAMES, 0)
-    assert (again.digest, again.worked) == (expected, 0)
-    assert min(refused["PUT"], refused["GET"]) > 2 * FRAMES
 
 
 def test_a_store_that_keeps_refusing_is_named_and_the_run_goes_on_later(

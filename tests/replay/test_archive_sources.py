@@ -1,9 +1,6 @@
-"""`ltm reprocess` of archives that are no bags on a disk of this machine: on S3, and folders of photos."""
-
 from __future__ import annotations
 
 import csv
-import errno
 import json
 from collections import Counter
 from collections.abc import Iterator
@@ -12,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import s3fs
-from mcap.records import Chunk
 from scenes.own_disk import run_on_own_disk
 from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
@@ -103,27 +99,6 @@ def test_what_a_store_keeps_refusing_is_named_and_no_result(
     assert failure["place"] == f"{store.address}/year/bag/{recording}"
     assert not (tmp_path / "out" / STORE_FILE).exists()
     store.refused.clear()
-    assert reprocessed(options).digest == expected
-
-
-def test_a_disk_that_fails_for_a_while_is_no_result(
-    small_site: SmallSite, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a network's file system does: chunks of a recording that cannot be read are not chunks that are broken."""
-
-    def failing(stream: object) -> Chunk:
-        raise OSError(errno.EIO, "Input/output error")
-
-    options = ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"), max_failed=1.0)
-    with monkeypatch.context() as patched:
-        patched.setattr(Chunk, "read", failing)
-        with pytest.raises(ArchiveError, match=r"cannot be read now: .*Input/output error"):
-            reprocessed(options)
-    planned = look_through(options, lambda done, total: None)
-    with monkeypatch.context() as patched:
-        patched.setattr(Chunk, "read", failing)
-        with pytest.raises(ArchiveError, match="Input/output error"):
-            run(planned, serial, lambda done, total: None)
     assert reprocessed(options).digest == expected
 
 

@@ -1,5 +1,3 @@
-"""`ltm reprocess --terrain`: both maps are those of the serial offline replay, whatever works the frames."""
-
 from __future__ import annotations
 
 import json
@@ -16,7 +14,6 @@ from scenes.small_site import BEGIN_NS, SmallSite
 from scenes.terrain_frames import write_fusing_site
 from scenes.terrain_recording import LOOKS, TOWER_HOURS, write_block_recording
 
-from ltm_core.base.errors import ArchiveError
 from ltm_core.pipeline.site_surface import STORE_FILE as TERRAIN_FILE
 from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND, SURFACE_LAYER
 from ltm_core.storage.tile_store import TileStore
@@ -145,18 +142,3 @@ def test_a_corrected_pose_measures_that_camera_alone_and_other_rules_of_the_terr
     state.mkdir()
     run_offline(small.bag, other, ReplayOptions(state=state), lambda done, total: None)
     assert (summary.digest, summary.terrain_digest) == digests(state) != expected
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda site: site.pop("terrain"), "has no section `terrain`"),
-        (lambda site: site.pop("depth_model"), "needs depth from a network"),
-        (lambda site: site["terrain"].update(trace_confirmed=True), "traces depth to the confirmed surface"),
-    ],
-)
-def test_terrains_that_an_archive_cannot_work_are_refused(
-    small: SmallSite, options: ArchiveOptions, change: Callable[[dict[str, Any]], None], said: str
-) -> None:
-    with pytest.raises(ArchiveError, match=said):
-        look_through(replace(options, site=edited(small, "refused.yaml", change)), lambda done, total: None)

@@ -1,5 +1,3 @@
-"""Recordings as others make them, and damaged ones: what becomes of their frames, and which exit code says so."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""A disk that is full, read-only, or not there: the map lives on, says so, and loses nothing that it had told of."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,7 +8,7 @@ from scenes.fuel_frames import write_site
 from scenes.own_disk import run_on_own_disks
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
-CASES = ("full", "stopped_while_full", "lost", "full_from_the_start", "read_only", "no_inodes")
+CASES = ("full", "stopped_while_full", "full_from_the_start")
 FRAMES = 30
 MANY = 150
 States = dict[str, list[dict[str, Any]]]
@@ -48,34 +46,8 @@ def test_a_node_that_is_stopped_on_a_full_disk_writes_all(states: States) -> Non
     assert (restarted["frames"], restarted["unsaved"]) == (MANY, 0)
 
 
-def test_what_is_lost_is_said_once(states: States) -> None:
-    stopped, restarted = states["lost"]
-    assert stopped["said"].startswith("27 unacknowledged frames are lost")
-    assert "SQLITE_FULL" in stopped["said"]
-    assert (stopped["frames"], stopped["updates"]) == (3, 3)
-    assert restarted["frames"] == 3
-
-
 def test_disk_that_is_full_when_the_node_starts(states: States) -> None:
     during, after = states["full_from_the_start"]
     assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
     assert "disk" in during["error"]
     assert (after["frames"], after["unsaved"], after["updates"]) == (3, 0, 3)
-
-
-def test_disk_that_turns_read_only(states: States) -> None:
-    before, during, after = states["read_only"]
-    assert before["frames"] == 3
-    assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
-    assert "ead-only" in during["error"]
-    assert (after["frames"], after["unsaved"]) == (6, 0)
-
-
-def test_disk_without_room_for_another_name(states: States) -> None:
-    running, stopped, started, after, restarted = states["no_inodes"]
-    assert (running["frames"], running["unsaved"]) == (6, 0), "its files are there already"
-    assert (stopped["frames"], stopped["updates"]) == (6, 6)
-    assert started["troubled"]
-    assert started["frames"] + started["unsaved"] in (3, 9)
-    assert (after["frames"], after["unsaved"]) == (9, 0)
-    assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (9, 0, False)

@@ -1,5 +1,3 @@
-"""The live player's own parts: stamps of later rounds, and what it refuses."""
-
 from __future__ import annotations
 
 import pytest

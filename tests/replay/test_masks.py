@@ -1,5 +1,3 @@
-"""What a camera's mask hides has no label, no depth and no vote, in every result of an offline replay."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What the handlers of a site hold after many frames: no more than after fewer, once what they remember is full."""
-
 from __future__ import annotations
 
 import gc

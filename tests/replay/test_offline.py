@@ -1,5 +1,3 @@
-"""Offline replay: the same handlers as live, without DDS; the same recording gives the same bytes."""
-
 from __future__ import annotations
 
 import shutil
@@ -16,7 +14,6 @@ from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite
 from sensor_msgs.msg import NavSatFix
 from typer.testing import CliRunner
 
-from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.cdr import TF_TYPE
 from ltm_msgs_py.bag.reader import BagReader
@@ -111,20 +108,6 @@ def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, first: tupl
                 for frame, message in zip(frames, messages, strict=True):
                     expected = small_site.tracer.trace(frame.camera, frame.pose).depth()
                     np.testing.assert_allclose(msg_to_depth(message), expected, rtol=1e-6)
-
-
-def test_results_can_be_replayed_again(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
-    """A recording of inputs and results: the inputs are taken, the results made anew."""
-    replayed(small_site, tmp_path / "again", bag=first[0] / "bag")
-    assert (tmp_path / "again/map.tif").read_bytes() == (first[0] / "map.tif").read_bytes()
-
-
-def test_span_gives_the_map_of_its_frames(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
-    (out, whole), part = first, replayed(small_site, tmp_path / "part", duration=0.6)
-    assert (whole[f"/{NAME}/fuel_map"]["frames_in"], part[f"/{NAME}/fuel_map"]["frames_in"]) == ("12", "5")
-    all_seen, seen = (read_fuel_map(at / "map.tif")[0] != 255 for at in (out, tmp_path / "part"))
-    assert 0 < seen.sum() < all_seen.sum()
-    assert not (seen & ~all_seen).any()
 
 
 def test_a_dropped_image_is_named_by_camera_stamp_and_recording(small_site: SmallSite, tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""`examples/one_frame.py`: its plain calls make of a frame exactly what the nodes of the graph make of it."""
-
 from __future__ import annotations
 
 import importlib.util

@@ -1,5 +1,3 @@
-"""docs/how/one_frame.md lists the files that a frame passes, in order. The imports of these files confirm the list."""
-
 from __future__ import annotations
 
 import ast

@@ -1,5 +1,3 @@
-"""Every example of docs/poses.md is read by what reads such files."""
-
 from __future__ import annotations
 
 import re

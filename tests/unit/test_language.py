@@ -1,5 +1,3 @@
-"""No phrase of our former dialect in product, docs and messages (CONTRIBUTING.md, Language)."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""The systemd unit and what comes with it, judged by systemd's own tools."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""`tools/same_results.py` finds differences of a byte, a digit, a row, a cell or a message, and nothing else."""
-
 from __future__ import annotations
 
 import sqlite3

@@ -1,5 +1,3 @@
-"""The complete site file is a site, has every key, and is what its tool writes now."""
-
 from __future__ import annotations
 
 import re

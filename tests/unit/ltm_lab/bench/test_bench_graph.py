@@ -1,5 +1,3 @@
-"""The graph benchmark's parts: a site that loads, and frames that its cameras' nodes can read."""
-
 from __future__ import annotations
 
 from pathlib import Path

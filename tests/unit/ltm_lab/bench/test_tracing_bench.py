@@ -1,5 +1,3 @@
-"""The tracing benchmark: its peers trace what ours traces, and its figures add up."""
-
 from __future__ import annotations
 
 import json

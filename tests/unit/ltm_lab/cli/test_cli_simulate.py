@@ -1,5 +1,3 @@
-"""`ltm-lab simulate`: bad scenarios end with the file, the line and the remedy; what it writes."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Named areas of real photos: the list holds together, and scores are those of hand-made answers."""
-
 from __future__ import annotations
 
 import csv

@@ -1,5 +1,3 @@
-"""What charts and sheets show, by the data of their axes."""
-
 from __future__ import annotations
 
 from typing import Any

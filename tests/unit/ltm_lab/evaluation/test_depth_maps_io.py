@@ -1,5 +1,3 @@
-"""Depth maps of others: files, units, sizes, and the fit of those without a scale."""
-
 from __future__ import annotations
 
 from pathlib import Path

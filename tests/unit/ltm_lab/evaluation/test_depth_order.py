@@ -1,5 +1,3 @@
-"""Pairs of points in the right order."""
-
 from __future__ import annotations
 
 import numpy as np

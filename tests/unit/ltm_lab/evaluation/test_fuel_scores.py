@@ -1,5 +1,3 @@
-"""Scores of a fuel map on a recording, and how a network's errors correlate, by cases that are known."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Scores of depth under errors put in on purpose."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,14 +1,10 @@
-"""The gallery's measures, worked out by hand, its order, and what it says where data is missing."""
-
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
 
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_lab.evaluation.gallery.exhibit import Exhibit, Fact, Section
+from ltm_lab.evaluation.gallery.exhibit import Fact
 from ltm_lab.evaluation.gallery.label_facts import facts_of_areas
 
 NAMES = LabelSet.load().names
@@ -31,10 +27,3 @@ def test_sky_does_not_hide_what_is_wrong_on_land() -> None:
     assert _value(facts, "right, of the sky named by hand") == 1.0
     assert _value(facts, "F1 shrub") == pytest.approx(2 * 3 / (10 + 3))
     assert _value(facts, "shrub by hand (10 px) is called") == "tree 70%, shrub 30%"
-
-
-def test_the_worst_comes_first_and_what_is_not_known_last() -> None:
-    photo, labels = np.zeros((2, 3, 3), np.uint8), np.zeros((2, 3), np.uint8)
-    faults = {"a": 0.1, "b": math.nan, "c": 0.7, "d": math.nan}
-    shown = tuple(Exhibit(name, photo, labels, (), fault) for name, fault in faults.items())
-    assert [e.name for e in Section("", "", "", "", shown).worst_first()] == ["c", "a", "b", "d"]

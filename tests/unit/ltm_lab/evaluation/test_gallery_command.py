@@ -1,5 +1,3 @@
-"""`ltm-lab eval gallery` on made photos of towers, and what it says without data."""
-
 from __future__ import annotations
 
 import json

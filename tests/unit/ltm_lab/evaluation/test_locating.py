@@ -1,5 +1,3 @@
-"""Smoke trials: their geometry, and what is made of them."""
-
 from __future__ import annotations
 
 from dataclasses import replace

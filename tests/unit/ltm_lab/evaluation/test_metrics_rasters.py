@@ -1,14 +1,10 @@
-"""Change, surface and skyline scores on cases counted by hand."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.evaluation.metrics.change import score_change
-from ltm_lab.evaluation.metrics.heights import cell_means
 from ltm_lab.evaluation.metrics.skyline import SkylineTally, depth_skyline, skyline
 
 
@@ -52,17 +48,3 @@ def test_skyline_of_a_sampled_truth_is_not_biased() -> None:
     assert score.mean <= (step - 1) / 2
     with pytest.raises(ImageError, match="columns"):
         tally.add(rows, rows, step)
-
-
-def test_means_over_coarser_cells() -> None:
-    fine = GridGeometry(0.0, 4.0, 1.0, 6, 4)
-    values = np.arange(24, dtype=np.float32).reshape(4, 6)
-    values[0, 0] = np.nan
-    coarse = GridGeometry(0.0, 4.0, 2.0, 4, 2)  # its last column lies outside
-    expected = [[(1 + 6 + 7) / 3, 5.5, 7.5, np.nan], [15.5, 17.5, 19.5, np.nan]]
-    np.testing.assert_allclose(cell_means(values, fine, coarse), expected)
-    np.testing.assert_array_equal(cell_means(values, fine, fine), values)
-    shifted = GridGeometry(1.0, 3.0, 1.0, 2, 2)
-    np.testing.assert_array_equal(cell_means(values, fine, shifted), values[1:3, 1:3])
-    with pytest.raises(RasterError, match="gives no means"):
-        cell_means(values, coarse, fine)

@@ -1,5 +1,3 @@
-"""Disturbed poses, and how trials of finding them again are summed up."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -25,23 +23,6 @@ def frame(azimuth: float) -> PreparedFrame:
     depth = TerrainTracer(mountains(), possible=NOTHING_BEYOND).trace(SMALL, pose).depth()
     truth = TruthFrame("mast", 0, SMALL, pose, photo, depth, depth, labels, np.zeros(labels.shape, np.bool_))
     return prepared(0, truth, labels, terrain(), PicturePoseConfig())
-
-
-def test_disturbances_are_as_their_sensors_have_them() -> None:
-    pose = Pose.from_angles(eye(), 350.0, 1.0, 2.0)
-    rng = np.random.default_rng(3)
-    drawn = {s: [disturbed(pose, s, mountains(), rng) for _ in range(400)] for s in Sensor}
-    away = {s: np.degrees([angles_between(pose, p.pose) for p in priors]) for s, priors in drawn.items()}
-    np.testing.assert_allclose(away[Sensor.mount].std(axis=0), [1.5, 0.5, 0.5], rtol=0.12)
-    assert 6.0 < away[Sensor.phone][:, 0].std() < 8.0
-    assert np.abs(away[Sensor.phone][:, 0]).max() <= 15.0 + 1e-9
-    assert away[Sensor.unknown][:, 0].std() > 80
-    assert all((p.pose.position == pose.position).all() for p in drawn[Sensor.mount])
-    places = np.array([p.pose.position - pose.position for p in drawn[Sensor.phone]])
-    np.testing.assert_allclose(places[:, :2].std(axis=0), 5.0, rtol=0.12)
-    clear = [p.pose.position[2] - mountains().elevation_at(*p.pose.position[:2]) for p in drawn[Sensor.phone]]
-    assert min(clear) >= 1.5 - 1e-6
-    assert not drawn[Sensor.unknown][0].heading_known
 
 
 def test_a_trial_says_how_far_pose_and_places_are_off() -> None:

@@ -1,5 +1,3 @@
-"""A bag scored as a whole: every part that it has, by counted cases, and every part that it lacks, by name."""
-
 from __future__ import annotations
 
 import json

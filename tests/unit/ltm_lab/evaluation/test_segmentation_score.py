@@ -1,5 +1,3 @@
-"""`ltm-lab eval segmentation`: a network whose answers are known, scored on frames with truth."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Simulated frames as a recording."""
-
 from __future__ import annotations
 
 import json

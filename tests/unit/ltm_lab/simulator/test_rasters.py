@@ -1,5 +1,3 @@
-"""True rasters of a date, and what has changed between two."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The simulator's ground and vegetation of a real site: its own heights, and the life forms of its fuel map."""
-
 from __future__ import annotations
 
 from dataclasses import replace

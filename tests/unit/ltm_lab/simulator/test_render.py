@@ -1,5 +1,3 @@
-"""The renderer: ranges against closed forms, classes, and determinism."""
-
 from __future__ import annotations
 
 from pathlib import Path

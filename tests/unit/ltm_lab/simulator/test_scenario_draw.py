@@ -1,5 +1,3 @@
-"""Drawn scenarios: a function of kind and seed, valid for any seed, and each renders."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Sites, scenarios and rasters of the simulator: what needs no renderer."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -11,13 +9,11 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.config_io import load_yaml
 from ltm_lab.resources import lab_config
-from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.camera_setup import ViewsConfig
 from ltm_lab.simulator.imaging import add_haze
-from ltm_lab.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
+from ltm_lab.simulator.landcover import GRASS, SHRUB, TREE, LandCover, Stand
 from ltm_lab.simulator.rasters import fuel_truth
 from ltm_lab.simulator.scenario import AtmosphereConfig, GroundConfig, Scenario
-from ltm_lab.simulator.scenario import VegetationConfig as Vegetation
 from ltm_lab.simulator.terrain_synthesis import SyntheticTerrain, make_terrain
 from ltm_lab.simulator.viewpoints import draw_viewpoints
 
@@ -66,31 +62,11 @@ def test_committed_scenarios_load() -> None:
     assert names == [f.stem for f in files]
 
 
-def test_noise_belongs_to_the_ground_not_to_the_raster() -> None:
-    coarse = noise_fields.fractal(np.arange(0, 300, 20.0), np.arange(0, 200, 20.0), 130.0, seed=9)
-    fine = noise_fields.fractal(np.arange(0, 300, 5.0), np.arange(0, 200, 5.0), 130.0, seed=9)
-    np.testing.assert_array_equal(coarse, fine[::4, ::4])
-    assert not np.array_equal(
-        coarse, noise_fields.fractal(np.arange(0, 300, 20.0), np.arange(0, 200, 20.0), 130.0, seed=10)
-    )
-    assert 0.1 < coarse.std() < 0.6
-
-
 def test_terrain_is_a_function_of_its_seed(terrain: SyntheticTerrain) -> None:
     again = make_terrain(SMALL, seed=5)
     np.testing.assert_array_equal(terrain.site.elevation, again.site.elevation)
     other = make_terrain(SMALL, seed=6)
     assert np.abs(other.site.elevation - terrain.site.elevation).mean() > 5.0
-
-
-def test_landcover_holds_the_shares_wished_for(terrain: SyntheticTerrain) -> None:
-    wish = Vegetation(tree=0.25, grass=0.3, bare=0.1, road=False)
-    cover = make_landcover(terrain, wish, seed=5)
-    g = cover.geometry
-    x, y = g.to_map(*np.mgrid[0 : g.height, 0 : g.width])
-    inside = (x > 0) & (x < 512) & (y > 0) & (y < 512)
-    share = np.bincount(cover.classes[inside], minlength=5) / inside.sum()
-    np.testing.assert_allclose(share[[TREE, GRASS, BARE, SHRUB]], [0.25, 0.3, 0.1, 0.35], atol=0.01)
 
 
 def test_fuel_truth_is_the_majority_in_snapped_cells() -> None:

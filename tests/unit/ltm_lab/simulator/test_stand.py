@@ -1,5 +1,3 @@
-"""Changes between the dates of a simulated site: masks, stands, ground."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -7,12 +5,11 @@ import pytest
 from scenes.simulated_ground import BOX, GRID, after, inside_box, terrain
 
 from ltm_lab.simulator.changes import (
-    Burn,
     Conversion,
     Landslide,
     MaskConfig,
 )
-from ltm_lab.simulator.landcover import BARE, GRASS, SHRUB, TREE
+from ltm_lab.simulator.landcover import GRASS, SHRUB, TREE
 from ltm_lab.simulator.stand import changed_terrain, mask_weights
 
 
@@ -35,19 +32,6 @@ def test_conversion_takes_the_classes_named() -> None:
     np.testing.assert_array_equal(out.classes[:, 1::2] == SHRUB, inside_box()[:, 1::2])
     young = out.stand.shrub_height[:, 1::2][inside_box()[:, 1::2]]
     assert np.all(young < 0.5)
-
-
-def test_a_wildfire_blackens_then_heals() -> None:
-    fire = Burn(kind="burn", severity=1.0, mask=BOX, years=1.0)
-    fresh, herbs, shrubs = (after(fire, y) for y in (1.0, 2.0, 6.0))
-    burnt = (fresh.classes == BARE) & inside_box()
-    assert burnt.sum() > 0.9 * inside_box().sum()
-    assert np.all(fresh.classes[~inside_box()] == SHRUB)
-    assert np.all(fresh.stand.dead[burnt] == SHRUB)
-    assert fresh.stand.char[burnt].mean() > 0.8 > 0.4 > herbs.stand.char[burnt].mean()
-    assert np.all(herbs.classes[burnt] == GRASS)
-    assert np.all(shrubs.classes[burnt] == SHRUB)
-    assert np.all(shrubs.stand.shrub_height[burnt] < 0.6)
 
 
 def test_earth_moves_inside_the_mask_and_stays() -> None:

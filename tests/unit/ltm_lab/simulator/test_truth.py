@@ -1,5 +1,3 @@
-"""The simulator's truth against outside tools: ranges against the tracer, canopies against embreex, classes."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Where people who walk take photos, and what a camera reports of its pose."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -9,7 +7,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_lab.simulator.camera_setup import PHONE, WalkConfig
 from ltm_lab.simulator.terrain_synthesis import HeightField
-from ltm_lab.simulator.viewpoints import SensorModel, walk_photos, walked_stops
+from ltm_lab.simulator.viewpoints import SensorModel, walk_photos
 
 SLOPE = HeightField(np.tile(np.arange(40, dtype=np.float32) * 2.0, (30, 1)), GridGeometry(0.0, 300.0, 10.0, 40, 30))
 """Rising eastward by a fifth: 2 m each 10 m, 0 at x = 5."""
@@ -24,12 +22,6 @@ def walk(**changes: object) -> WalkConfig:
         **changes,
     }
     return WalkConfig.model_validate(facts)
-
-
-def test_stops_lie_evenly_along_the_path() -> None:
-    places, apart = walked_stops([(20, 30), (60, 30), (60, 100)], 4)
-    assert apart == pytest.approx(110 / 3)
-    np.testing.assert_allclose(places, [(20, 30), (20 + 110 / 3, 30), (60, 30 + 220 / 3 - 40), (60, 100)])
 
 
 def test_photos_are_taken_at_eye_height_in_turn() -> None:

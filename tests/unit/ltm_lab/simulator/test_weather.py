@@ -1,5 +1,3 @@
-"""What stands before the camera and over it: buried cameras, smoke."""
-
 from __future__ import annotations
 
 from typing import Any

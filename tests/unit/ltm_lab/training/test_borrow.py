@@ -1,5 +1,3 @@
-"""What photos and rendered frames lend each other for training: skies, patches of ground, a lake."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,8 +7,8 @@ import numpy as np
 from ltm_core.base.types import UInt8Array
 from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
-from ltm_lab.training.augment import Lent, augmented
-from ltm_lab.training.borrow import photo_sky, with_ground
+from ltm_lab.training.augment import augmented
+from ltm_lab.training.borrow import with_ground
 from ltm_lab.training.config import AugmentConfig
 from ltm_lab.training.training_frames import TrainingFrame
 
@@ -26,21 +24,6 @@ def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tupl
     labels = np.full(SIZE, ground, np.uint8)
     labels[:skyline] = Label.SKY
     return photo.astype(np.uint8), labels
-
-
-def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
-    grey = np.full((30, 50, 3), 128, np.uint8)
-    new = photo_sky(SIZE, 24, grey, np.random.default_rng(0))
-    assert new.shape == (*SIZE, 3)
-    np.testing.assert_allclose(new, 128 / 255, atol=1e-6)
-    frame = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
-    lent = Lent(np.zeros((0, 2, 3), np.float32), [grey])
-    changed, labels, _ = augmented(
-        frame, SIZE, AugmentConfig(**{**NONE, "photo_sky": 1.0}), np.random.default_rng(0), lent
-    )
-    np.testing.assert_array_equal(labels, frame.labels)
-    np.testing.assert_array_equal(changed[28:], frame.image[28:])
-    np.testing.assert_array_equal(changed[:20], 128)
 
 
 def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:

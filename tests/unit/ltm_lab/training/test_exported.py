@@ -1,5 +1,3 @@
-"""Networks that are read from exported files: adapted to a site, or trained further."""
-
 from __future__ import annotations
 
 from pathlib import Path

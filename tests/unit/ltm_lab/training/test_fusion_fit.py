@@ -1,5 +1,3 @@
-"""The fit of fusion's log odds: from samples of known odds, and from a scene of known depth."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The whole way from nothing to a network: scenes rendered, a quick training, its model in use."""
-
 from __future__ import annotations
 
 import json

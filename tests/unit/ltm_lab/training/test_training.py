@@ -1,5 +1,3 @@
-"""Training of the segmentation network: frames and splits, augmentation, and a short run to a working model."""
-
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,37 +1,26 @@
-"""What names results: the same in every process, and another one whenever what goes into them is."""
-
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import yaml
 from scenes.masked_site import hidden_of_view, write_turning_site
-from scenes.small_site import TOWER, write_small_site
+from scenes.small_site import write_small_site
 
 import ltm_ros.archive
-from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
-from ltm_msgs_py.bag.cdr import RawPicture
 from ltm_ros.archive.content_digest import (
     code_digest,
     file_digest,
     look_digest,
     votes_digest,
 )
-from ltm_ros.archive.files import ArchiveFiles, CacheConfig
-from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
 
 _SAYS = """
 import sys
@@ -92,36 +81,3 @@ def test_a_folder_is_what_its_files_hold(tmp_path: Path) -> None:
     file.write_bytes(b"and after")
     os.utime(tmp_path / "map", ns=(state.st_atime_ns, state.st_mtime_ns))
     assert file_digest(tmp_path / "map") != before
-
-
-class _Pictures(ArchiveImageReader):
-    """Gives one picture for all frames."""
-
-    def __init__(self, rgb: UInt8Array) -> None:
-        super().__init__(ArchiveFiles(CacheConfig()))
-        self._rgb = rgb
-
-    def read(self, frame: ArchiveFrame) -> RawPicture:
-        height, width, _ = self._rgb.shape
-        return RawPicture(frame.stamp_ns, height, width, "rgb8", 0, 3 * width, memoryview(self._rgb.tobytes()))
-
-
-@pytest.mark.parametrize(("azimuth_deg", "clear"), [(40.0, False), (60.0, True)])
-def test_what_a_view_s_mask_hides_is_not_judged(tmp_path: Path, azimuth_deg: float, clear: bool) -> None:
-    """A grey picture but for a roof of many colours, which one view hides."""
-    small = write_small_site(tmp_path, recording=False)
-    roof = np.zeros((TOWER.height, TOWER.width), np.bool_)
-    roof[60:, 80:] = True
-    write_mask(tmp_path / "roof.png", roof)
-    content = yaml.safe_load(small.path.read_text())
-    view = {"name": "roof", "azimuth_deg": 40.0, "pitch_deg": -14.0, "mask": "roof.png"}
-    content["cameras"]["tower"]["view_masks"] = [view]
-    small.path.write_text(yaml.safe_dump(content))
-    picture = np.full((TOWER.height, TOWER.width, 3), 120, np.uint8)
-    picture[roof] = np.random.default_rng(3).integers(60, 200, (int(roof.sum()), 3), np.uint8)
-    pose = Pose.from_angles((560.0, 470.0, 300.0), azimuth_deg, -14.0)
-    lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
-    frame = ArchiveFrame("tower", 1, "a.mcap", "", 1, 5, "", lens, (), (), ())
-    frame = replace(frame, position=tuple(pose.position), quaternion=tuple(pose.quaternion))
-    look = SmallLook(load_site(small.path), "tower", _Pictures(picture))
-    assert (look(frame) == "") == clear

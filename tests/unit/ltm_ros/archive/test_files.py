@@ -1,8 +1,5 @@
-"""Files of archives on stores: fetched once, bounded, asked for again, and never half."""
-
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,11 +13,8 @@ from ltm_core.base.errors import ArchiveError
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.archive import files
-from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
-from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.photo_folder import photo_messages, photo_picture
-from ltm_ros.archive.pictures import ArchiveImageReader
+from ltm_ros.archive.photo_folder import photo_messages
 
 Store = Callable[[str, bytes], str]
 
@@ -74,22 +68,6 @@ def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
         (str(tmp_path / "archive/2025/a.mcap"), 4),
         (str(tmp_path / "archive/away.mcap"), 0),
     ]
-
-
-def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else its recordings are missing from the map, and nobody knows."""
-    (tmp_path / "a/shut").mkdir(parents=True)
-    (tmp_path / "a/one.mcap").write_bytes(b"1")
-    look = os.scandir
-
-    def refused(place: str) -> object:
-        if Path(place).name == "shut":
-            raise PermissionError(13, "Permission denied", str(place))
-        return look(place)
-
-    monkeypatch.setattr(os, "scandir", refused)
-    with pytest.raises(PermissionError, match="shut"):
-        files_below(str(tmp_path))
 
 
 def test_a_file_whose_name_fsspec_takes_apart_is_not_read_as_another(store: Store, at_hand: ArchiveFiles) -> None:
@@ -206,16 +184,3 @@ def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
     (message,) = photo_messages(listed, [photo], site, ArchiveFiles(CacheConfig()))
     assert f"huge.jpg has {LARGEST_FILE + 1} bytes; the maximum is 256 MiB" in message.trouble
-
-
-def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, data = tmp_path / "a.jpg", b"\xff\xd8" + b"photo" * 20
-    path.write_bytes(data)
-    picture = photo_picture(data, 7)
-    frame = ArchiveFrame("tower", 7, str(path), "", 7, len(data), picture_digest(picture), (), (), (), ())
-    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
-        assert bytes(reader.read(frame).data) == data
-        os.truncate(path, 1 << 40)
-        monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
-        with pytest.raises(ArchiveError, match="no longer contains the image"):
-            reader.read(frame)

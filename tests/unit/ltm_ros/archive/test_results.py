@@ -1,5 +1,3 @@
-"""The folder of results: whole files, and words where it cannot be used; and who works the tasks."""
-
 from __future__ import annotations
 
 import logging
@@ -8,20 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import fsspec
-import numba
 import pytest
 from distributed import LocalCluster
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive import engine
-from ltm_ros.archive.engine import Cluster, on_cluster, on_workers
+from ltm_ros.archive.engine import Cluster, on_cluster
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.task import TaskReport
-from ltm_ros.runtime.ros_environment import available_cores
 
 
 def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,19 +54,6 @@ def test_a_store_that_fails_in_whatever_way_is_named(monkeypatch: pytest.MonkeyP
         results.has("a")
     with pytest.raises(ArchiveError, match="cannot be used now"), results.open("a"):
         broken()  # a store that serves parts fails as late as when they are read
-
-
-@pytest.mark.parametrize("remote", [False, True])
-def test_a_file_is_copied_as_it_is_and_read_in_parts(tmp_path: Path, remote: bool) -> None:
-    content = bytes(range(251)) * 4000
-    (tmp_path / "made").write_bytes(content)
-    results = ResultFolder("memory://copies" if remote else str(tmp_path / "out"))
-    results.put(tmp_path / "made", "maps/terrain.sqlite")
-    assert results.names("maps") == {"terrain.sqlite"}
-    assert results.read("maps/terrain.sqlite") == content
-    with results.open("maps/terrain.sqlite") as file:
-        file.seek(251)
-        assert file.read(2) == b"\x00\x01"
 
 
 SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
@@ -117,16 +99,3 @@ def test_a_cluster_without_workers_is_told_of_and_goes_on_when_some_come(
     assert f"dask worker {cluster.scheduler_address}" in said
     assert {one.task.evidence_key for one in done} == set("012345")
     assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
-
-
-def surroundings(task: Task, settings: TaskSettings) -> TaskReport:
-    hurried = [name for name in os.environ if name.startswith("MALLOC_")]
-    return TaskReport(kernel_threads() + 1000 * len(hurried))
-
-
-@pytest.mark.slow  # starts two processes
-def test_workers_keep_their_memory_and_leave_each_other_s_cores_alone() -> None:
-    threads = max(1, available_cores() // 2)
-    done = list(on_workers(2, surroundings)([task(n) for n in range(3)], SETTINGS))
-    assert [one.report for one in done] == 3 * [TaskReport(threads)]
-    assert kernel_threads() == numba.config.NUMBA_NUM_THREADS

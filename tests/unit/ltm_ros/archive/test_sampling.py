@@ -1,30 +1,14 @@
-"""Which frames of an archive are chosen."""
-
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
-import numpy as np
-import pytest
-import yaml
-from scenes.small_site import write_small_site
-
-from ltm_core.base.errors import ArchiveError
 from ltm_core.base.utc_time import DAY_NS
-from ltm_core.site.site_io import load_site
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.sampling import (
     Look,
     Sample,
-    Sampled,
-    daylight_ns,
-    in_daylight,
-    place_of,
     repeated,
     sampled,
-    solar_day,
     spans,
 )
 
@@ -67,40 +51,11 @@ def chosen(frames: Sequence[ArchiveFrame], turn: int, look: Look = clear) -> lis
     return hours(sampled(frames, FOUR, look, turn, 12 * HOUR_NS).frames)
 
 
-def by_the_minute(begin: int, count: int) -> list[ArchiveFrame]:
-    return [frame("east", begin * HOUR_NS + minute * HOUR_NS // 60) for minute in range(count)]
-
-
 def test_looks_are_spread_over_a_day_and_begin_elsewhere_on_the_next() -> None:
     assert chosen(DAY, 0) == [6, 9, 12, 15]
     assert chosen(DAY, 1) == [7, 10, 13, 16]
     taken = [hour for turn in TURNS for hour in chosen(DAY, turn)]
     assert {hour: taken.count(hour) for hour in range(6, 18)} == {6 + k: (5, 6, 5)[k % 3] for k in range(12)}
-
-
-def test_a_camera_that_sends_more_has_no_more_looks() -> None:
-    """A picture a minute; and one an hour, with a burst of seconds."""
-    burst = [frame("east", 3 * DAY_NS + 9 * HOUR_NS + second * 10**9) for second in range(1, 5)]
-    mixed = [*DAY[:4], *burst, *DAY[4:]]
-    taken = list[int]()
-    for turn in TURNS:
-        assert len(chosen(by_the_minute(6, 12 * 60), turn)) == 4
-        found = chosen(mixed, turn)
-        assert len(found) == 4
-        taken += found
-    assert taken.count(9) <= 6
-
-
-def test_few_pictures_are_looked_at() -> None:
-    seen = list[ArchiveFrame]()
-
-    def fog(one: ArchiveFrame) -> str:
-        seen.append(one)
-        return "fog"
-
-    found = sampled(by_the_minute(6, 12 * 60), FOUR, fog, 3, 12 * HOUR_NS)
-    assert [(one.stamp_ns % DAY_NS) * 60 // HOUR_NS for one in seen] == [360 + 22 + 45 * k for k in range(16)]
-    assert found == Sampled((), Counter(fog=16))
 
 
 def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
@@ -117,43 +72,6 @@ def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
     assert len(taken) == sum(taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17))
 
 
-def test_the_sun_s_hours_of_a_day_are_counted(tmp_path: Path) -> None:
-    """In California: 9.6 h in early January. A day of the site begins in its night, an hour is an hour of UTC."""
-    site = write_small_site(tmp_path, recording=False).site
-    assert daylight_ns(3, FOUR, site) / HOUR_NS == pytest.approx(9.6, abs=0.2)
-    hourly = Sample.parsed("1/hour")
-    begin = solar_day(0, place_of(site)[0])
-    lit = [daylight_ns(24 * (3 - begin) + hour, hourly, site) for hour in range(24)]
-    assert lit.count(HOUR_NS) >= 22  # those by night, too, where no frame is asked
-    assert sum(lit) > 23 * HOUR_NS
-
-
-def test_daylight_is_the_site_s_and_of_each_day(tmp_path: Path) -> None:
-    """Of early January in California: from 16 to 1 h UTC."""
-    site = write_small_site(tmp_path, recording=False).site
-    assert hours(in_daylight(FRAMES[:24], site)) == [0, *range(16, 24)]
-    # A camera that only sent by night is not taken by night for it, whatever it sent on other days.
-    assert in_daylight(FRAMES[5:8], site) == []
-    assert hours(in_daylight([*FRAMES[5:8], *FRAMES[40:42]], site)) == [16, 17]
-
-
-def test_days_without_a_sun_are_taken_whole_and_others_not_for_their_sake(tmp_path: Path) -> None:
-    """At 78 degrees north the sun stays down in January and up in June; in the middle of March it rises by noon."""
-    write_small_site(tmp_path, recording=False)
-    content = yaml.safe_load((tmp_path / "site.yaml").read_text())
-    content |= {"crs": "EPSG:32633", "origin": [500_000.0, 8_658_000.0]}
-    (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-    site = load_site(tmp_path / "site.yaml")
-    begins = {name: int(np.datetime64(f"2026-{name}", "D").astype(int)) for name in ("01-10", "03-25", "06-20")}
-    days = {name: [frame("east", day * DAY_NS + hour * HOUR_NS) for hour in range(24)] for name, day in begins.items()}
-    found = {name: hours(in_daylight(frames, site)) for name, frames in days.items()}
-    assert found["01-10"] == found["06-20"] == list(range(24))
-    assert 5 < len(found["03-25"]) < 15
-    assert 11 in found["03-25"]
-    together = in_daylight([frame for frames in days.values() for frame in frames], site)
-    assert hours(together) == [hour for name in days for hour in found[name]]
-
-
 def test_a_picture_that_stands_still_for_weeks_is_one_look() -> None:
     """From the sixth hour of the first day on, for three weeks, and a day without frames among them."""
     days = [day for day in range(40, 62) if day != 50]
@@ -165,9 +83,3 @@ def test_a_picture_that_stands_still_for_weeks_is_one_look() -> None:
     found = repeated(frames, 0.0)
     assert len(found) == len(frames) - 7
     assert ("east", 40 * DAY_NS + 6 * HOUR_NS) not in found
-
-
-@pytest.mark.parametrize("text", ["", "0/day", "4", "4/week", "-1/day", "some"])
-def test_other_words_are_refused(text: str) -> None:
-    with pytest.raises(ArchiveError, match="give all, or a number per time span"):
-        Sample.parsed(text)

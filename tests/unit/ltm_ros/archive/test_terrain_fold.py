@@ -1,5 +1,3 @@
-"""Measured frames of a day: their order, what is open meanwhile, and what of them was lost."""
-
 from __future__ import annotations
 
 import io
@@ -66,16 +64,6 @@ def test_frames_come_by_stamps_and_of_each_camera_one_file_is_open() -> None:
         np.testing.assert_array_equal(content.depth, expected.depth)
         np.testing.assert_array_equal(content.sigma, expected.sigma)
         np.testing.assert_array_equal(content.labels, expected.labels)
-
-
-def test_frames_of_one_stamp_come_as_they_were_logged() -> None:
-    files = Files()
-    tasks = [
-        files.task(frame("east", 1, logged_after=7), frame("east", 2, logged_after=3)),
-        files.task(frame("north", 1, logged_after=5), frame("north", 2, logged_after=4)),
-    ]
-    found = [(one.camera, one.stamp_ns // SECOND) for one, _ in measured_frames(tasks, files.open, [])]
-    assert found == [("north", 1), ("east", 1), ("east", 2), ("north", 2)]
 
 
 def test_frames_without_a_measurement_are_named() -> None:

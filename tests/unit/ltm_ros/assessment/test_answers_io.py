@@ -1,5 +1,3 @@
-"""Answers and field plots as files."""
-
 from __future__ import annotations
 
 import json
@@ -100,11 +98,3 @@ def test_field_plots_in_sampled_cells_count_and_others_are_apart(plan: Plan, suf
     assert [plot.cell for plot in plots] == [7, 7, 3, None]
     answers = {answer.cell: answer.life_form for answer in plot_answers(plots)}
     assert answers == {7: "grass", 3: "tree"}, "the later of two plots of a cell counts"
-
-
-@pytest.mark.parametrize("row", ["181,34,grass,2026-05-01", "-118,34,lava,2026-05-01", "-118,34,grass,May", "a,b,c,d"])
-def test_an_invalid_plot_is_rejected(plan: Plan, row: str) -> None:
-    path = plan.folder / "plots.csv"
-    path.write_text(f"lon,lat,life_form,date\n{row}\n")
-    with pytest.raises(ConfigError, match=r"plots\.csv"):
-        read_field_plots(path, plan)

@@ -1,10 +1,7 @@
-"""From a map to its report: what interpreters see, what counts, and that the figures are those of the answers."""
-
 from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +10,10 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.class_map import read_fuel_map
-from ltm_core.site.site_io import load_site
 from ltm_ros.assessment.answers_io import FORM_NAMES, Answer, SampledCell, write_answers
 from ltm_ros.assessment.figures import compute_figures
 from ltm_ros.assessment.plan import MapPlan, read_map_plan
-from ltm_ros.assessment.report import keep_accuracy
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.source import FuelSource
 
 DEMO = Path(__file__).parents[4] / "bags/demo"
 
@@ -86,18 +80,3 @@ def test_the_map_of_a_plan_is_that_of_its_day(plan: MapPlan) -> None:
         assert plan.map.life_form[cell.row, cell.column] == stratum.map_class
         assert plan.map.changed[cell.row, cell.column] == stratum.changed
     assert sum(s.cells for s in plan.strata) == np.count_nonzero(observed)
-
-
-def test_exports_of_an_assessed_map_carry_its_accuracy(plan: MapPlan, tmp_path: Path) -> None:
-    write_answers(plan.shown.answers_file("first"), [answer(c.cell, true_form(c)) for c in plan.shown.cells])
-    store = tmp_path / "fuel_map.ltm"
-    store.touch()
-    assessed = replace(plan, about=plan.about | {"map": plan.about["map"] | {"path": str(store)}})
-    figures = compute_figures(assessed, None)
-    with FuelSource.open(DEMO / "fuel_truth.tif", load_site(DEMO / "site.yaml")) as source:
-        of_store = replace(source, folder=tmp_path)
-        assert "accuracy" not in of_store.provenance(source.layers, None).tags()
-        keep_accuracy(assessed, figures)
-        tag = of_store.provenance(source.layers, None).tags()["accuracy"]
-    assert "100.0 %" in tag
-    assert f"{len(figures.rows)} observed cells" in tag

@@ -1,5 +1,3 @@
-"""The page for interpreters, on the recording of the demonstration: answers, places and keys."""
-
 from __future__ import annotations
 
 import csv
@@ -22,7 +20,6 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.image_io import decode_rgb
-from ltm_core.tracing import TerrainTracer
 from ltm_ros.assessment.answers_io import Plan, SampledCell, read_answers, read_plan, write_table
 from ltm_ros.assessment.cell_photos import PhotoIndex
 from ltm_ros.assessment.look_session import KEYS, LookServer, LookSession
@@ -171,23 +168,6 @@ def test_an_orthophoto_lies_where_its_coordinates_say(
     middle = shown.shape[1] // 2
     assert shown[:, : middle - 20].max() < 20
     assert shown[:, middle + 20 :].min() > 180
-
-
-def test_the_outline_contains_what_the_trace_finds_at_its_pixels(
-    site: Site, photos: PhotoIndex, sampled: tuple[list[SampledCell], list[str]]
-) -> None:
-    """The ray through the middle of the outline meets the ground in the cell, or in front of its far part."""
-    tracer = TerrainTracer(site.open_dem())
-    for cell in sampled[0][:5]:
-        for photo in photos.best(cell, 30.0):
-            height, width = photo.height, photo.width
-            camera = next(shot.camera for shot in photos._shots if shot.camera_name == photo.camera)
-            assert (camera.height, camera.width) == (height, width)
-            u, v = np.clip(photo.outline.mean(axis=0).round().astype(int), 0, (width - 1, height - 1))
-            x, y, _ = tracer.trace(camera, photo.pose).points()[v, u]
-            reach = 30.0 if photo.incidence_deg < 80 else 150.0
-            assert abs(x + site.origin[0] - cell.x) < reach
-            assert abs(y + site.origin[1] - cell.y) < reach
 
 
 @pytest.mark.slow

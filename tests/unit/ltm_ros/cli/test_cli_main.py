@@ -1,5 +1,3 @@
-"""The command `ltm`: what it says of itself, and how bad input ends."""
-
 from __future__ import annotations
 
 import errno

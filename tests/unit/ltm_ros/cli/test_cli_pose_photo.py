@@ -1,5 +1,3 @@
-"""`ltm pose photo` from files to files, and the mistakes that users make with it."""
-
 from __future__ import annotations
 
 import json
@@ -92,23 +90,6 @@ def test_a_pose_that_is_not_accepted_is_the_given_one_or_none(files: Path, tmp_p
     run(files, *arguments, code=3)
     assert not (tmp_path / "none.yaml").exists()
     assert json.loads(report.read_text())["verdict"] != "accepted"
-
-
-def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path) -> None:
-    photo, labels = view(TRUE)
-    hidden = np.zeros(labels.shape, np.uint8)
-    hidden[: CAMERA.height // 2, : CAMERA.width // 3] = 255
-    photo[hidden > 0], labels[hidden > 0] = (20, 20, 20), 3
-    Image.fromarray(photo).save(tmp_path / "a.png")
-    Image.fromarray(labels).save(tmp_path / "labels.png")
-    Image.fromarray(hidden).save(tmp_path / "mask.png")
-    arguments = [str(tmp_path / "a.png"), "--guess", str(files / "guess.yaml")]
-    arguments += ["--labels", str(tmp_path / "labels.png"), "-o", str(tmp_path / "found.yaml"), "--overwrite"]
-    assert "accepted" in run(files, *arguments, "--mask", str(tmp_path / "mask.png"))
-    assert load_picture_config(tmp_path / "found.yaml").pose.azimuth_deg == pytest.approx(63.0, abs=0.1)
-    Image.fromarray(hidden[::2]).save(tmp_path / "small.png")
-    with pytest.raises(LtmError, match=r"--mask: .*small\.png: the mask has .* pixels, but the camera's images have"):
-        run(files, *arguments, "--mask", str(tmp_path / "small.png"))
 
 
 def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""`ltm trace` from files to files."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -65,16 +63,3 @@ def test_a_coarser_raster_around_it(tmp_path: Path, dem_file: Path, capsys: pyte
     assert not (seen["alone"] & ~seen["stack"]).any()
     assert seen["stack"].sum() > seen["alone"].sum()
     assert "dem.tif, around.tif" in capsys.readouterr().out
-
-
-def test_undeclared_nodata_is_unknown_and_said(
-    tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with rasterio.open(dem_file, "r+") as sink:
-        heights = sink.read(1)
-        heights[:, 240:] = -9999.0
-        sink.write(heights, 1)
-    trace(dem=[dem_file], pose=pose_file(tmp_path, 890.0), out=tmp_path / "out")
-    assert "-9999" in capsys.readouterr().err
-    with rasterio.open(tmp_path / "out/alignment.tif") as written:
-        assert np.nanmin(written.read(3)) >= heights[:, :240].min()

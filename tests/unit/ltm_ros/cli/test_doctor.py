@@ -1,5 +1,3 @@
-"""`ltm doctor`: each thing that is missing is found and comes with its remedy."""
-
 from __future__ import annotations
 
 import importlib.metadata
@@ -78,28 +76,6 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
     by_extra = doctor.requirements()
     assert [str(one) for one in by_extra[""]] == ["numpy>=1.26"]
     assert [one.name for one in by_extra["view"]] == ["rerun-sdk"]
-
-
-def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    (rclpy,) = doctor.check_ros()
-    assert rclpy.state is DoctorState.MISSING
-    assert "pip install 'ltm[ros]'" in rclpy.remedy
-    assert "apt install ros-jazzy-ros-base" in rclpy.remedy
-    assert list(doctor.check_transport()) == []
-
-
-def test_transport_in_use() -> None:
-    findings = list(doctor.check_transport())
-    assert {finding.state for finding in findings} == {DoctorState.OK}
-    assert found(findings, "participant").detail == "rmw_fastrtps_cpp, shared memory of 70 MB and UDP"
-
-
-def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
-    participant = found(list(doctor.check_transport()), "participant")
-    assert participant.state is DoctorState.WARNING
-    assert "0.5 MB: too small for images" in participant.detail
 
 
 def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,3 @@
-"""The report: self-contained, complete, and true to the figures it is given."""
-
 from __future__ import annotations
 
 import base64
@@ -9,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from scenes.depth_score import score_depth
 
 from ltm_core.base.number_text import NOTHING
@@ -140,12 +137,3 @@ def test_text_is_escaped() -> None:
     assert "Ridge &lt;demo&gt;" in html
     assert "cameras &amp; twenty" in html
     assert "<demo>" not in html
-
-
-@pytest.mark.parametrize("nodes", [[], [NodeRow("/a/b", 1, 0, 0)]])
-def test_sections_without_data_are_left_out(nodes: list[NodeRow]) -> None:
-    html = render_report(ReportData("Small", "Nothing yet.", [("bag", "x")], nodes))
-    Page(html)
-    for heading in ("Fuel map", "Depth against truth", "What the cameras saw", "See it move", "Files", "NaN", "nan"):
-        assert heading not in html
-    assert ("Messages dropped" in html) == bool(nodes)

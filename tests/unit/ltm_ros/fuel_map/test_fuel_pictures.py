@@ -1,5 +1,3 @@
-"""Pictures of the fuel map: colours say what the legend says, lie on their cells, and the axes tell where that is."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,22 +8,16 @@ import numpy as np
 import pytest
 import rasterio
 from scenes.fuel_frames import (
-    BEGIN_NS,
     LABELS,
-    NAME,
     camera_of,
     grid_of,
     message,
     stamp_of_frame,
-    votes,
     write_grass_site,
-    write_site,
 )
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
@@ -36,12 +28,8 @@ from ltm_core.pictures.fuel_maps import (
     change_sheet,
 )
 from ltm_core.pictures.maps import MapCamera
-from ltm_core.pictures.sheets import with_axes
 from ltm_core.raster.dem import Dem
-from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.layers import seen_window, when
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
@@ -64,18 +52,6 @@ def bare(canvas: FuelCanvas, picture: np.ndarray) -> np.ndarray:
     """The map of a picture that has axes and a legend about it."""
     margin = picture.shape[1] - canvas.view.width
     return picture[: canvas.view.height, margin:]
-
-
-def test_ticks_stand_where_they_say() -> None:
-    view = GridGeometry(1234.0, 6000.0, 10.0, 500, 300)
-    plain = np.full((300, 500, 3), 200, np.uint8)
-    sheet = with_axes(plain, view, offset=(340_000.0, 0.0))
-    left = sheet.shape[1] - 500
-    below = sheet[301, left:]  # just under the frame
-    marks = np.flatnonzero((below < 100).all(axis=-1))
-    np.testing.assert_allclose(marks, [(342_000 + 1000 * k - 341_234) / 10 for k in range(5)], atol=1)
-    beside = np.flatnonzero((sheet[:300, left - 2] < 100).all(axis=-1))
-    np.testing.assert_allclose(beside, [0, 100, 200], atol=1)
 
 
 def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
@@ -120,47 +96,6 @@ def test_the_panels_of_a_change_sheet_differ_in_changed_cells_alone(monkeypatch:
     assert (before.life_form != after.life_form).sum() == 8 * 17
     assert outlined.sum() == after.changed.sum() == 5
     np.testing.assert_array_equal(then != now, outlined)
-
-
-def test_coverage_counts_frames_and_keeps_the_best_footprint(tmp_path: Path) -> None:
-    grid = grid_of(write_site(tmp_path))
-    coverage = CoverageMap(grid)
-    frames = [votes(n, grid) for n in (0, 3, 1)]
-    for frame in frames:
-        coverage.add(frame)
-    assert sorted(coverage.cameras) == ["east", "north"]
-    north = coverage.cameras["north"]
-    count = np.zeros(grid.shape, int)
-    best = np.full(grid.shape, np.inf)
-    for frame in frames[:2]:
-        count[frame.rows, frame.cols] += 1
-        best[frame.rows, frame.cols] = np.minimum(best[frame.rows, frame.cols], frame.visibility.footprint)
-    np.testing.assert_array_equal(north.frames, count)
-    np.testing.assert_allclose(north.footprint, np.where(count > 0, best, np.nan))
-    np.testing.assert_array_equal(coverage.count(), (count > 0).astype(int) + (coverage.cameras["east"].frames > 0))
-
-
-@pytest.mark.parametrize(
-    ("text", "second"),
-    [
-        ("2023-11-14", 1_700_006_399),
-        ("2023-11-14T22:13:20Z", 1_700_000_000),
-        ("2023-11-14T22:13:20", 1_700_000_000),
-        ("2023-11-14T23:13:20+01:00", 1_700_000_000),
-    ],
-)
-def test_moments_are_taken_to_their_end(text: str, second: int) -> None:
-    assert when(text) == (second + 1) * 10**9 - 1
-    with pytest.raises(ConfigError, match="is not a date"):
-        when("last spring")
-
-
-def test_the_shown_part_holds_what_is_seen_and_the_cameras() -> None:
-    cells = np.zeros(GRID.shape, bool)
-    assert seen_window(GRID, cells, []) == GRID.bounds
-    cells[8, 10] = True
-    west, south, east, north = seen_window(GRID, cells, [MapCamera("a", None, (500.0, 600.0))])
-    assert (west, east, south, north) == (265.0, 650.0, 450.0, 795.0)
 
 
 def export(*arguments: Any) -> str:
@@ -215,18 +150,3 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
         store, "--site", site, "--out", since, "--format", "change", "--since", "2023-11-15", "--as-of", "2025-12-31"
     )
     assert since.read_bytes() != (tmp_path / "change.png").read_bytes()
-
-
-def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:
-    site = write_site(tmp_path)
-    grid = grid_of(site)
-    with BagWriter(tmp_path / "bag") as writer:
-        for number in range(4):
-            writer.write(f"/{NAME}/{camera_of(number)}/fuel/votes", message(number, grid), stamp_of_frame(number))
-        writer.write(f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS), BEGIN_NS)
-    export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.png", "--format", "coverage")
-    assert cv2.imread(str(tmp_path / "c.png")).shape[0] > 3 * 500, "three cameras, a row each"
-    with pytest.raises(ConfigError, match="needs a store"):
-        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--as-of", "2024-01-01")
-    with pytest.raises(ConfigError, match="give --format change"):
-        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--since", "2024-01-01")

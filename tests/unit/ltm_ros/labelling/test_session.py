@@ -1,5 +1,3 @@
-"""What is kept of areas that a person names, whatever the page sends."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The description of a site's graph: which nodes, where, with which parameters; its runner, and its launch file."""
-
 from __future__ import annotations
 
 import runpy
@@ -15,7 +13,7 @@ import typer
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
 from ltm_ros.cli import main
-from ltm_ros.launching.graph import CAMERA_NODES, describe, nodes_json, nodes_of_json
+from ltm_ros.launching.graph import CAMERA_NODES, describe
 
 
 def site(**changes: Any) -> Site:
@@ -108,14 +106,6 @@ def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     assert not together.process("recorder").required
     with pytest.raises(ConfigError, match=r"no process 'north/depth' .* it has fuel_map, cameras, recorder"):
         together.process("north/depth")
-
-
-def test_what_a_shared_process_is_told_is_what_was_described() -> None:
-    nodes = {"capture": {"pose_tolerance": 2.0, "hosts": ["y", "n"], "title": "on"}}
-    told = describe(site(processes="site", nodes=nodes), "ridge.yaml", sim_time=True).process("cameras").nodes
-    again = nodes_of_json(nodes_json(told))
-    assert again == told
-    assert [type(value) for value in again[0].parameters.values()] == [type(v) for v in told[0].parameters.values()]
 
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"

@@ -1,5 +1,3 @@
-"""What a service manager hears: sd_notify(3), on a real socket; and the status of a run."""
-
 from __future__ import annotations
 
 import os
@@ -7,11 +5,9 @@ import sys
 import threading
 from pathlib import Path
 
-import pytest
 from scenes.notify_socket import NotifySocket
 from scenes.waiting import wait_for
 
-from ltm_core.base.errors import ConfigError
 from ltm_ros.launching import supervisor
 from ltm_ros.launching.service_manager import LONGEST, ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartPolicy
@@ -46,21 +42,6 @@ def test_the_manager_hears_ready_once_signs_of_life_and_the_end(tmp_path: Path) 
             "1 of 2 processes run; down: depth",
             "stopping",
         ]
-
-
-@pytest.mark.parametrize("other", [{"WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "-3"}])
-def test_without_a_watchdog_for_this_process_no_signs_of_life_are_sent(tmp_path: Path, other: dict[str, str]) -> None:
-    with NotifySocket(tmp_path / "notify") as socket:
-        environ = {"NOTIFY_SOCKET": socket.address, "WATCHDOG_USEC": "30"} | other
-        manager = ServiceManager.of_environment(environ)
-        for _ in range(3):
-            manager.report("up", ready=True, alive=True)
-        assert socket.heard == [("READY", "1"), ("STATUS", "up")]
-
-
-def test_an_address_where_no_manager_listens_is_an_error_that_names_it() -> None:
-    with pytest.raises(ConfigError, match="/nowhere/notify"):
-        ServiceManager.of_environment({"NOTIFY_SOCKET": "/nowhere/notify"})
 
 
 QUICK = RestartPolicy(initial_s=0.05, maximum_s=0.05, config_tries=2)

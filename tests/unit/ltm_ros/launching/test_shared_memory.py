@@ -1,5 +1,3 @@
-"""Shared memory of dead processes is told from that of living ones by its locks and maps; and who removes it."""
-
 from __future__ import annotations
 
 import fcntl

@@ -1,9 +1,6 @@
-"""What a graph needs of its machine, and how a run that cannot be ends."""
-
 from __future__ import annotations
 
 import os
-import socket
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -51,19 +48,6 @@ def test_room_for_what_is_kept(
     assert room.verdict is verdict
     assert f"{free / 1e9:.1f} GB free" in room.said
     assert ("free some space" in room.said) is (verdict is not SiteVerdict.OK)
-
-
-def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: Path) -> None:
-    site = write_small_site(tmp_path, recording=False).path
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        site.write_text(site.read_text() + yaml.safe_dump({"health": {"port": port}}))
-        found = examine(site, Wanted(health={})).findings
-    (of_port,) = [one for one in found if one.name == "health"]
-    assert of_port.verdict is SiteVerdict.DOUBTFUL
-    assert f"127.0.0.1:{port} cannot be opened (Address already in use)" in of_port.said
-    assert "the tower runs, and retries" in of_port.said
-    assert exit_status(found) == 0
 
 
 def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""One supervised process, without ROS: its output, its deaths, its end."""
-
 from __future__ import annotations
 
 import signal
@@ -57,16 +55,6 @@ class Supervised:
         self.process.request_stop()
         self.process.signal(signal.SIGKILL, whole_group=True)
         assert self.process.wait_stopped(10.0)
-
-
-def test_output_of_both_kinds_goes_to_the_console() -> None:
-    one = Supervised("import sys, time; print('out'); print('err \\udcff', file=sys.stderr); time.sleep(60)")
-    one.wait_for(lambda: len(one.lines) == 3)
-    pid = one.process.pid
-    one.end()
-    assert one.lines[:2] == [f"[north/depth] -- started as process {pid}", "[north/depth] out"]
-    assert one.lines[2].startswith("[north/depth] err")
-    assert one.process.state is ProcessState.STOPPED
 
 
 def test_restarts_whatever_way_it_dies() -> None:

@@ -1,5 +1,3 @@
-"""Which heartbeats are those of a process that hangs, and which process of a graph is taken to hear nothing."""
-
 from __future__ import annotations
 
 import json
@@ -12,7 +10,6 @@ from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, Pr
 LIMITS = WatchdogConfig(silent=20.0, stuck=60.0, slow=300.0)
 IDLE = ProcessUse("S", 0.0)
 WELL: list[tuple[float, bool, str]] = [(0.0, False, "executor: callback")]
-STARTING = [(1.0, True, "start: ltm_ros.nodes.depth")]
 
 
 def beat(turns: object, said: dict[str, int] | None = None, heard: dict[str, int] | None = None) -> bytes:
@@ -65,13 +62,6 @@ def test_a_worker_that_stands_is_seen_though_the_process_lives() -> None:
     assert "in 61 s" in HangWatch(LIMITS).look(1.0, beat([(61.0, False, "depth: callback")]), IDLE)
 
 
-@pytest.mark.parametrize(("slow_starts", "patience"), [(0, 300), (1, 600), (3, 2400)])
-def test_a_start_may_take_long_and_longer_after_each_that_was_too_slow(slow_starts: int, patience: int) -> None:
-    watched = Watched(slow_starts)
-    assert watched.hang(5000, beat(STARTING)) == (patience + 1, f"not started within {patience + 1} s")
-    assert not watched.watch.started
-
-
 def test_nobody_is_judged_for_the_time_in_which_the_watch_lay_still() -> None:
     watch = HangWatch(LIMITS)
     watch.look(1.0, beat(WELL), IDLE)
@@ -83,14 +73,6 @@ def test_nobody_is_judged_for_the_time_in_which_the_watch_lay_still() -> None:
     for _ in range(10):
         watch.look(1.0, blocked, IDLE)
     assert "3000 s" in watch.look(1.0, blocked, IDLE)
-
-
-def test_a_beat_may_come_in_pieces_and_the_newest_counts() -> None:
-    watch, old, new = HangWatch(LIMITS), beat([(100.0, False, "worker: Image")]), beat(WELL)
-    assert watch.look(1.0, old[:9], IDLE) == ""
-    assert watch.look(1.0, old[9:] + new, IDLE) == ""
-    assert watch.look(1.0, new + old[:-1], IDLE) == ""
-    assert "100 s" in watch.look(1.0, b"\n", IDLE)
 
 
 VOTES, POSES = "/ridge/north/fuel/votes", "/ridge/north/posed/pose"
@@ -132,25 +114,6 @@ def test_one_that_hears_nothing_while_others_speak_is_deaf_and_says_what_it_miss
     assert deaf_after(watch, speaker, {VOTES: 0}, 100) == 31
     assert watch.deaf
     assert watch.look(1.0, {VOTES: 0}) == f"received 0 of 31 messages in 32 s, most of them on {VOTES}"
-
-
-def test_one_that_hears_anything_whoever_says_it_is_well() -> None:
-    traffic = GraphTraffic()
-    speaker, watch = Speaker(traffic, VOTES), HearingWatch("fuel_map", traffic, 30.0)
-    for second in range(300):
-        speaker.speak()
-        # Of the votes nothing comes through (they may be too large), of what a stranger asks one each 20 s does.
-        assert watch.look(1.0, {VOTES: 0, "/ridge/fuel_map/query": second // 20}) == ""
-    assert not watch.deaf
-
-
-def test_silence_and_what_nobody_listens_to_make_nobody_deaf() -> None:
-    traffic = GraphTraffic()
-    speaker, watch = Speaker(traffic, POSES), HearingWatch("fuel_map", traffic, 30.0)
-    assert deaf_after(watch, speaker, {VOTES: 0}, 1000) == 0
-    # What a process says itself it need not hear: its nodes hand that to each other.
-    own = Speaker(traffic, VOTES, name="fuel_map")
-    assert deaf_after(watch, own, {VOTES: 0}, 1000) == 0
 
 
 def test_the_watch_hears_of_it_by_heartbeats_and_judges_no_start_and_no_pause_of_its_own() -> None:

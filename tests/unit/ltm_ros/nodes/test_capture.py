@@ -1,5 +1,3 @@
-"""capture: which image leaves with which pose and calibration, when, and what becomes of the others."""
-
 from __future__ import annotations
 
 import io
@@ -20,13 +18,12 @@ from scenes.transforms import transform_to_msg
 from ltm_core.base.errors import CameraError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose, pose_covariance
+from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.bag.cdr import Transforms
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import (
     LINK_OPTICAL,
-    msg_to_covariance,
     msg_to_pose,
     msg_to_transform,
     pose_to_msg,
@@ -210,28 +207,6 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     assert outlet.stamps(POSED_IMAGE) == [2 * S]
 
 
-def test_oldest_goes_when_too_many_wait(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of(max_waiting=3)
-    capture.on_camera_info(info(0))
-    for stamp in (4 * S, 2 * S, 3 * S):
-        capture.on_image(image(stamp))
-    assert health.dropped == {}
-    capture.on_image(image(5 * S))
-    assert health.dropped == {"no_pose": 1}
-    for stamp in range(2, 6):
-        capture.subscriptions[POSE](pose(stamp * S))
-    assert outlet.stamps(POSED_IMAGE) == [3 * S, 4 * S, 5 * S]
-
-
-def test_end_gives_up_what_waits(capture_of: CaptureOf) -> None:
-    capture, _, health = capture_of()
-    for stamp in (S, 2 * S):
-        capture.on_image(image(stamp))
-    capture.finish()
-    assert health.dropped == {"no_pose": 2}
-    assert "ended" in health.last_error
-
-
 def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     capture.on_camera_info(info(0))
@@ -286,20 +261,6 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, but its calibration is for 13 x 7"):
         capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     assert outlet.sent == []
-
-
-def test_a_fixed_pose_is_as_sure_as_the_site_file_says(capture_of: CaptureOf) -> None:
-    where = {"x": 500_321.0, "y": 4_000_123.0, "z": 900.0, "azimuth_deg": 70.0, "pitch_deg": -3.0}
-    for sigmas in ({}, {"azimuth_sigma_deg": 1.25, "position_sigma": 2.0}):
-        capture, outlet, _ = capture_of({"pose": where | sigmas})
-        capture.on_camera_info(info(S))
-        capture.on_image(image(S))
-        (message,) = outlet.on(POSED_POSE)
-        expected = pose_covariance(msg_to_pose(message), 2.0, 0.5, 1.25, 0.3, 0.3) if sigmas else None
-        found = msg_to_covariance(message)
-        assert (found is None) == (expected is None)
-        if expected is not None:
-            np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
@@ -372,18 +333,6 @@ def test_a_recordings_frames_are_not_shed(capture_of: CaptureOf) -> None:
     for stamp in range(S, 7 * S, S):
         capture.on_finished(make_header(stamp, FUSE))
     assert outlet.stamps(POSED_IMAGE) == [*range(S, 7 * S, S)]
-    assert health.dropped == {}
-
-
-def test_what_is_no_image_of_the_camera_takes_no_place_at_the_door(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of()
-    outlet.working = {FUSE}
-    offered(capture, S, 2 * S, 3 * S)
-    capture.subscriptions[POSE](pose(4 * S))
-    with pytest.raises(ImageError):
-        capture.on_image(image(4 * S, b"garbage"))
-    capture.on_finished(make_header(S, FUSE))
-    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S, 3 * S]
     assert health.dropped == {}
 
 
@@ -495,26 +444,6 @@ def test_images_that_wait_hold_bounded_bytes(capture_of: CaptureOf) -> None:
         capture.on_image(image(number * S, bytes(30 << 20)))
     assert health.dropped == {"no_pose": 21}, "four of 30 MB are within 128 MB"
     assert "MB of data are queued" in health.last_error
-
-
-def test_the_newest_frame_is_not_one_from_before_the_clock_was_set_back(capture_of: CaptureOf) -> None:
-    """Else a camera that delivers no more would pass for one that does, for a day where the clock was a day ahead."""
-    capture, outlet, health = capture_of()
-    outlet.now = 90_000 * S
-    capture.on_image(image(90_000 * S))
-    assert health.summary()["newest_stamp"] == "90000.000"
-    outlet.now = 3_600 * S
-    capture.on_image(image(3_599 * S))
-    assert health.summary()["newest_stamp"] == "3599.000"
-    capture.on_image(image(3_598 * S))
-    assert health.summary()["newest_stamp"] == "3599.000", "one that is late is not the newest"
-
-
-def test_clocks_that_were_never_set_are_refused(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of()
-    outlet.now = 1_800_000_000 * S
-    capture.on_image(image(S))
-    assert health.dropped == {"unset_clock": 1}
 
 
 @pytest.fixture

@@ -1,9 +1,6 @@
-"""capture: a phone's pose from its fixes and attitudes."""
-
 from __future__ import annotations
 
 import math
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -78,13 +75,6 @@ def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[Cap
     )
 
 
-def feed(node: CaptureHandler, attitude: Any) -> None:
-    node.on_camera_info(info())
-    node.subscriptions[FIX](fix())
-    node.subscriptions[IMU](attitude)
-    node.on_image(photo())
-
-
 def sent(outlet: Kept) -> tuple[Pose, Float64Array]:
     (message,) = outlet.on(POSED_POSE)
     covariance = msg_to_covariance(message)
@@ -116,15 +106,6 @@ def test_a_phones_image_is_posed_by_the_nearest_attitude_and_the_last_fix(
     assert health.dropped == {}
 
 
-def test_a_compass_is_turned_by_the_declination_of_the_day(tmp_path: Path) -> None:
-    node, outlet, _ = capture(tmp_path, {})
-    feed(node, imu(STAMP))
-    pose, _ = sent(outlet)
-    x, y, z = pose.position
-    assert pose.angles_deg[0] == pytest.approx(FRAME.magnetic_to_grid_deg(231.0, x, y, date(2024, 7, 5), z))
-    assert 11.0 < pose.angles_deg[0] - FRAME.true_to_grid_deg(231.0, x, y) < 12.0
-
-
 def test_what_the_messages_state_of_their_errors_goes_on(tmp_path: Path) -> None:
     node, outlet, _ = capture(tmp_path, TRUE | {"geoid_undulation": -35.4})
     turn = imu(STAMP)
@@ -137,15 +118,6 @@ def test_what_the_messages_state_of_their_errors_goes_on(tmp_path: Path) -> None
     assert pose.position[2] == pytest.approx(GROUND + 9.0)
     expected = pose_covariance(pose, math.sqrt(5.0), 8.0, math.degrees(0.1), math.degrees(0.02), math.degrees(0.02))
     np.testing.assert_allclose(covariance, expected, atol=1e-9)
-
-
-def test_a_camera_that_is_mounted_otherwise(tmp_path: Path) -> None:
-    """On a vehicle, whose Imu has x forward, y left, z up: the rotation that tf has from it to the optical frame."""
-    forward = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    quaternion = [float(v) for v in Rotation.from_matrix(forward).as_quat()]
-    node, outlet, _ = capture(tmp_path, TRUE | {"mount": quaternion})
-    feed(node, imu(STAMP, SEEN, forward))
-    np.testing.assert_allclose(sent(outlet)[0].angles_deg[1:], SEEN[1:], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -179,17 +151,3 @@ def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
         node.subscriptions[IMU](none)
     with pytest.raises(PoseError, match="unit quaternion"):
         node.subscriptions[IMU](unset)
-
-
-def test_an_image_without_fix_or_attitude_is_given_up_by_name(tmp_path: Path) -> None:
-    for given, missing in (("fix", "imu"), ("imu", "fix")):
-        node, _, health = capture(tmp_path, TRUE)
-        node.on_camera_info(info())
-        if given == "fix":
-            node.subscriptions[FIX](fix())
-        else:
-            node.subscriptions[IMU](imu(STAMP))
-        node.on_image(photo())
-        node.finish()
-        assert health.dropped == {"no_pose": 1}
-        assert f"has no {missing}" in health.summary()["reason.no_pose"]

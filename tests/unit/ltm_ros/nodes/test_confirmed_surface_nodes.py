@@ -1,5 +1,3 @@
-"""The confirmed surface from `terrain` to `depth` and `topodepth`: followed, taken back, and never read by the wire."""
-
 from __future__ import annotations
 
 import json
@@ -128,18 +126,6 @@ def test_later_frames_are_traced_to_what_was_confirmed(chain: Chain) -> None:
     assert chain.health.dropped == chain.depth_health.dropped == {}
 
 
-def test_what_is_confirmed_is_not_confirmed_again_and_does_not_undo_itself(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for look in range(8):
-        chain.look(truth, 2 * look)
-    names = [msg_to_version(message) for message in chain.told.on(TERRAIN_SURFACE)]
-    assert len(names) == len(set(names)) <= 4, names
-    assert chain.versions[-1] == names[-1]
-    manifest = json.loads((chain.folder / MANIFEST).read_text())
-    first, last = manifest["versions"][0], manifest["versions"][-1]
-    assert last["changed"] >= first["changed"] > 50
-
-
 def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     truth = sunk(chain.small)
     for hours in (0, 2, 4):
@@ -199,21 +185,6 @@ def test_where_no_version_can_be_written_the_terrain_goes_on_and_tries_again(
     assert "cells seen have changed" in chain.terrain.services["terrain/confirm"]()
 
 
-def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2):
-        chain.look(truth, hours)
-    for path in chain.folder.glob("*.npz"):
-        path.write_bytes(b"PK\x05\x06" + bytes(18))
-    chain.restart()
-    assert chain.depth_health.troubled
-    assert "frames are traced to the original terrain" in chain.depth_health.last_error
-    chain.look(truth, 4)
-    chain.look(truth, 6)
-    assert chain.versions[0] == ""
-    assert chain.versions[-1] != ""
-
-
 @pytest.mark.parametrize("when", ["at the start", "meanwhile"])
 def test_a_broken_list_of_surfaces_is_told_and_put_aside_and_the_terrain_lives(chain: Chain, when: str) -> None:
     truth = sunk(chain.small)
@@ -232,32 +203,6 @@ def test_a_broken_list_of_surfaces_is_told_and_put_aside_and_the_terrain_lives(c
     assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == chain.versions[-1]
 
 
-@pytest.mark.parametrize("when", ["at the start", "meanwhile"])
-def test_a_later_releases_list_stays_and_nothing_is_confirmed(chain: Chain, when: str) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2, 4):
-        chain.look(truth, hours)
-    traced, path = chain.versions[-1], chain.folder / MANIFEST
-    assert traced
-    later = json.dumps(json.loads(path.read_text()) | {"format": 2})
-    path.write_text(later)
-    if when == "at the start":
-        chain.restart()
-        assert "a later release wrote this list of surfaces" in chain.health.last_error
-        assert "frames are traced to the original terrain" in chain.depth_health.last_error
-    path, files = chain.folder / MANIFEST, sorted(chain.folder.iterdir())
-    for hours in (6, 8):
-        chain.look(chain.small.dem, hours)
-    assert chain.versions[-1] == ("" if when == "at the start" else traced)
-    for service in ("terrain/confirm", "terrain/take_back"):
-        with pytest.raises(StoreError, match="a later release wrote"):
-            chain.terrain.services[service]()
-    chain.terrain.finish()
-    assert path.read_text() == later
-    assert sorted(chain.folder.iterdir()) == files
-    assert len(chain.told.on(TERRAIN_UPDATE)) > 0, "what is decided does not wait for the version"
-
-
 @pytest.mark.parametrize(
     "values",
     [{}, *({"version": v} for v in ("../../../../etc/x", "0123456789abcdeF", "0123456789abcdef\n", "0" * 5000))],
@@ -273,25 +218,3 @@ def test_a_version_that_the_manifest_does_not_name_is_not_followed(chain: Chain)
     listens[SURFACE](status_to_msg("terrain/surface", 0, {"version": "0123456789abcdef"}))
     chain.look(chain.small.dem, 0)
     assert chain.versions == [""]
-
-
-def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Chain) -> None:
-    """Two hundred metres of something where the mast stands, as two cameras may have it."""
-    from ltm_core.pipeline.site_surface import surface_versions
-    from ltm_core.surface.confirmed_surface import ConfirmedSurface
-
-    pose = msg_to_pose(measured_messages(chain.small, chain.small.dem, 0)[POSED_POSE], "map")
-    row, col = chain.small.dem.geometry.cell_of(*pose.position[:2])
-    rows, cols = (index.ravel().astype(np.int32) for index in np.mgrid[row - 1 : row + 2, col - 1 : col + 2])
-    tall = ConfirmedSurface(
-        chain.small.dem.geometry,
-        rows,
-        cols,
-        chain.small.dem.elevation[rows, cols] + np.float32(200.0),
-        np.full(9, np.nan, np.float32),
-    )
-    surface_versions(chain.small.site, chain.folder).add(tall, BEGIN_NS, 9)
-    chain.restart()
-    chain.look(chain.small.dem, 0)
-    assert chain.versions == [""]
-    assert chain.depth_health.summary()["noted.below_confirmed_surface"] == "1"

@@ -1,5 +1,3 @@
-"""The fuel map's node without its transport: which votes it takes, and what people ask."""
-
 from __future__ import annotations
 
 import json
@@ -13,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import (
     BEGIN_NS,
@@ -26,14 +23,13 @@ from scenes.fuel_frames import (
 from scenes.fuel_map_node import Node, state
 
 from ltm_core.base.errors import ConfigError, LtmError, MessageError
-from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_INFO, FUEL_VOTES
+from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
 
 
 @pytest.fixture
@@ -70,20 +66,6 @@ def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number in range(30):
         send(now - day + number)
     assert send(now - 6 * day + 1)["too_old"] == 1
-
-
-def test_a_replay_has_the_time_of_its_recording(site: Path) -> None:
-    """Frames of years ago, with hours between them, while the graph's time is theirs; and before that has begun."""
-    node = Node(site)
-    node.feed(0)
-    for number in range(1, 10):
-        stamp = BEGIN_NS + number * 5 * 3600 * 10**9
-        node.outlet.now = stamp + 10**8
-        node.handler.on_votes("north", message(number, node.map.geometry, stamp))
-    node.handler.idle()
-    assert node.health.dropped == {}
-    assert node.gauge("frames") == "10"
-    assert "noted.stamp_jump" not in node.health.summary()
 
 
 def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,21 +153,6 @@ def test_query_of_a_point(kept: Callable[..., Node]) -> None:
             node.handler.on_query(asked)
 
 
-@pytest.mark.parametrize(("model", "state"), [("", "measured on photos"), ("mosaic_r4_ade20k31", "unmeasured")])
-def test_diagnostics_and_the_file_state_what_labels_were_measured_on(tmp_path: Path, model: str, state: str) -> None:
-    node = Node(write_site(tmp_path, **({"model": model} if model else {})), folder=str(tmp_path / "kept"))
-    node.handler.start()
-    assert node.gauge("labels") == state
-    message = node.outlet.on(FUEL_MAP_INFO)[-1]
-    info = json.loads(message.data)
-    assert info["labels_measured"] == state
-    assert {label["name"] for label in info["labels"]} >= {"grass", "shrub", "tree"}
-    node.feed(0)
-    node.handler.save()
-    with rasterio.open(tmp_path / "kept" / "fuel_map.tif") as file:
-        assert file.tags()["labels"] == state
-
-
 def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
     node = kept(allow_clear_and_burn=True)
     node.feed(*range(60))
@@ -224,37 +191,6 @@ def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
     region.header.frame_id, region.polygon.points = "map", region.polygon.points[:2]
     with pytest.raises(MessageError, match="2 corners"):
         node.handler.on_region(region)
-
-
-def test_save_writes_where_the_configuration_says(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="export_path"):
-        Node(site).handler.save()
-    node = kept()
-    node.feed(*range(5))
-    assert node.handler.save() == "fuel map of 5 frames written to fuel_map.tif"
-    classes, geometry = read_fuel_map(tmp_path / "kept" / "fuel_map.tif")
-    np.testing.assert_array_equal(classes, node.map.layers().life_form)
-    assert geometry.crs == "EPSG:26911"
-
-
-def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
-    import rasterio
-
-    with pytest.raises(ConfigError, match="parameter folder"):
-        Node(site).handler.export()
-    node = kept()
-    node.feed(*range(80))
-    assert node.handler.export().startswith("landscape.lcp and landscape.tif written")
-    for name in ("landscape.lcp", "landscape.tif"):
-        with rasterio.open(tmp_path / "kept" / name) as found:
-            assert found.count == 8
-            known = found.read(1) != -9999
-            assert known[1:].all()  # the grid's first row lies beyond the terrain
-            np.testing.assert_array_equal(found.read(4), np.where(known, node.map.layers().code, -9999))
-            if name.endswith("tif"):
-                assert found.tags()["unit_height"] == "m x 10"
-        item = json.loads((tmp_path / "kept" / f"{name}.stac.json").read_text())
-        assert name in item["assets"]
 
 
 def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""What the fuel map's node keeps: each frame once, in the store before it is told, on a full disk and after a kill."""
-
 from __future__ import annotations
 
 import contextlib
@@ -130,23 +128,6 @@ def test_journal_gives_the_map_as_of_any_date(kept: Callable[..., Node], site: P
         np.testing.assert_array_equal(store.as_of("code", initial.code, BEGIN_NS - 1), initial.code)
     codes = [layers["code"] for layers in seen.values()]
     assert (codes[3] != codes[-1]).any()
-
-
-def test_changes_of_code_that_were_not_journaled_before_a_kill_are_found(
-    kept: Callable[..., Node], tmp_path: Path
-) -> None:
-    node = kept()
-    node.feed(0)
-    node.handler.persistence.store.close()  # killed
-    with contextlib.closing(sqlite3.connect(tmp_path / "kept" / STORE_FILE)) as database, database:
-        database.execute("DELETE FROM changes")
-    node = kept()
-    node.feed(1)
-    initial = {"code": node.map.layers().code.copy()}
-    initial["code"][:] = -9999
-    np.testing.assert_array_equal(
-        node.handler.persistence.store.as_of("code", initial["code"], 2**62), node.handler.persistence.shown.code
-    )
 
 
 def test_full_disk_map_lives_on_and_catches_up(

@@ -1,11 +1,6 @@
-"""locate: regions in, estimates and tracks out; what cannot be taken is told and changes nothing."""
-
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +13,7 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.located import CAMERA, hills, sighting
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionError
+from ltm_core.base.errors import LtmError, MessageError, RegionError
 from ltm_core.locating.sighting import Sighting
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
@@ -26,7 +21,6 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
-from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.locate import LocateConfig, LocateHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
@@ -237,59 +231,10 @@ def test_pictures_count_with_marks(tmp_path: Path) -> None:
     assert surer["probability"] > said["probability"]
 
 
-def test_pictures_name_a_camera_before_anything_is_marked(tmp_path: Path) -> None:
-    towers, _ = three_of(0.0)
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    running.node.start()
-    lost(running, "east", 1)
-    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (said["camera"], said["fires"], said["by"]) == ("east", 0, ["pictures"])
-    assert said["turned_deg"] is None
-    told = len(running.kept.on(LOCATE_TRACKS))
-    lost(running, "east", 9)  # nothing has changed
-    assert len(running.kept.on(LOCATE_TRACKS)) == told
-    found = PoseCorrection(np.radians([0.0, 0.0, 2.0]), np.eye(3) * 1e-6)
-    running.send("east", POSE_CORRECTION, correction_to_msg(found, STAMP + 10 * SECOND))
-    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-
-
 def places(running: Running) -> list[dict[str, Any]]:
     """What is said last of each track."""
     features = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["features"]
     return [one["properties"] for one in features if one["properties"]["role"] == "place"]
-
-
-def test_a_mount_that_is_fitted_again_begins_anew(tmp_path: Path) -> None:
-    towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    fire = np.array([-100.0, 1900.0, 0.0])
-    marks = {name: sighting(name, at, fire, 0.05, 1.0 if name == "north" else 0.0) for name, at in towers.items()}
-    said = turned_says(running, marks, 0)
-    assert said is not None
-    assert said["camera"] == "north"
-
-    def correct(yaw_deg: float, variance: float) -> None:
-        found = PoseCorrection(np.radians([0.0, 0.0, yaw_deg]), np.eye(3) * variance)
-        running.send("north", POSE_CORRECTION, correction_to_msg(found, STAMP + 5 * SECOND))
-
-    correct(0.0, 4.0)  # it has slipped: by how much is not known yet
-    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (said["camera"], said["by"]) == ("north", ["marks", "pictures"])
-    correct(1.0, 1e-6)
-    assert running.health.summary()["noted.refitted.north"] == "1"
-    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-    assert {place["disagrees"] for place in places(running)} == {None}
-    correct(1.0, 1e-6)  # as a node that starts again is told
-    assert running.health.summary()["noted.refitted.north"] == "1"
-    straight = marks | {"north": sighting("north", towers["north"], fire, 0.05)}
-    assert turned_says(running, straight, 10) is None
-    # What east and west had marked has become one track when north was named.
-    assert {"north", "east", "west"} in [{*place["seen_by"]} for place in places(running)]
-    message = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), STAMP)
-    message.pose.covariance[21] = np.nan
-    with pytest.raises(LtmError):
-        running.send("north", POSE_CORRECTION, message)
-    assert running.health.summary()["noted.refitted.north"] == "1"
 
 
 def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
@@ -306,23 +251,6 @@ def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
         running.send("north", LOCATE_REGION, region(seen))
 
 
-def test_a_region_without_a_stamp_after_the_clock_was_set_back(tmp_path: Path) -> None:
-    """It is of the pose that was told last; one of the time before would be of the future, and end every track."""
-    running = Running(tmp_path)
-    seen, later = seen_by("north"), STAMP + 3 * 3600 * SECOND
-    other = seen_by("east")
-    running.pose(other)
-    running.send("east", LOCATE_REGION, region(other, STAMP))
-    running.pose(seen, later)
-    running.send("north", LOCATE_REGION, region(seen, 0))
-    assert running.health.dropped == {"future": 1}
-    running.pose(seen, STAMP + SECOND)
-    running.send("north", LOCATE_REGION, region(seen, 0))
-    assert running.health.dropped == {"future": 1}
-    (point,) = places(running)
-    assert (point["seen_by"], point["last_ns"]) == (["east", "north"], STAMP + SECOND)
-
-
 def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> None:
     """Its mask would be made in that size: four gigabytes."""
     mask = [{"class": "caption", "polygon": [[0, 0], [80, 0], [80, 30], [0, 30]]}]
@@ -337,29 +265,3 @@ def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> 
     assert "65535 x 65535 pixels of north; the maximum is 3000000" in running.health.last_error
     running.send("north", LOCATE_REGION, region(seen, STAMP))
     assert len(places(running)) == 1
-
-
-def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
-    from ltm_core.site.site_io import load_site
-
-    path = write_site(tmp_path)
-    assert "locate" not in [node.label for node in describe(load_site(path), path)]
-    with pytest.raises(ConfigError, match="no section `locating`"):
-        LocateHandler(LocateConfig(site=str(path)), Kept(), Health())
-    path = write_site(tmp_path, locating={})
-    graph = describe(load_site(path), path)
-    assert graph.node("locate").namespace == "/hollow"
-    with pytest.raises(ConfigError, match="is the name of a node"):
-        load_site(write_site(tmp_path, cameras={"locate": {}}))
-
-
-def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
-    """In a process of its own: in this one other tests have compiled."""
-    code = Path(__file__).with_name("marks_after_start.py")
-    # This file is among those that also run without a compiler.
-    given = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_DISABLE_JIT": "0"}
-    run = subprocess.run([sys.executable, code, tmp_path], env=given, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    before, after = json.loads(run.stdout)
-    assert before["ltm_core.locating.sight_kernels.add_smeared"] == 1
-    assert after == before

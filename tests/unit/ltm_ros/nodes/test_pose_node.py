@@ -1,5 +1,3 @@
-"""A camera whose stated pose is off: the node pose says by how much, and capture's frames have the pose that it is."""
-
 from __future__ import annotations
 
 import os
@@ -12,7 +10,6 @@ import yaml
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
@@ -205,21 +202,6 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
     assert not within[0].any()
     assert within[1].any()
     assert (masked.labels == 255).mean() > 0.9 * hidden.mean()
-
-
-def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
-    site = write_site(tmp_path)
-    with pytest.raises(ConfigError, match="refine_poses"):
-        PoseHandler(PoseKeepingConfig(site=site, camera="mast"), Kept(), Health())
-    sent = Kept()
-    capture = CaptureHandler(CaptureConfig(site=site, camera="mast"), sent, Health())
-    assert POSE_CORRECTION not in capture.subscriptions
-    capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
-    capture.subscriptions[POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
-    black = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-    capture.subscriptions[IMAGE_RAW](image_to_msg(black, "rgb8", STAMP, "mast_optical"))
-    assert len(sent.on(POSED_POSE)) == 1
-    assert not sent.on(STATED_POSE)
 
 
 def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Tests the node `segmentation` with the prompts of a site and of an operator."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The terrain node, fed with measured depth as a graph would: what it sends, keeps and refuses."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""topodepth: what it joins, waits for, publishes, and says when something is wrong."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -125,18 +123,6 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert float(info["inlier_ratio"]) > 0.5
     assert node.health.summary()["verdict"] == "ok"
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
-
-
-def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    node = Node(tmp_path, monkeypatch, label_wait=1.0)
-    node.feed("image", "info", "pose", "depth")
-    node.handler.tick(0.7)
-    assert node.kept.on(FUSED_DEPTH) == []
-    node.handler.tick(0.7)
-    assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
-    assert node.health.summary()["noted.unlabelled"] == "1"
-    node.feed("labels")
-    assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
 
 
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(

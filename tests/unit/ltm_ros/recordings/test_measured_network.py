@@ -1,5 +1,3 @@
-"""Tests `ltm models measure`: a record from a recording and the prior map, and from labelled photos."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What waits for a recorder's disk is bounded, by bytes and by messages; what is over is dropped and counted."""
-
 from __future__ import annotations
 
 import threading

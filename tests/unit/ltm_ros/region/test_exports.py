@@ -1,24 +1,18 @@
-"""The region's map as GeoTIFFs with a STAC item, on disk and on S3, anew when it has changed."""
-
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
-from scenes.fuel_frames import BEGIN_NS
 from scenes.region_scene import write_region_scene
 from scenes.s3_bucket import empty_bucket
 from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
 from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import RegionExports
 from ltm_ros.runtime.health import Health
 
@@ -64,57 +58,3 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
     assert there >= {"item.stac.json", *item["assets"]}
     assert store.cat_file("maps/kern/life_form.tif") == (tmp_path / "out/life_form.tif").read_bytes()
     aggregator.close()
-
-
-def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) -> None:
-    scene, health = write_region_scene(tmp_path), Health()
-    (tmp_path / "out").mkdir()
-    aggregator = Aggregator(scene.config, health, lambda: 0)
-    elsewhere = ExportConfig(folder=tmp_path / "out", every=1.0, copy_to="s3://nobodys/kern")
-    exports = RegionExports(elsewhere, aggregator, health)
-    wait_for(
-        lambda: exports.look(0.0, changed=False) or "cannot be copied there" in health.last_error,
-        "words",
-        health.summary,
-    )
-    assert (tmp_path / "out/item.stac.json").is_file()
-    (tmp_path / "out/item.stac.json").unlink()
-    exports.close()
-    assert (tmp_path / "out/item.stac.json").is_file()
-    assert "noted.exported" not in health.summary()
-    aggregator.close()
-
-
-class Unheard:
-    """A connection on which nobody comes."""
-
-    connections = 1
-
-    def __init__(self, *_: object, will: object = None) -> None:
-        self.connected = threading.Event()
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def send(self, *_: object, **__: object) -> bool:
-        return False
-
-
-def test_the_last_export_has_what_was_not_yet_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While many frames come, the map is decided anew but now and then; the end does not wait for that."""
-    monkeypatch.setattr("ltm_ros.region.service.SHOWN_SHARE", 1e-12)
-    (tmp_path / "out").mkdir()
-    scene = write_region_scene(tmp_path, export={"folder": "out", "every": 5.0})
-    link: Any = Unheard
-    service, stopping = RegionService(scene.config, Health(), lambda: BEGIN_NS + 10**13, link), threading.Event()
-    service.step(0.0)
-    for number in range(4):
-        service.aggregator.take("alta", scene.sealed("alta", number))
-    service.step(0.0)
-    assert service.aggregator.persistence.saved_frames == 4
-    assert service.aggregator.persistence.shown.seen_cells == 0
-    stopping.set()
-    service.run(stopping)
-    with rasterio.open(tmp_path / "out/life_form.tif") as raster:
-        assert (raster.read(1) != raster.nodata).any()

@@ -1,5 +1,3 @@
-"""Towers, a real broker and a region's map in one process: what is sent, answered, refused, and followed."""
-
 from __future__ import annotations
 
 import ssl
@@ -7,7 +5,6 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,8 +18,7 @@ from rclpy.serialization import deserialize_message
 from scenes.free_port import free_port
 from scenes.fuel_frames import LABELS
 from scenes.mqtt_broker import Broker
-from scenes.region_days import same_map
-from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+from scenes.region_scene import CAMERA, REGION, RegionScene, same_map, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
 from sensor_msgs.msg import PointCloud2
 
@@ -43,7 +39,7 @@ from ltm_ros.region.mqtt_link import (
     tile_topic,
     votes_topic,
 )
-from ltm_ros.region.service import RegionService, RegionWatch
+from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
@@ -325,27 +321,6 @@ def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, 
             follower.stop()
 
 
-def test_a_map_that_ends_is_not_thought_to_be_there_whatever_waited_before(scene: RegionScene, broker: Broker) -> None:
-    """As many tiles as the broker has not yet confirmed stand between its last frame and its good-bye."""
-    presence: list[bytes] = []
-    topic, desk = presence_topic(REGION), scene.identity("desk")
-    follower = MqttLink(scene.broker("desk"), desk, "desk", [topic], lambda _, b: presence.append(b), Health())
-    follower.start()
-    life, will = scene.identity("aggregator"), (topic, b"")
-    link = MqttLink(scene.broker("aggregator"), life, "map", [], lambda *_: None, Health(), will)
-    link.start()
-    try:
-        wait_for(lambda: follower.connected.is_set() and link.connected.is_set(), "connections")
-        link.send(topic, b"a life", retain=True)
-        for number in range(500):
-            link.send(tile_topic(REGION, number, 0), bytes(10_000), retain=True, qos=1)
-        link.stop()
-        wait_for(lambda: presence[-1:] == [b""], "the map's end", lambda: presence)
-        assert b"a life" in presence
-    finally:
-        follower.stop()
-
-
 def test_a_topic_that_is_no_text_is_counted(scene: RegionScene) -> None:
     message, health, got = mqtt.MQTTMessage(topic=b"ltm/\xff\xfe"), Health(), []
     hand_over(message, lambda topic, payload: got.append(topic), health)
@@ -353,22 +328,3 @@ def test_a_topic_that_is_no_text_is_counted(scene: RegionScene) -> None:
     message.topic = b"ltm/kern/votes/alta"
     hand_over(message, lambda topic, payload: got.append(topic), health)
     assert got == ["ltm/kern/votes/alta"]
-
-
-def test_the_region_answers_monitoring_systems(scene: RegionScene, broker: Broker) -> None:
-    port, site = free_port(), scene.config.site
-    site.write_text(f"{site.read_text()}health: {{port: {port}}}\n")
-    with mapped(scene) as service, sending(scene, "alta") as (alta, _):
-        watch = RegionWatch(scene.config, service.service, service.health)
-        try:
-            offer(alta, scene, range(5))
-            service.health.drop("message", "somebody's junk", 3)
-
-            def metrics() -> str:
-                return str(urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics").read().decode())
-
-            said = 'ltm_node_value{camera="",name="frames",node="/kern_map/region"} 5.0'
-            wait_for(lambda: f"\n{said}\n" in metrics(), said, metrics)
-            assert 'ltm_dropped_total{camera="",cause="message",node="/kern_map/region"} 3.0' in metrics()
-        finally:
-            watch.close()

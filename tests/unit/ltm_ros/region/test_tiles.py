@@ -1,5 +1,3 @@
-"""Tiles of a region's map: sent when they differ from what followers have; and the turns that its towers take."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Admission: which frames are let in, which wait and which are turned away, whatever becomes of those who work."""
-
 from __future__ import annotations
 
 from collections import Counter
@@ -121,48 +119,6 @@ def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_wh
     assert door.admitted[-2:] == [30, 31]
     door.finished(30, "fuse")
     assert door.admitted[-1] == 32
-
-
-def test_a_worker_that_has_just_come_may_not_hear_yet() -> None:
-    """Frames that it never got do not hold the camera up for as long as a hung worker would."""
-    door = Door(heard=False)
-    door.offer(1, 2, 3)
-    door.finished(1, "vote")
-    door.finished(2, "vote")
-    door.admission.tick(4.0)
-    assert door.admitted == [1, 2]
-    door.admission.tick(0.5)
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("noted.unfinished", "dropped") == [2, 0]
-    # From its first frame on it is waited for; when it has gone and another comes, that one is new.
-    door.finished(3, "fuse", "vote")
-    door.offer(4, 5, 6)
-    door.finished(5, "vote")
-    door.admission.tick(5.0)
-    assert door.admitted == [1, 2, 3, 4, 5]
-    door.workers.remove("fuse")
-    door.admission.tick(0.5)
-    assert door.admitted[-1] == 6
-    door.workers.add("fuse")
-    door.offer(7, 8, 9)
-    door.finished(7, "vote")
-    door.admission.tick(4.5)
-    assert door.admitted[-1] == 9
-
-
-def test_a_slow_worker_is_waited_for_as_long_as_it_goes_on() -> None:
-    """Two frames of six seconds each."""
-    door = Door(workers={"fuse"})
-    door.offer(1, 2, 3)
-    door.admission.tick(6.0)
-    door.finished(1, "fuse")
-    assert door.admitted == [1, 2, 3]
-    door.offer(4)
-    door.admission.tick(6.0)
-    assert door.admitted == [1, 2, 3]
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2, 3, 4]
-    assert door.stated("finished", "noted.unfinished") == [2, 0]
 
 
 def test_a_broken_frame_takes_no_room_and_is_named() -> None:

@@ -1,5 +1,3 @@
-"""A camera's jobs in one process: the newest frame runs straight through them, and what goes wrong stays a frame's."""
-
 from __future__ import annotations
 
 import queue
@@ -276,18 +274,3 @@ def test_what_waits_for_a_turn_is_bounded() -> None:
     camera.offer(2000, size=INBOX_BYTES + 1)
     with pytest.raises(queue.Full):
         camera.offer(2001)
-
-
-def test_at_the_end_what_waits_is_counted() -> None:
-    camera = Camera()
-    camera.offer(11)
-    camera.turn()
-    camera.offer(12)
-    camera.pipeline.stop_admitting()
-    assert not camera.turn()
-    camera.offer(13)
-    camera.pipeline.finish()
-    assert camera.fused == [11]
-    assert camera.count("door", "finished") == 1
-    assert camera.jobs["door"].health.dropped == {"shed": 2}
-    assert not camera.said

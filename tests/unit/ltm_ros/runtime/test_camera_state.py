@@ -1,5 +1,3 @@
-"""One state for each camera: what changes it and when, with times counted by hand."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Leaving the middleware: a participant that hangs with the interpreter's lock in its hand does not hold a process."""
-
 from __future__ import annotations
 
 import itertools

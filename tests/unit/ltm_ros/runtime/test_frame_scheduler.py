@@ -1,5 +1,3 @@
-"""Turns of cameras on a process's threads: all get equally many, none is forgotten, none has two at once."""
-
 from __future__ import annotations
 
 import threading

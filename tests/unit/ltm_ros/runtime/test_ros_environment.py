@@ -1,5 +1,3 @@
-"""The environment of ROS processes: completed, never overruled."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""StampJoin: complete sets once each, and every message that finds no partners is counted."""
-
 from __future__ import annotations
 
 from itertools import permutations
@@ -7,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from ltm_core.base.errors import ImageError
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
 
@@ -31,19 +28,6 @@ def test_any_order_of_parts_makes_a_set(health: Health) -> None:
         assert done[-1] == {name: f"{name}{stamp}" for name in "abc"}
     join.finish()
     assert health.dropped == {}
-
-
-def test_second_message_of_a_part_is_a_duplicate_before_and_after_the_set_is_whole(health: Health) -> None:
-    join, done = join_of(health)
-    join.add("a", 5, "first")
-    join.add("a", 5, "second")
-    assert health.dropped == {"duplicate": 1}
-    assert "a second a of stamp 5 ns" in health.last_error
-    join.add("b", 5, "b")
-    join.add("c", 5, "c")
-    join.add("b", 5, "late")
-    assert done == [{"a": "first", "b": "b", "c": "c"}]
-    assert health.dropped == {"duplicate": 2}
 
 
 def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
@@ -111,18 +95,6 @@ def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:
     join.finish()
     assert len(done) == 1
     assert health.last_error == "unjoined: stamp 120 ns is incomplete, without pose (the recording or the node ended)"
-
-
-def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Health) -> None:
-    def fail(**parts: Any) -> None:
-        raise ImageError(f"no good: {parts}")
-
-    join = StampJoin(("a", "b"), fail, health)
-    join.add("a", 1, "x")
-    with pytest.raises(ImageError, match="no good"):
-        join.add("b", 1, "y")
-    join.add("a", 1, "x")
-    assert health.dropped == {"duplicate": 1}
 
 
 class Heavy:

@@ -1,5 +1,3 @@
-"""Cameras of options and lists."""
-
 from __future__ import annotations
 
 import json
@@ -61,20 +59,6 @@ def test_heights_of_cameras_have_their_own_datum() -> None:
         section(same, None)
     with pytest.raises(MissingGridError):
         section(parse_camera("a=-150,61,z=500,datum=EPSG:25833+5941,azimuth=0,hfov=50"), EGM2008)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "name,lon,lat,azimuth,hfov\nnorth,-118.5,34.1,214,54\n",
-        "Camera;Longitude;Latitude;Bearing;FOV;county\nnorth;-118.5;34.1;214;54;LA\n",
-        "\ufeffid\tx\ty\tAZ\tfov_deg\nnorth\t-118.5\t34.1\t214\t54\n\n",
-    ],
-)
-def test_tables_may_name_their_columns_in_several_ways(text: str, tmp_path: Path) -> None:
-    (tmp_path / "c.csv").write_text(text, encoding="utf-8")
-    (camera,), _ = read_cameras(tmp_path / "c.csv")
-    assert (camera.name, camera.lon, camera.lat, camera.azimuth, camera.hfov) == ("north", -118.5, 34.1, 214, 54)
 
 
 def test_the_list_of_alertcalifornia_gives_turning_cameras(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Resampled heights: planes of the source's grid, which bilinear interpolation keeps exactly."""
-
 from __future__ import annotations
 
 import itertools
@@ -179,13 +177,3 @@ def test_cells_of_a_file_in_the_crs_of_the_site_are_kept(tmp_path: Path) -> None
     with rasterio.open(tmp_path / "a.tif") as file:
         stored = file.read(1)[round(row / 10) :, round(col / 10) :][: grid.height, : grid.width]
     np.testing.assert_array_equal(heights([tmp_path / "a.tif"], grid), stored)
-
-
-def test_a_file_that_covers_only_part_leaves_the_rest_unknown(tmp_path: Path) -> None:
-    grid = grid_of(DEGREES)
-    made = resample(tiles_of([write(tmp_path / "a.tif", DEGREES, 200, hole=True)]), grid, None)
-    known = np.isfinite(made.heights)
-    assert 0.4 < made.known < 0.6
-    assert not known[:, 0].any()
-    whole = known & np.roll(known, 2, axis=1)  # the cells at the hole's edge are nearer to it than to the next height
-    np.testing.assert_allclose(made.heights[whole], expected(DEGREES, grid)[whole], atol=2e-3)

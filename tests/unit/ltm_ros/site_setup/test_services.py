@@ -1,15 +1,10 @@
-"""Services that prepare files on request, and the situations in which they cannot, against services on loopback."""
-
 from __future__ import annotations
 
-import resource
-import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import LtmError
@@ -116,21 +111,6 @@ def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteS
     assert "LANDFIRE_EMAIL" in plan.notes[0]
     assert [path.name for path in fetched.files] == [f"LF2024_{layer}_CONUS.tif" for layer in LAYERS]
     fetched_codes(fetched.files)
-
-
-def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, tmp_path: Path) -> None:
-    heights = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
-    services.files["/cog/mine.tif"] = heights
-    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
-            "resolution_m": 400}  # fmt: skip
-    listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
-    assert listed[0].name == "mine"
-    assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
-    source = choose(Kind.ELEVATION, HERE, sources=listed)
-    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
-    assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
-    with rasterio.open(fetched.files[0]) as raster:
-        assert raster.tags()["SOURCE"] == "mine"
 
 
 Situation = Callable[[SiteServices, pytest.MonkeyPatch], dict[str, object]]
@@ -285,21 +265,6 @@ def test_place_decides_the_source(
             choose(Kind.FUEL, area, sources=listed)
 
 
-def test_requests_go_through_the_proxy_of_the_environment(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HTTP_PROXY", services.url)
-    services.files["/f"] = PLAIN_FILE
-    assert Web(tmp_path / "cache").get("http://elevation.invalid/f") == PLAIN_FILE
-
-
-@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:1080", "nonsense://127.0.0.1:1"])
-def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ALL_PROXY", proxy)
-    with pytest.raises(FetchError, match="PROXY"):
-        Web()
-
-
 @pytest.mark.parametrize(
     ("labels", "low", "high", "first", "steps"),
     [
@@ -341,16 +306,3 @@ def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_pa
     with pytest.raises(FetchError, match="0000"):
         source.fetch(source.plan(HERE), tmp_path / "out")
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]
-
-
-def test_a_disk_that_fills_up_while_it_is_written_is_a_clear_error(services: SiteServices, tmp_path: Path) -> None:
-    services.files["/f"] = PLAIN_FILE
-    web = Web(tmp_path / "cache", 0.01, 3.0)
-    limits, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
-        with pytest.raises(FetchError, match="cache"):
-            web.download(f"{services.url}/f")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, handler)

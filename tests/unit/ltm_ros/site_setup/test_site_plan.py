@@ -1,5 +1,3 @@
-"""Sites from a point on the map, with sources that make their rasters here: planes in degrees."""
-
 from __future__ import annotations
 
 import errno
@@ -13,7 +11,6 @@ import rasterio
 from rasterio.transform import from_origin
 
 from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_ros.site_setup.camera_list import parse_camera
 from ltm_ros.site_setup.rasters import tiles_of
@@ -169,20 +166,6 @@ def test_canopy_heights_are_added_to_the_ground(makers: list[Any], tmp_path: Pat
     np.testing.assert_allclose(rise, [10, 15], atol=0.1)
 
 
-def test_the_crs_of_an_own_dem_is_the_sites(makers: list[Any], tmp_path: Path) -> None:
-    dem = tmp_path / "dem.tif"
-    with rasterio.open(
-        dem, "w", driver="GTiff", width=300, height=280, count=1, dtype="float32", crs="EPSG:26911",
-        transform=from_origin(363_000, 3_775_000, 10, 10),
-    ) as sink:  # fmt: skip
-        sink.write(np.linspace(100, 300, 300 * 280, dtype=np.float32).reshape(280, 300), 1)
-    made(wish(tmp_path / "site", files={"dem": [dem]}, lonlat=(-118.47, 34.09)), makers)
-    assert load_site(tmp_path / "site/site.yaml").crs == "EPSG:26911"
-    stored = Dem.open(tmp_path / "site/dem.tif")
-    assert stored.geometry.resolution == 10
-    assert np.isin(stored.elevation[5, 5], np.linspace(100, 300, 300 * 280, dtype=np.float32))  # no new value
-
-
 def test_a_camera_outside_the_radius_stands_on_the_coarse_dem(makers: list[Any], tmp_path: Path) -> None:
     far = parse_camera("far=-118.40,34.09,height=20,azimuth=214,hfov=54")
     plan = made(wish(tmp_path / "site", cameras=[far]), makers)
@@ -235,13 +218,6 @@ def test_whatever_happens_while_fetching_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
     makers[2].error = None
     made(wish(tmp_path / "site"), makers)  # it can be repeated
-
-
-def test_a_folder_with_other_things_is_kept(makers: list[Any], tmp_path: Path) -> None:
-    (tmp_path / "photo.jpg").touch()
-    with pytest.raises(ConfigError, match="not an empty folder"):
-        made(wish(tmp_path), makers)
-    assert [file.name for file in tmp_path.iterdir()] == ["photo.jpg"]
 
 
 @pytest.mark.parametrize("key", ["dem", "coarser", "surface", "fuel"])

@@ -1,5 +1,3 @@
-"""Site files: a new one, and changes that keep what the user wrote."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Windows of remote GeoTIFFs: cells, seams, holes, bytes and interruptions, against services on loopback."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -13,7 +11,7 @@ from rasterio.warp import transform
 from scenes.site_services import SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
+from ltm_ros.site_setup.request import Area, Kind
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
 from ltm_ros.site_setup.web import Web
@@ -212,23 +210,6 @@ def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services
     assert len(source.fetch(plan, tmp_path / "out").files) == 1
 
 
-def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
-    services: SiteServices, tmp_path: Path
-) -> None:
-    unknown = np.full((360, 360), -9999.0, np.float32)
-    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
-    area = Area.around(-118.5, 34.5, 8000.0)
-    listed = sources(services, tmp_path)
-    source = choose(Kind.ELEVATION, area, sources=listed)
-    with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
-        source.fetch(source.plan(area), tmp_path / "out")
-    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    source = choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
-    fetched = source.fetch(source.plan(area), tmp_path / "out")
-    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
-    assert fetched.vertical_crs == "EPSG:3855"
-
-
 @pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
 def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     trouble: str, services: SiteServices, tmp_path: Path
@@ -255,17 +236,6 @@ def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
         source.fetch(source.plan(area), tmp_path / "out")
     assert not (tmp_path / "out").exists()
     assert not list((tmp_path / "cache").glob("*.tif"))
-
-
-def test_a_file_server_that_fails_a_few_times_is_asked_again(services: SiteServices, tmp_path: Path) -> None:
-    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
-    services.statuses["/cog/"], services.retry_after = [503, 429], "0"
-    plan = source.plan(Area.around(-118.5, 34.5, 8000.0))
-    services.cut["/cog/"] = 1
-    (path,) = source.fetch(plan, tmp_path / "out").files
-    values, about = opened(path)
-    assert values[0, 0] == pytest.approx(plane(*(about.transform * (0.5, 0.5))), abs=1e-4)
 
 
 def test_web_map_tiles_have_the_names_and_values_of_their_places(services: SiteServices, tmp_path: Path) -> None:

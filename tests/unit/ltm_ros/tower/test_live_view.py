@@ -1,17 +1,10 @@
-"""A tower's live view on another machine: what is streamed, at which rate, and what is accepted."""
-
 from __future__ import annotations
 
 import json
-import os
-import signal
-import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
@@ -85,25 +78,6 @@ def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
     ((record, content),) = take(1)
     assert (record.camera, record.stamp_s) == ("east", 2.0)
     assert content[: record.sizes[0]].startswith(b"\xff\xd8"), "the photo is first"
-
-
-def test_all_streams_together_keep_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock of the test's own."""
-    now = 0.0
-
-    def sleep(seconds: float) -> None:
-        nonlocal now
-        now += seconds
-
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    monkeypatch.setattr(time, "sleep", sleep)
-    scene = Scene("north")
-    live = LiveStream(scene.page, scene, pytest.fail, rate=10_000.0)
-    streams, sent = [live.stream(), live.stream()], 0
-    for _ in range(60):
-        for stream in streams:
-            sent += len(next(stream))
-    assert sent <= 10_000.0 * now + 4096
 
 
 @pytest.fixture
@@ -193,39 +167,3 @@ def test_what_is_no_stream_is_an_error(content: bytes) -> None:
 def test_an_address_that_is_none_is_an_error(tower: str) -> None:
     with pytest.raises(ConfigError), reached(tower, None, None):
         pass
-
-
-SSH = """#!{python}
-import os, pathlib, socket, sys, threading
-pathlib.Path(__file__).with_name("pid").write_text(str(os.getpid()))
-here, there = (int(port) for port in sys.argv[sys.argv.index("-L") + 1].split(":")[1::2])
-assert sys.argv[-2:] == ["--", "me@tower"]
-listener = socket.create_server(("127.0.0.1", here), reuse_port=False)
-def copy(one, other):
-    while data := one.recv(4096):
-        other.sendall(data)
-    other.shutdown(1)
-while True:
-    mine, theirs = listener.accept()[0], socket.create_connection(("127.0.0.1", there))
-    for pair in ((mine, theirs), (theirs, mine)):
-        threading.Thread(target=copy, args=pair, daemon=True).start()
-"""
-
-
-def test_an_ssh_tunnel_lasts_as_long_as_the_view(
-    tower: tuple[Scene, WebServer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By a program `ssh` that forwards as the real one does."""
-    program, token = tmp_path / "ssh", tmp_path / "token"
-    program.write_text(SSH.format(python=sys.executable))
-    program.chmod(0o755)
-    token.write_text(TOKEN)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with reached(f"me@tower:{tower[1].port}", token, None) as reach, closing(TowerMirror(reach)) as mirror:
-        wait_for(lambda: mirror.stamps_s() == {"north": 1.0}, "a frame through the tunnel")
-        os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
-        tower[0].frames["north"] = picture("north", 7)
-        wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "a frame through the next tunnel")
-        port = reach()
-    with pytest.raises(ConfigError):
-        port.request("GET", "/live")

@@ -1,5 +1,3 @@
-"""What somebody clicks on in a picture of the status page: which pixel of which picture it is, and what is refused."""
-
 from __future__ import annotations
 
 import json
@@ -84,18 +82,6 @@ def test_a_click_is_a_pixel_of_the_cameras_own_picture(graph: Graph, marks: Mark
     assert json.loads(answer.body) == {"u": 958.5, "v": 268.5}
 
 
-def test_each_shown_pixels_middle_is_the_one_it_was_taken_from() -> None:
-    for width, height in ((1920, 1080), (1601, 1203), (640, 480)):
-        whole = picture(width, height)
-        whole.photo[..., 0] = np.arange(width) % 251
-        small = whole.small()
-        rows, columns = small.photo.shape[:2]
-        for row, column in ((0, 0), (rows // 3, columns // 2), (rows - 1, columns - 1)):
-            u, v = small.pixel((column + 0.5) / columns, (row + 0.5) / rows)
-            assert whole.photo[round(v), round(u), 0] == small.photo[row, column, 0]
-            assert abs(v - round(v)) < 1e-6
-
-
 @pytest.mark.parametrize(
     ("sent", "status", "said"),
     [
@@ -139,16 +125,6 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
         for properties in (about, {"role": "ellipse", "share": 0.95}):
             features.append({"type": "Feature", "geometry": point, "properties": properties})
     return String(data=json.dumps({"version": 1, "stamp_ns": 5, "turned": turned, "features": features}))
-
-
-def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
-    assert marks.places() == []
-    graph.heard["/ridge/locate/tracks"](tracks(5, 9))
-    newest, oldest = marks.places()
-    assert (newest["track"], oldest["track"]) == (2, 1)
-    assert newest["mark_count"] == 3
-    assert newest["marks"] == [{"camera": "north", "across": 0.5, "down": 0.25}], "in the direction that is shown"
-    assert marks.on_map() == [(2, -117.2, 37.5), (1, -117.2, 37.5)]
 
 
 def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: Graph, marks: Marks) -> None:

@@ -1,5 +1,3 @@
-"""Metrics say what /diagnostics say, number for number, and are what Prometheus reads."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""A port that somebody else holds: said with its remedy, tried again, and nothing else depends on it."""
-
 from __future__ import annotations
 
 import http.client

@@ -1,5 +1,3 @@
-"""`ltm doctor` of a tower's port: free, its own, or somebody else's."""
-
 from __future__ import annotations
 
 from contextlib import closing

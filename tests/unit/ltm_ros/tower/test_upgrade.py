@@ -1,5 +1,3 @@
-"""A tower is upgraded, and comes back by itself from what does not work."""
-
 from __future__ import annotations
 
 import os
@@ -18,7 +16,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import Field, StoreSchema
 from ltm_ros.tower.releases import PackageError, Trial
-from ltm_ros.tower.store_copy import ServiceError, ServiceState, SystemdService, copy_stores, return_stores
+from ltm_ros.tower.store_copy import ServiceError, ServiceState, copy_stores, return_stores
 from ltm_ros.tower.upgrade import UpgradeError
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")
@@ -315,53 +313,3 @@ def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_ret
     assert tower.releases.current == "1.0"
     assert tower.upgrade.return_unconfirmed() is None
     assert not (tower.releases.root / "trial").exists()
-
-
-def test_a_trial_whose_former_release_is_gone_does_not_keep_the_tower_from_starting(
-    tower: Tower, tmp_path: Path
-) -> None:
-    """Else the service's start would fail every ten seconds, for good."""
-    tower.install(write_package(tmp_path, "2.0"))
-    guard = Guard(tower, tmp_path / "systemd")
-    tower.releases.begin_trial(Trial("1.0", "2.0", "", 600))
-    guard.runs()
-    shutil.rmtree(tower.releases.folder("1.0"))
-    assert guard.runs() == []
-    assert tower.releases.trial is None
-    assert tower.releases.current == "2.0"
-
-
-def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: Path) -> None:
-    """After a power cut, or where the upgrade was killed: a release that never gets ready is not started a second time
-    by itself, for its runner asks systemd for more time without end."""
-    guard = Guard(tower, tmp_path / "systemd")
-    assert guard.runs() == guard.runs("late", state="activating") == [], "nothing is on trial"
-    tower.releases.begin_trial(Trial("1.0", "2.0", "", 420))
-    assert tower.releases.trial == Trial("1.0", "2.0", "", 420)
-    stops, arms = guard.runs()
-    assert stops == "systemctl stop ltm-trial.timer"
-    assert re.fullmatch(r"systemd-run .*--unit=ltm-trial --on-active=420 \S+/release-guard late", arms)
-    assert guard.runs("late") == [], "somebody has stopped it"
-    assert guard.runs("late", state="failed") == [], "it had to be killed"
-    restarts = ["systemctl restart --no-block ltm.service"]
-    assert guard.runs("late", state="failed", status=78) == restarts, "it refuses the site file"
-    assert guard.runs("late", state="activating") == restarts
-    assert tower.releases.trial is not None, "the second start returns"
-    assert guard.runs("late", state="active") == []
-    assert not (tower.releases.root / "trial").exists(), "it is ready: taken"
-
-
-@pytest.mark.parametrize(("hangs", "asked"), [(True, ["stop", "kill", "stop"]), (False, ["stop", "stop"])])
-def test_a_service_that_does_not_end_is_killed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: bool, asked: list[str]
-) -> None:
-    did = tmp_path / "did"
-    state = "deactivating" if hangs else "inactive"
-    (tmp_path / "systemctl").write_text(
-        f'#!/bin/sh\n[ "$1" = show ] || {{ echo "$1" >> "{did}"; exit 0; }}\n'
-        f'grep -q kill "{did}" && echo inactive || echo {state}\n'
-    )
-    (tmp_path / "systemctl").chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    SystemdService().stop(patience_s=0.0)
-    assert did.read_text().split() == asked

@@ -1,5 +1,3 @@
-"""Geometry of the Rerun view's scene: terrain, fuel layer, points, the eye."""
-
 from __future__ import annotations
 
 import numpy as np

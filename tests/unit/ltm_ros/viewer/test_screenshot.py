@@ -1,5 +1,3 @@
-"""A recording's picture: drawn without a screen, with the tab that is asked for."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What a recording of the Rerun view holds."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,12 +7,8 @@ import numpy as np
 import pytest
 from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
 
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.fuel_maps import FuelMaps
 
 
@@ -97,25 +91,3 @@ def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: P
     first, second = sorted(rows["/map/change"], key=lambda row: row["stamp"])
     assert len(first["Points3D:positions"]) == 3
     np.testing.assert_allclose(second["Points3D:positions"], [[100.5, 219.5, 480.0], [3.5, 292.5, 470.0]])
-
-
-def test_the_time_line_begins_with_the_first_frame_and_the_map_of_then(tmp_path: Path) -> None:
-    """The map without evidence and the diagnostics of a graph without time have stamp 0, which is 1970."""
-    where, dem = site(north={}), hills()
-    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
-    grid = where.fuel_geometry(dem)
-    view.log_fuel_map(0, np.ones(grid.shape, np.uint8), grid)
-    rasters = {name: np.ones(grid.shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
-    view.log_fuel_layers(0, {**rasters, "code": np.full(grid.shape, 102, np.int16)})
-    for stamp in (0, STAMP - 9):
-        view.log_diagnostics(stamp, "/ridge/north/depth", {"rate_hz": 2.0})
-    view.log_pose("north", STAMP, Pose.from_angles((300.0, 400.0, 600.0), 10.0, 0.0), Camera.from_fov(64, 36, 50.0))
-    view.log_diagnostics(STAMP + 5, "/ridge/north/depth", {"rate_hz": 3.0})
-    view.close()
-    rows = chunks(tmp_path / "a.rrd")
-    first = {name: min(row["stamp"] for row in found if "stamp" in row) for name, found in rows.items()
-             if any("stamp" in row for row in found)}  # fmt: skip
-    assert min(first.values()) == STAMP
-    for name in ("/fuel_map/classes", "/map/fuel/r000_c000", "/fuel_layers/code", "/map/cameras/north"):
-        assert first[name] == STAMP, name
-    assert first["/health/rate_hz/ridge/north/depth"] == STAMP + 5

@@ -1,5 +1,3 @@
-"""When a picture was taken: what is told is within its uncertainty, whatever the camera's clock says."""
-
 from __future__ import annotations
 
 import math
@@ -80,26 +78,6 @@ def test_a_streams_times_are_within_fifty_milliseconds(ahead: float) -> None:
     assert np.quantile(found[20:, 0], 0.95) < 0.05
     assert (found[:, 0] <= found[:, 1]).mean() >= 0.95
     assert clock.offset(WALL) == pytest.approx(ahead, abs=0.05)
-
-
-def test_a_streams_clock_outlives_its_connection() -> None:
-    clock = ExposureClock()
-    clock.connected()
-    stream(clock, 100.0, 100, 37.0)
-    clock.connected()
-    first = stream(clock, 150.0, 3, 37.0, reports_from=0, seed=5)
-    assert all(abs(error) < 0.05 and told == 0.05 for error, told in first)
-
-
-def test_a_streams_clock_that_was_set_while_it_was_away_is_learnt_anew() -> None:
-    clock = ExposureClock()
-    clock.connected()
-    stream(clock, 100.0, 100, 37.0)
-    for ahead, begin in ((30.0, 150.0), (45.0, 170.0)):
-        clock.connected()
-        found = stream(clock, begin, 40, ahead, reports_from=0, seed=7)
-        assert all(abs(error) <= told for error, told in found), ahead
-        assert clock.offset(WALL) == pytest.approx(ahead, abs=0.05)
 
 
 def test_a_trusted_clock_is_taken_at_its_word() -> None:

@@ -1,5 +1,3 @@
-"""MJPEG of a real server."""
-
 from __future__ import annotations
 
 import time

@@ -1,5 +1,3 @@
-"""RTSP from a real server: stamps against what the pictures show, and what goes wrong."""
-
 from __future__ import annotations
 
 import time
@@ -55,18 +53,6 @@ def test_stamps_of_a_camera_whose_clock_is_wrong_by_37_seconds(monkeypatch: pyte
     # Every picture, or one of five.
     taken = np.diff([time_in(frame.rgb) for frame in sourced.frames if frame.rgb is not None])
     assert np.median(taken) == pytest.approx(0.1 if frames == "all" else 0.5, abs=0.03)
-
-
-@pytest.mark.parametrize(("frames", "every", "apart"), [("all", 0.35, 0.4), ("key", 0.7, 1.0)])
-def test_one_picture_each_so_many_seconds(frames: str, every: float, apart: float) -> None:
-    """Of ten a second, of which every fifth is a key frame: the first one that is so much later than the last."""
-    with running(RtspCamera()) as camera:
-        sourced = sourced_from(camera, frames=frames, every=every)
-        until(sourced, 6)
-        sourced.source.close()
-    taken = np.diff([time_in(frame.rgb) for frame in sourced.frames if frame.rgb is not None])
-    assert np.median(taken) == pytest.approx(apart, abs=0.06)
-    assert taken.min() > every - 0.06
 
 
 @pytest.mark.parametrize("authentication", ["basic", "digest"])

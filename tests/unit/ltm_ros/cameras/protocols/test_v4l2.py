@@ -1,5 +1,3 @@
-"""A USB camera. None is at hand: its packets come from a file of motion JPEGs, put in where PyAV opens a device."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Each maker's PTZ head asked and driven over HTTP, against a camera that knows where it looks."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -11,11 +9,11 @@ from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.waiting import wait_for
 
-from ltm_core.site.source_config import PtzConfig, RtspConfig, SnapshotConfig
+from ltm_core.site.source_config import PtzConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import PtzHead, tolerance_of
-from ltm_ros.cameras.ptz.makers import VapixPtzHead, open_ptz
+from ltm_ros.cameras.ptz.connection import parsed_xml
+from ltm_ros.cameras.ptz.head import PtzHead
+from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -188,22 +186,3 @@ def test_an_answer_without_end_is_not_read_to_it(turning: Turning) -> None:
     camera.routes = dict.fromkeys(camera.routes, _answering(b"x=1\n" * 400_000))
     with pytest.raises(SourceError, match="more than"):
         opened(camera, "vapix").read()
-
-
-def test_address_and_login_are_those_of_the_source_unless_given() -> None:
-    source = SnapshotConfig(kind="snapshot", url="https://10.1.2.3:8443/a.jpg", user="u", password={"environment": "X"})
-    taken = settings_of(config(kind="vapix"), source)
-    assert (taken.url, taken.user) == ("https://10.1.2.3:8443", "u")
-    stream = RtspConfig(kind="rtsp", url="rtsp://10.1.2.3:554/s")
-    assert settings_of(config(kind="vapix"), stream).url == "http://10.1.2.3"
-    own = settings_of(config(kind="vapix", url="http://10.9.9.9/", user="v", password={"environment": "Y"}), source)
-    assert (own.url, own.user) == ("http://10.9.9.9", "v")
-
-
-def test_spacing_tells_one_degree_a_second_from_rest() -> None:
-    for given in KINDS.values():
-        tolerance = tolerance_of(config(**given))
-        head = open_ptz(config(**given, url="http://127.0.0.1"), None)
-        assert head.spacing * 1.0 > 1.5 * tolerance.angle_deg
-        assert head.spacing <= 0.5
-    assert VapixPtzHead(config(kind="vapix", url="http://127.0.0.1", tolerance_deg=0.01), None).spacing == 0.02

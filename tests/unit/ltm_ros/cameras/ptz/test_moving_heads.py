@@ -1,5 +1,3 @@
-"""Pictures of PTZ heads that move, are stuck, or patrol: what is published is what was seen, and the rest is told."""
-
 from __future__ import annotations
 
 import io
@@ -22,7 +20,6 @@ from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.source_config import PatrolConfig, VapixConfig
 from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
-from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.picture import CameraImage, PtzReading, Timing, Tolerance
 from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
@@ -101,15 +98,6 @@ def test_while_the_head_slews_every_picture_is_refused(camera: HttpCamera, head:
     assert tested.state == "moved"
 
 
-def test_a_flicker_of_the_encoders_is_no_motion(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera)
-    head.rate, head.starts_after_s = 1e9, 0.0
-    for k in range(6):
-        head.send((123.4 + 0.02 * (k % 2), -7.2, 1.0))
-        tested.steps(1)
-    assert len(tested.frames) == 6
-
-
 def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera, lens=True)
     tested.steps(1)
@@ -122,15 +110,6 @@ def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> No
     assert long.camera.fx > 5 * wide.camera.fx
 
 
-def test_a_zoom_that_the_lens_has_no_row_for_is_refused(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, lens=True)
-    head.rate, head.starts_after_s = 1e9, 0.0
-    head.send((0.0, 0.0, 12000.0))
-    tested.steps(1)
-    assert not tested.frames
-    assert tested.health.dropped == {"zoom": 1}
-
-
 def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) -> None:
     head.rate = 600.0
     tested = sourced(camera, ("north", "south ridge"))
@@ -140,14 +119,6 @@ def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) 
     assert head.commands == ["north", "south ridge"] * 2 + ["north"]
     assert max(off_deg(frame) for frame in tested.frames) < 0.02
     assert not tested.health.dropped
-
-
-@pytest.mark.slow
-def test_a_head_that_starts_late_is_waited_for(camera: HttpCamera, head: FakeHead) -> None:
-    head.starts_after_s = 0.8
-    tested = sourced(camera, ("east", "north"))
-    tested.steps(2)
-    assert [seen(frame)[0] for frame in tested.frames] == pytest.approx([95.0, 10.0], abs=0.02)
 
 
 @pytest.mark.slow
@@ -164,20 +135,6 @@ def test_a_head_that_does_not_go_is_told_and_no_picture_is_published(camera: Htt
     tested.steps(1)
     assert tested.state == "alive"
     assert len(tested.frames) == 3
-
-
-def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
-    """Its encoders say that it turned; only the pictures show that it did not."""
-    tested = sourced(camera, ("north", "east", "south ridge"))
-    tested.steps(3)
-    assert tested.state == "alive"
-    head.place, head.turret_stuck = head.encoders(), True
-    before = len(tested.frames)
-    tested.steps(4)
-    assert tested.state == "stuck"
-    assert "the image stays the same" in tested.why
-    assert len(tested.frames) <= before + 1, "one turn alone may show the same: two say it"
-    assert tested.health.dropped["stuck"] >= 2
 
 
 @pytest.mark.slow
@@ -225,12 +182,3 @@ def test_a_head_that_cannot_be_asked_ends_in_no_picture(camera: HttpCamera) -> N
     camera.routes["/axis-cgi/com/ptz.cgi"] = page
     tested.steps(1)
     assert len(tested.frames) == 2
-
-
-def test_two_readings_are_never_too_near_to_show_motion(camera: HttpCamera) -> None:
-    source = settings(kind="snapshot", url=camera.url())
-    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
-    at = [direction.read().at for _ in range(4)]
-    assert min(np.diff(at)) >= 0.09
-    with pytest.raises(SourceError, match="no preset"):
-        direction.ptz().go_to("elsewhere")

@@ -11,7 +11,7 @@ from PIL import Image
 from scenes.movie_file import movie
 from scenes.phone_site import FRAME, FX, GROUND, LAT, LON, imported, phone_site, picture
 
-from ltm_core.base.errors import LtmError, PoseError, RecordingError
+from ltm_core.base.errors import PoseError, RecordingError
 from ltm_core.geometry.pose import pose_covariance
 from ltm_core.site.site import Site
 from ltm_ros.recordings.importing.assumptions import Assumptions
@@ -191,39 +191,3 @@ def test_a_height_of_unknown_origin_needs_the_take_offs(
     else:
         import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
         assert imported(tmp_path / "bag")[0][2].position[2] == pytest.approx(z)
-
-
-def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
-    (tmp_path / "a.SRT").write_text(flight(NEW))
-    track = read_subtitles(tmp_path / "a.SRT").track
-    sensed = track.at(1 + 500_000_000, np.eye(3))
-    assert sensed.azimuth_deg == pytest.approx(355.0, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("", "no position in its 0 blocks: enable `Video Captions`"),
-        ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no position in its 1 blocks"),
-        (flight(NEW).replace("34.2", "94.2"), "no position in its 3 blocks"),
-        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no position in its 0 blocks"),
-        (re.sub(r"itude: [-.0-9]+", "itude: 0.000000", flight(NEW)), "--poses"),
-    ],
-)
-def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint: str) -> None:
-    (tmp_path / "a.SRT").write_text(text)
-    with pytest.raises(RecordingError, match=rf"a\.SRT.*{complaint}"):
-        read_subtitles(tmp_path / "a.SRT")
-
-
-def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:
-    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude="-24.13")
-    with pytest.raises(PoseError, match=r"DJI altitude -24\.1 m is 1524\.1 m under the terrain.*--start-height"):
-        import_photos([path], tmp_path / "bag", site=site)
-    assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.parametrize("changes", [{"GimbalYawDegree": "nan"}, {"GimbalYawDegree": None}])
-def test_a_gimbal_without_a_heading_is_unknown(tmp_path: Path, site: Site, changes: dict[str, str | None]) -> None:
-    with pytest.raises(LtmError, match="has no direction in DJI"):
-        import_photos([photo(tmp_path / "DJI_0001.JPG", **changes)], tmp_path / "bag", site=site)

@@ -28,7 +28,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
-from ltm_ros.recordings.importing.pose_check import Placement, Reading, chosen_reading, readings
+from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
 from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
 FRAME = SiteFrame("EPSG:32632", 419_000.0, 6_718_000.0)
@@ -266,12 +266,6 @@ def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
         chosen_reading(readings([below], placement, {}))
 
 
-@pytest.mark.parametrize(("stated", "other", "taken"), [(-7.2, -52.0, "gon"), (-50.0, -52.0, "as stated")])
-def test_another_reading_is_used_only_if_it_fits_clearly_better(stated: float, other: float, taken: str) -> None:
-    found = [Reading("as stated", None, stated, 0.5), Reading("gon", None, other, 0.9)]
-    assert chosen_reading(found).how == taken
-
-
 def test_the_command_writes_pose_files(tmp_path: Path) -> None:
     row = "\t".join(map(repr, map(float, (*AT, *angles_of(math.pi / 180)))))
     (tmp_path / "opk.txt").write_text(f"# label X Y Z omega phi kappa\nIMG_1.JPG\t{row}\n")
@@ -283,11 +277,3 @@ def test_the_command_writes_pose_files(tmp_path: Path) -> None:
     assert (config.pose.x, config.pose.y, config.pose.z) == pytest.approx(tuple(AT), abs=1e-3)
     assert config.pose.azimuth_deg == pytest.approx(62.0, abs=1e-5)
     assert config.pose.pitch_deg == pytest.approx(-7.0, abs=1e-5)
-
-
-def test_a_list_of_angles_without_a_focal_length_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "opk.txt").write_text("IMG_1.JPG\t" + "\t".join(map(repr, map(float, (*AT, *angles_of(1.0))))) + "\n")
-    options = ["--out", str(tmp_path / "poses"), "--crs", "EPSG:32632", "--size", "1600x1200"]
-    with pytest.raises(PoseError, match="--focal"):
-        CliRunner().invoke(cli, ["pose", "import", str(tmp_path / "opk.txt"), *options], catch_exceptions=False)
-    assert not (tmp_path / "poses").exists()

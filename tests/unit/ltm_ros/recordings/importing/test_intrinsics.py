@@ -1,5 +1,3 @@
-"""Focal lengths of real cameras' files (public EXIF collections), and of files that were changed after the exposure."""
-
 from __future__ import annotations
 
 import math
@@ -132,20 +130,6 @@ def test_uncertain_focal_lengths_are_rejected_with_their_values(
 )
 def test_digital_zoom(facts: dict[int, Any], main: dict[int, Any], fov: float) -> None:
     assert fov_deg(4032, 3024, facts, main) == pytest.approx(fov, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("xmp", "values"),
-    [
-        ('xmlns:GPano="http://ns.google.com" GPano:ProjectionType="equirectangular"', "equirectangular"),
-        ('GPano:FullPanoWidthPixels="8000"', "panorama"),
-        ('Camera:ModelType="fisheye"', "fisheye"),
-        ('drone-dji:CalibratedFocalLength="5000.0"', "43.6 deg.*71.6 deg"),
-    ],
-)
-def test_xmp_that_contradicts_a_pinhole_camera(xmp: str, values: str) -> None:
-    with pytest.raises(CameraError, match=values):
-        read(4000, 3000, {0xA405: 24}, xmp=f"<rdf:Description {xmp}/>")
 
 
 def test_the_calibration_of_a_drone_follows_the_size() -> None:

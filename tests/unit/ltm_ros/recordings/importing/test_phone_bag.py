@@ -1,5 +1,3 @@
-"""The walk in bags/phone: what its photos and its recording say, against where they were taken."""
-
 from __future__ import annotations
 
 from pathlib import Path

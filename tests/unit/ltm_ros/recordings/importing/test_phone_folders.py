@@ -1,5 +1,3 @@
-"""Folders as phones leave them: every file is imported, rejected or listed as skipped."""
-
 from __future__ import annotations
 
 import re
@@ -8,17 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from PIL import Image
 from typer.testing import CliRunner
 from unit.ltm_ros.recordings.importing.test_photos import GROUND, LEVEL, contents, phone, picture, save, site
 
-from ltm_core.base.errors import ImageError
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_ros.cli.import_ import import_
 from ltm_ros.recordings.importing.build import import_photos
-from ltm_ros.recordings.importing.photo import read_photo
 from ltm_ros.recordings.importing.pictures import find_pictures
 
 __all__ = ["site"]
@@ -89,12 +84,6 @@ def test_other_formats_are_imported_as_jpeg(tmp_path: Path, site: Site, name: st
     assert (report.cameras, image.format, camera.width) == ({"phone": 1}, "jpeg", picture().shape[1])
     assert pose.position[2] == pytest.approx(GROUND + 12.0)
     assert np.abs(compressed_to_rgb(image).astype(int) - picture()).mean() < 8
-
-
-def test_a_raw_photo_with_a_preview_is_no_photo(tmp_path: Path) -> None:
-    Image.fromarray(picture()).save(tmp_path / "a.tif", tiffinfo={50706: b"\1\4\0\0"})
-    with pytest.raises(ImageError, match="raw photo"):
-        read_photo(tmp_path / "a.tif")
 
 
 def test_the_command_ends_with_a_table_of_all_files(tmp_path: Path) -> None:

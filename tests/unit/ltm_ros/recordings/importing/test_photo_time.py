@@ -1,5 +1,3 @@
-"""When a photo was taken: zones, GPS stamps, and where they contradict each other."""
-
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta, timezone
@@ -7,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_ros.recordings.importing.assumptions import photo_time, time_zone
 from ltm_ros.recordings.importing.exif import ExifFacts
 from ltm_ros.recordings.importing.photo import Photo
@@ -65,11 +62,3 @@ def test_without_a_zone_the_gps_stamp_counts() -> None:
 def test_a_gps_stamp_that_contradicts_is_told_of(clock: datetime, zone: str | None, said: str) -> None:
     _, (note,) = when(clock, datetime(2024, 7, 5, 1, 30, 15, tzinfo=UTC), zone)
     assert said in note
-
-
-def test_no_date_and_no_zone_of_that_name() -> None:
-    with pytest.raises(RecordingError, match=r"a\.jpg has no date: give it a `stamp`"):
-        when(None)
-    for name in ("Oslo", "Europe/Nowhere", "../etc/passwd", "", "Europe"):
-        with pytest.raises(ConfigError, match=r"unknown time zone .* Europe/Oslo"):
-            time_zone(name)
