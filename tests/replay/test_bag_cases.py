@@ -244,21 +244,3 @@ def test_topics_that_the_site_file_names_are_taken(tower: SmallSite, tmp_path: P
     assert (result.exit_code, frames) == (0, FRAMES)
     _, record = reprocessed(own, bag, tmp_path / "archive")
     assert record["frames"]["merged"] == FRAMES
-
-
-def test_a_pose_of_the_site_file_is_used_and_named_beside_the_recorded_one(
-    tower: SmallSite, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    recorded = tower.tower_pose(0.0)
-    x0, y0 = tower.site.origin
-    x, y, z = recorded.position.tolist()
-    pose = {"x": x + x0 + 3.0, "y": y + y0 + 4.0, "z": z, "azimuth_deg": 0.0, "pitch_deg": -4.0, "roll_deg": 1.5}
-    document = yaml.safe_load(tower.path.read_text()) | {"cameras": {"tower": {"pose": pose}}}
-    own = tower.folder / "fixed.yaml"
-    own.write_text(yaml.safe_dump(document))
-    result, frames = replayed(own, tower.bag, tmp_path / "out")
-    assert (result.exit_code, frames) == (0, FRAMES)
-    assert "10.00 degrees and 5.00 m" in caplog.text
-    caplog.clear()
-    reprocessed(own, tower.bag, tmp_path / "archive")
-    assert "10.00 degrees and 5.00 m" in caplog.text

@@ -11,10 +11,9 @@ from typer.testing import CliRunner
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_lab.bench.measure import Cost
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.bench.peers import PEERS, PeerKind, TracedView
-from ltm_lab.bench.tracing import TracerCost, bench_pose, frame_costs
+from ltm_lab.bench.tracing import bench_pose
 from ltm_lab.cli.main import cli
 
 
@@ -34,22 +33,6 @@ def test_a_peer_sees_what_we_see(kind: PeerKind) -> None:
     both = hit & np.isfinite(ours)
     assert both.mean() > 0.2
     assert np.median(np.abs(theirs[both] - ours[both])) < (1.5 if "march" in kind.name else 0.05)
-
-
-def test_ratios_are_over_ours_of_the_same_size_and_scene() -> None:
-    def result(tracer: str, size: int, **frames: float) -> TracerCost:
-        costs = {state: Cost(ms, ms / 2) for state, ms in frames.items()}
-        return TracerCost(tracer, size, Cost(1.0, 1.0), 5.0, {"1080p 60 deg": costs, "VGA 5 deg": costs})
-
-    results = [result("embreex", size, **{"": 10.0 * size}) for size in (4000, 1000, 2000)]
-    results += [result("ours", size, warm=size**0.5, cold=2 * size**0.5, still=1.0) for size in (1000, 4000)]
-    found = {(one.scene, one.size, one.tracer, one.state): one for one in frame_costs(results)}
-    assert len(found) == 2 * (3 + 2 * 3)
-    one = found["1080p 60 deg", 4000, "embreex", ""]
-    assert one.over_warm == pytest.approx(40_000 / 4000**0.5)
-    assert one.over_cold == pytest.approx(20_000 / 4000**0.5)
-    assert found["VGA 5 deg", 2000, "embreex", ""].over_warm is None
-    assert found["VGA 5 deg", 1000, "ours", "cold"].over_warm is None
 
 
 def test_the_command_writes_its_figures(tmp_path: Path) -> None:

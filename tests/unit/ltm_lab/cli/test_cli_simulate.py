@@ -9,16 +9,12 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
-from PIL import Image
 
 from ltm_core.base.errors import LtmError
-from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_lab.cli.main import cli
 from ltm_lab.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.recordings.importing.capture_files import CaptureFiles
-from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger
 
 SCENARIO = """name: tiny
 seed: 3
@@ -89,23 +85,3 @@ def test_a_phone_s_errors_reach_the_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(was.position, frame["position"], atol=1e-6)
         assert stamp.sec * 10**9 + stamp.nanosec - frame["stamp_ns"] == round(PHONE.clock_offset_s * 1e9)
     assert told[0][0].position[2] != true[0][0].position[2]
-
-
-@pytest.mark.slow
-def test_a_walk_is_written_as_a_phone_stores_it(tmp_path: Path) -> None:
-    """Photos, recording and list are of the frames, the recording's poses those that its sensors reported."""
-    text = SCENARIO.partition("dates:")[0] + (
-        "walks:\n  - {name: hiker, path: [[60, 60], [90, 70]], stops: 2, photos: 1, azimuth_deg: [10, 40], "
-        "portrait: [false, true], geoid_undulation: -35.0}\n"
-    )
-    simulate(tmp_path, text, "--phone", str(tmp_path / "phone"))
-    frames = json.loads((tmp_path / "out/frames.json").read_text())["frames"]
-    sizes = [Image.open(path).size for path in sorted((tmp_path / "phone/photos").iterdir())]
-    assert sizes == [(48, 32), (48, 32)]  # a portrait is stored on its side
-    track = read_sensor_logger(CaptureFiles(tmp_path / "phone/sensor_logger.zip"))
-    for frame, turned in zip(frames, (90.0, 0.0), strict=True):
-        told = frame["reported"]
-        sensed = track.at(told["stamp_ns"], phone_camera(turned))
-        assert sensed.pitch_deg == pytest.approx(told["pitch_deg"], abs=0.05)
-        assert sensed.altitude == pytest.approx(told["position"][2], abs=0.3)
-    assert len((tmp_path / "phone/true_poses.csv").read_text().splitlines()) == 3

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from scenes.http_camera import HttpCamera, Request, running
+from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
 from typer.testing import CliRunner
@@ -284,16 +284,3 @@ def test_the_table_shows_states_in_words_and_no_markup_of_a_stranger() -> None:
     shown = captured.get()
     for told in ("stuck", "[bold]the same picture", "+37.2 s", "+- 0.5 s by exif", "4.0 s ago", "silent"):
         assert told in shown
-
-
-@pytest.mark.parametrize("with_ptz", [False, True])
-def test_probe_finds_the_picture_of_an_onvif_camera_with_or_without_a_head(
-    camera: HttpCamera, head: FakeHead, with_ptz: bool
-) -> None:
-    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
-    camera.routes["/own.jpg"] = Request.snapshot
-    head.has_ptz, head.stated_picture = with_ptz, "http://{}/own.jpg?channel=1"
-    head.user, head.password = "viewer", PASSWORD
-    said = run("probe", camera.url("/none.jpg"), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert f"url: {camera.url('/own.jpg')}?channel=1" in said
-    assert ("kind: onvif" in said) is with_ptz

@@ -8,7 +8,7 @@ from PIL import Image
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.label_heads.labelled_frames import read_frames
-from ltm_core.vision.areas import NamedArea, read_areas, write_areas
+from ltm_core.vision.areas import read_areas
 from ltm_ros.labelling.server import LabelSession
 
 WIDTH, HEIGHT = 60, 40
@@ -47,20 +47,6 @@ def test_areas_become_polygons_and_a_label_image(folder: Path) -> None:
     assert [photo["name"] for photo in again.overview()["photos"]] == ["a.png", "b.png"], "label images are no photos"
 
 
-def test_strokes_are_kept_as_outlines_that_give_the_same_labels(folder: Path) -> None:
-    session = LabelSession(folder)
-    stroke = {"kind": "stroke", "name": "shrub", "points": [[12, 20], [40, 22], [45, 30]], "radius": 5}
-    dot = {"kind": "stroke", "name": "unlabelled", "points": [[40, 22]], "radius": 2}
-    session.save(0, {"shapes": [stroke, dot]})
-    labels = saved(folder, "a")
-    assert labels[20, 12] == labels[21, 30] == 2
-    assert labels[22, 40] == 255
-    assert labels[10, 12] == labels[38, 50] == 255
-    kept = session.areas(0)
-    session.save(0, {"shapes": kept})
-    np.testing.assert_array_equal(saved(folder, "a"), labels)
-
-
 def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
     """With a mask and an erased place, as the page saves them; by its label images and by its areas alone."""
     session = LabelSession(folder)
@@ -72,20 +58,6 @@ def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
         (frame,) = read_frames(folder, len(session.labels))
         np.testing.assert_array_equal(frame.labels, expected)
         (folder / "a_labels.png").unlink(missing_ok=True)
-
-
-def test_other_photos_keep_their_areas(folder: Path) -> None:
-    elsewhere = NamedArea(image="gone.jpg", kind="bare", polygon=((1, 1), (9, 1), (5, 9)))
-    write_areas(folder / "polygons.json", [elsewhere])
-    session = LabelSession(folder)
-    session.save(1, {"shapes": [square("water", 5, 5, 9, 9)]})
-    session.save(0, {"shapes": [square("grass", 5, 5, 9, 9)]})
-    session.save(0, {"shapes": []})
-    assert [(a.image, a.kind) for a in read_areas(folder / "polygons.json")] == [
-        ("gone.jpg", "bare"),
-        ("b.png", "water"),
-    ]
-    assert (saved(folder, "a") == 255).all()
 
 
 @pytest.mark.parametrize(

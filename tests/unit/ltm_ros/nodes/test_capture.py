@@ -177,20 +177,6 @@ def test_pose_has_the_stamp_or_is_interpolated(
     )
 
 
-def test_nearest_pose_within_the_tolerance_once_a_later_one_is_there(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of(pose_tolerance=0.5)
-    capture.on_camera_info(info(0))
-    capture.subscriptions[POSE](pose(6 * S // 10, x=0.6))
-    capture.on_image(image(S))
-    assert outlet.sent == [], "a nearer pose may be on its way"
-    capture.subscriptions[POSE](pose(13 * S // 10, x=1.3))
-    assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.3]
-    assert outlet.stamps(POSED_POSE) == [S]
-    capture.on_image(image(2 * S))
-    capture.subscriptions[POSE](pose(26 * S // 10, x=2.6))
-    assert outlet.stamps(POSED_POSE) == [S], "nobody is within half a second of it"
-
-
 def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of(max_wait=2.0)
     capture.on_camera_info(info(0))

@@ -140,14 +140,3 @@ def test_fixes_that_are_none_are_refused(tmp_path: Path, fields: dict[str, Any],
     lost.status.status = -1
     with pytest.raises(PoseError, match="no GPS fix"):
         node.subscriptions[FIX](lost)
-
-
-def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
-    node, _, _ = capture(tmp_path, TRUE)
-    none, unset = imu(STAMP), imu(STAMP)
-    none.orientation_covariance[0] = -1.0
-    unset.orientation.w = unset.orientation.x = unset.orientation.y = unset.orientation.z = 0.0
-    with pytest.raises(PoseError, match="has no orientation"):
-        node.subscriptions[IMU](none)
-    with pytest.raises(PoseError, match="unit quaternion"):
-        node.subscriptions[IMU](unset)

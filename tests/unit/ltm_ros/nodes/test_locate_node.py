@@ -177,21 +177,6 @@ def test_bad_regions_change_nothing(tmp_path: Path, change: dict[str, Any], erro
     assert len(running.kept.on(LOCATE_FUSED)) == 1
 
 
-def test_what_the_site_masks_is_not_located(tmp_path: Path) -> None:
-    seen = seen_by("north")
-    u, v = (float(x) for x in seen.mark.pixels[0])
-    mast = [{"polygon": [[u - 9, v - 40], [u + 9, v - 40], [u + 9, v + 9], [u - 9, v + 9]]}]
-    running = Running(tmp_path, cameras={"north": {"mask": mast}, "east": {}})
-    running.pose(seen)
-    with pytest.raises(RegionError, match="masked"):
-        running.send("north", LOCATE_REGION, region(seen))
-    aside = region(seen)
-    for point in aside.polygon.points:
-        point.x += 60.0
-    running.send("north", LOCATE_REGION, aside)
-    assert len(running.kept.on(LOCATE_FUSED)) == 1
-
-
 def turned_says(running: Running, marks: dict[str, Sighting], second: int) -> dict[str, Any] | None:
     """What is said of a turned camera once all have marked a fire again."""
     for camera, seen in marks.items():

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import yaml
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from scenes.outlets import Kept
@@ -13,12 +12,9 @@ from scenes.outlets import Kept
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.mount.mount_watch import MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.masks import write_mask
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import correction_to_msg, msg_to_correction, msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
@@ -165,43 +161,6 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     _, kept, health = started(calibration=calibration)
     assert not kept.on(POSE_CORRECTION)
     assert "not a valid mount state" in health.summary()["last_error"]
-
-
-def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tower's roof that stands into the sky, as the labels have it land: with the mask the search never sees it."""
-    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
-    hidden[CAMERA.height // 8 : CAMERA.height * 3 // 4, CAMERA.width // 3 : CAMERA.width // 2] = True
-    write_mask(tmp_path / "mask.png", hidden)
-    given: list[PictureEvidence] = []
-    look = MountWatch.look
-
-    def noted(self: MountWatch, evidence: PictureEvidence, pose: Pose, covariance: Any) -> bool:
-        given.append(evidence)
-        return look(self, evidence, pose, covariance)
-
-    monkeypatch.setattr(MountWatch, "look", noted)
-    photo, labels = view(TRUE)
-    photo[hidden], labels[hidden] = (170, 30, 30), 6
-    for mask in ("mask.png", None):
-        content = yaml.safe_load(Path(write_site(tmp_path, every=10.0, gather=2)).read_text())
-        content["cameras"]["mast"]["mask"] = mask
-        (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-        node = PoseHandler(PoseKeepingConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
-        node.subscriptions[STATED_POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
-        node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
-        node.subscriptions[POSED_IMAGE](image_to_msg(photo, "rgb8", STAMP, "mast_optical"))
-        node.subscriptions[LABELS_IMAGE](image_to_msg(labels, "mono8", STAMP, "mast_optical"))
-    masked = given[0]
-    scale = masked.camera.width / CAMERA.width
-    within = [
-        (e.skyline.u > scale * (CAMERA.width / 3 + 2)) & (e.skyline.u < scale * (CAMERA.width / 2 - 2))
-        for e in given
-        if e.skyline is not None
-    ]
-    assert len(within) == 2
-    assert not within[0].any()
-    assert within[1].any()
-    assert (masked.labels == 255).mean() > 0.9 * hidden.mean()
 
 
 def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -83,17 +82,6 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     assert door.admitted == [1, 2, 5], "the oldest went"
 
 
-def test_a_worker_that_finishes_a_later_frame_has_done_with_those_before() -> None:
-    """It gave one up, or never got its parts."""
-    door = Door()
-    door.offer(1, 2, 3)
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2]
-    door.finished(2, "vote")
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("finished", "noted.unfinished", "in_flight") == [1, 1, 1]
-
-
 def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_when_it_is_back() -> None:
     door = Door()
     door.offer(1, 2)
@@ -119,19 +107,6 @@ def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_wh
     assert door.admitted[-2:] == [30, 31]
     door.finished(30, "fuse")
     assert door.admitted[-1] == 32
-
-
-def test_a_broken_frame_takes_no_room_and_is_named() -> None:
-    door = Door(broken={1, 3, 4}, shed=False)
-    with pytest.raises(ImageError, match="frame 1"):
-        door.offer(1)
-    door.offer(2)
-    door.offer(5)
-    door.offer(3, 4, 6)
-    with pytest.raises(ImageError, match="frame 4"):
-        door.finished(2, "fuse", "vote")
-    assert door.admitted == [2, 5, 6]
-    assert door.health.dropped == {"image": 1}, "the last is counted by who called"
 
 
 def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:

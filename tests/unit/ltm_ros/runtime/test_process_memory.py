@@ -3,13 +3,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import ltm_ros
-from ltm_ros.runtime.process_memory import TIDY_EVERY_S, TRIM_EVERY_S, Trimming
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
 
@@ -112,25 +110,6 @@ print((resident() - before) / (400 * MAPPED_FROM))
 """
 
 
-_TIDIED = """
-import gc, sys
-from ltm_ros.runtime.process_memory import tidy
-gc.disable()
-class Node:
-    def __init__(self):
-        self.itself = self
-def leave():
-    for _ in range(2_000):
-        Node()
-    many = [[(n,) * size for n in range(2_000)] for size in range(1, 20)]  # tuples, which Python keeps to use again
-before = sys.getallocatedblocks()
-leave()
-left = sys.getallocatedblocks() - before
-tidy()
-print(left, sys.getallocatedblocks() - before)
-"""
-
-
 def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
     python = [sys.executable, "-S", "-c", _AS_A_SHELL_WOULD]
@@ -168,19 +147,6 @@ def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() 
     assert looks == "True"
 
 
-def test_heaps_are_trimmed_now_and_then_and_tidied_more_seldom() -> None:
-    done: list[tuple[float, str]] = []
-    trimming = Trimming(70.0, lambda: done.append((second, "trim")), lambda: done.append((second, "tidy")))
-    for second in range(70, 70 + round(2.5 * TIDY_EVERY_S), 7):
-        trimming.look(second)
-    tidied = [moment for moment, what in done if what == "tidy"]
-    assert len(tidied) == 2
-    assert all(TIDY_EVERY_S <= later - former < TIDY_EVERY_S + 7 for former, later in pairwise([70.0, *tidied]))
-    moments = [70.0, *(moment for moment, _ in done)]
-    assert all(later - former < TRIM_EVERY_S + 7 for former, later in pairwise(moments))
-    assert len(done) <= 2.5 * TIDY_EVERY_S / TRIM_EVERY_S
-
-
 def test_a_trim_gives_back_what_lies_free_between_others() -> None:
     given_back = _run(_HOLES)
     assert float(given_back) > 0.8
@@ -190,9 +156,3 @@ def test_large_blocks_that_pass_through_leave_no_holes() -> None:
     assert float(_run(_PASSING)) > 0.8
     assert float(_run(_PASSING, None, "map")) < 0.1
     assert float(_run(_PASSING, None, "map", MALLOC_MMAP_THRESHOLD_=str(1 << 25))) > 0.8
-
-
-def test_cycles_and_tuples_to_use_again_are_given_up_when_a_process_is_tidied() -> None:
-    left, after = map(int, _run(_TIDIED).split())
-    assert left > 4_000
-    assert after < 500

@@ -82,15 +82,3 @@ def test_steps_are_told_once_with_their_sign() -> None:
         clocks.go_on(0.5)
         clocks.wall += round(step * S)
         assert watch.step_s() == step
-
-
-def test_a_process_that_lay_still_sees_no_step() -> None:
-    """Between the looks at the two clocks it got no core for a while."""
-    clocks = Clocks()
-    watch = clocks.watch()
-    clocks.go_on(0.5)
-    clocks.pause = 3 * S
-    assert watch.step_s() == 0.0
-    clocks.pause = 0
-    clocks.wall += 3 * S
-    assert watch.step_s() == 0.0

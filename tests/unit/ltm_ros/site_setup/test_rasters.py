@@ -12,7 +12,7 @@ from pyproj import Transformer
 from rasterio.transform import Affine, from_origin
 
 from ltm_core.geometry.grid import GridGeometry
-from ltm_ros.site_setup.rasters import grid_over, overlapping, resample, site_resolution, tiles_of
+from ltm_ros.site_setup.rasters import overlapping, resample, tiles_of
 
 US_FOOT = 1200 / 3937
 
@@ -152,28 +152,3 @@ def test_tiles_of_two_grids_are_whole_where_they_overlap(tmp_path: Path) -> None
         sink.write(plane(DEGREES, lon, lat).astype(np.float32), 1)
     found = heights([first, tmp_path / "b.tif"], grid)
     np.testing.assert_allclose(found, expected(DEGREES, grid), atol=0.02)  # the plane bends between the zones
-
-
-@pytest.mark.parametrize("cell", [15.0, 4.0, 3.9])
-def test_finer_cells_are_averaged(cell: float, tmp_path: Path) -> None:
-    source = Source("EPSG:32611", 2.0, DEGREES.lon, DEGREES.lat, DEGREES.site)
-    grid = grid_of(source, 600.0, cell)
-    tile = write(tmp_path / "a.tif", source, 400)
-    with rasterio.open(tile, "r+") as file:
-        rough = file.read(1)
-        rough[::2] += 8
-        rough[1::2] -= 8  # rows that a sampled surface would take for ground
-        file.write(rough, 1)
-    np.testing.assert_allclose(heights([tile], grid), expected(source, grid), atol=2.5)
-
-
-def test_cells_of_a_file_in_the_crs_of_the_site_are_kept(tmp_path: Path) -> None:
-    source = Source("EPSG:32611", 10.0, DEGREES.lon, DEGREES.lat, DEGREES.site)
-    tiles = tiles_of([write(tmp_path / "a.tif", source, 100)])
-    bounds = grid_of(source, 500.0).bounds
-    grid = grid_over(bounds, site_resolution(tiles, 500.0, 8192), tiles, "EPSG:32611")
-    row, col = tiles[0].north - grid.y_max, grid.x_min - tiles[0].west
-    assert (row % 10, col % 10) == (0, 0)
-    with rasterio.open(tmp_path / "a.tif") as file:
-        stored = file.read(1)[round(row / 10) :, round(col / 10) :][: grid.height, : grid.width]
-    np.testing.assert_array_equal(heights([tmp_path / "a.tif"], grid), stored)

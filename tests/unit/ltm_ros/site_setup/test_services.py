@@ -75,19 +75,6 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     assert not outside
 
 
-@pytest.mark.parametrize(
-    ("known", "year"),
-    [({2022: 1.0, 2024: 0.0, 2023: 1.0}, 2023), ({2023: 1.0, 2024: 0.5}, 2023), ({2023: 0.4, 2024: 0.5}, 2024)],
-)
-def test_the_newest_edition_that_is_complete_for_the_area_is_used(
-    known: dict[int, float], year: int, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    services.fuel_years = known
-    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
-    assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
-
-
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,23 +198,6 @@ def test_a_situation_is_a_clear_error_and_leaves_no_file(
 def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> None:
     source = choose(kind, HERE, name, listed)
     source.fetch(source.plan(HERE), folder)
-
-
-@pytest.mark.parametrize(
-    ("area", "names"),
-    [
-        (Area.around(-30.0, 20.0, 8000.0), "copernicus_glo30"),  # ocean
-        (Area.around(-118.47, 34.09, 1_000_000.0), "million|km2"),  # huge
-        (Area.around(-118.47, 34.09, 8000.0), "copernicus_glo30"),  # no tile on the server
-    ],
-)
-def test_an_area_without_a_source_names_the_reason_of_each(
-    area: Area, names: str, services: SiteServices, tmp_path: Path
-) -> None:
-    with pytest.raises(NoCoverageError, match=names) as error:
-        choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
-    elevation = [source for source in load_sources() if Kind.ELEVATION in source.kinds]
-    assert all(source.name in str(error.value) for source in elevation)
 
 
 @pytest.mark.parametrize(

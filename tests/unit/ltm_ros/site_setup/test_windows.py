@@ -195,21 +195,6 @@ def test_files_of_all_layouts_are_read(layout: str, services: SiteServices, tmp_
         assert raster.units == ("metre",)
 
 
-def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services: SiteServices, tmp_path: Path) -> None:
-    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    name, whole = next(iter(services.files.items()))
-    area = Area.around(-118.5, 34.5, 8000.0)
-    plan = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0).plan(area)
-    services.files[name] = whole[: len(whole) // 2] + bytes(len(whole) - len(whole) // 2)
-    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
-    with pytest.raises(LtmError):
-        source.fetch(plan, tmp_path / "out")  # changed since it was planned
-    with pytest.raises(LtmError):
-        source.fetch(source.plan(area), tmp_path / "out")
-    services.files[name] = whole
-    assert len(source.fetch(plan, tmp_path / "out").files) == 1
-
-
 @pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
 def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     trouble: str, services: SiteServices, tmp_path: Path
