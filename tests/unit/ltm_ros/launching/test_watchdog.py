@@ -140,3 +140,9 @@ def test_the_watch_hears_of_it_by_heartbeats_and_judges_no_start_and_no_pause_of
     second, why = pass_by(100, WELL)
     assert 30 <= second <= 33
     assert why.startswith("received 0 of ")
+
+
+def test_few_messages_are_not_enough_and_slow_cameras_are_waited_for() -> None:
+    traffic = GraphTraffic()
+    speaker, watch = Speaker(traffic, VOTES), HearingWatch("fuel_map", traffic, 30.0)
+    assert deaf_after(watch, speaker, {VOTES: 0}, 1000, every=60) == 600, "with the tenth"

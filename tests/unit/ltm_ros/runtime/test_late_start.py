@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 from ltm_core.base.errors import ConfigError
@@ -56,3 +57,27 @@ def test_the_pause_doubles_up_to_its_limit_and_begins_anew_after_a_success() -> 
     assert backoff.pause_s == 60.0
     backoff.succeeded()
     assert backoff.failed() == 1.0
+
+
+def test_a_bug_is_no_end_and_what_nobody_took_is_given_back_at_the_close() -> None:
+    """On a thread: ticks go on while an attempt lasts, and begin no second one."""
+    begun, go_on, tries = threading.Event(), threading.Event(), list[int]()
+
+    def make() -> str:
+        tries.append(1)
+        if len(tries) == 1:
+            raise ZeroDivisionError
+        begun.set()
+        assert go_on.wait(30)
+        return "made"
+
+    late = LateStart({"north": make}, {"north": "ZeroDivisionError()"}, lambda line: None)
+    while not begun.wait(0.01):
+        assert late.tick(1.0) == []
+    for _ in range(10):
+        assert late.tick(LONGEST_PAUSE_S) == []
+    assert len(tries) == 2
+    assert late.close(0.0) == []
+    go_on.set()
+    assert late.close(30.0) == ["made"]
+    assert late.tick(LONGEST_PAUSE_S) == []

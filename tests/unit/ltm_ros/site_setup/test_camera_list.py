@@ -7,7 +7,7 @@ import pytest
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import CameraConfig
-from ltm_ros.site_setup.camera_list import parse_camera, read_cameras, section
+from ltm_ros.site_setup.camera_list import check_cameras, parse_camera, read_cameras, section
 from ltm_ros.site_setup.vertical import EGM2008, ELLIPSOIDAL, NAVD88, MissingGridError
 
 
@@ -100,3 +100,10 @@ def test_a_file_that_is_no_list_is_an_error_that_names_it(name: str, text: str, 
     (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=name.replace(".", r"\.")):
         read_cameras(tmp_path / name)
+
+
+def test_each_camera_has_a_name_of_its_own() -> None:
+    camera = parse_camera("a=-118,34,azimuth=0,hfov=50")
+    check_cameras([camera], {"a": CameraConfig()})
+    with pytest.raises(ConfigError, match="exists already"):
+        check_cameras([camera, camera], {})

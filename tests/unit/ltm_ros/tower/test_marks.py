@@ -160,3 +160,9 @@ def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
     graph.heard["/ridge/locate/tracks"](message)
     assert health.dropped == {"message": 1}
     assert marks.places() == before
+
+
+def test_a_mark_is_drawn_while_its_camera_looks_where_it_did(graph: Graph, marks: Marks) -> None:
+    graph.heard["/ridge/locate/tracks"](tracks(5))
+    (place,) = marks.places()
+    assert (place["mark_count"], [mark["camera"] for mark in place["marks"]]) == (3, ["north"])

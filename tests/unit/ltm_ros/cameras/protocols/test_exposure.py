@@ -90,3 +90,14 @@ def test_a_trusted_clock_is_taken_at_its_word() -> None:
 def test_no_picture_is_taken_after_it_came() -> None:
     future = CameraTime(WALL + 900.0, 0.0, "name")
     assert ExposureClock().estimate(Timing(500.0, None, 0.5, future, trusted=True), WALL).at == 500.0
+
+
+def test_a_streams_clock_that_was_set_while_it_was_away_is_learnt_anew() -> None:
+    clock = ExposureClock()
+    clock.connected()
+    stream(clock, 100.0, 100, 37.0)
+    for ahead, begin in ((30.0, 150.0), (45.0, 170.0)):
+        clock.connected()
+        found = stream(clock, begin, 40, ahead, reports_from=0, seed=7)
+        assert all(abs(error) <= told for error, told in found), ahead
+        assert clock.offset(WALL) == pytest.approx(ahead, abs=0.05)
