@@ -115,7 +115,7 @@ def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
         ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
         about |= {
-            "marks": [MARK, MARK | {"azimuth_deg": 7.0}, MARK | {"camera": "east"}],
+            "marks": [MARK, *(MARK | {"azimuth_deg": off} for off in (7.0, 9.0)), MARK | {"camera": "east"}],
             "seen_by": ["north"],
             "sources": ["person"],
             "disagrees": None,
@@ -165,4 +165,4 @@ def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
 def test_a_mark_is_drawn_while_its_camera_looks_where_it_did(graph: Graph, marks: Marks) -> None:
     graph.heard["/ridge/locate/tracks"](tracks(5))
     (place,) = marks.places()
-    assert (place["mark_count"], [mark["camera"] for mark in place["marks"]]) == (3, ["north"])
+    assert (place["mark_count"], [mark["camera"] for mark in place["marks"]]) == (4, ["north"])
