@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from scenes.masked_site import hidden_of_view, write_turning_site
 from scenes.small_site import write_small_site
 
@@ -15,12 +17,19 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
+from ltm_msgs_py.bag.cdr import RAW_TYPE, picture_of
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import image_to_msg
 from ltm_ros.archive.content_digest import (
     code_digest,
     file_digest,
     look_digest,
+    picture_digest,
     votes_digest,
 )
+from ltm_ros.archive.files import ArchiveFiles, CacheConfig
+from ltm_ros.archive.manifest import ArchiveFrame
+from ltm_ros.archive.pictures import ArchiveImageReader
 
 _SAYS = """
 import sys
@@ -81,3 +90,15 @@ def test_a_folder_is_what_its_files_hold(tmp_path: Path) -> None:
     file.write_bytes(b"and after")
     os.utime(tmp_path / "map", ns=(state.st_atime_ns, state.st_mtime_ns))
     assert file_digest(tmp_path / "map") != before
+
+
+def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:
+    raw = serialize_message(image_to_msg(np.full((4, 6, 3), 9, np.uint8), "rgb8", 7, "east_optical"))
+    with BagWriter(tmp_path / "bag") as bag:
+        for content in (raw[:11], raw):
+            bag.write_raw("/a/east/image_raw", RAW_TYPE, content, 50)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    wanted = picture_digest(picture_of(raw, RAW_TYPE))
+    frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
+    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
+        assert reader.read(frame).size == (6, 4)

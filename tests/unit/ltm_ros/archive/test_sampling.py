@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from scenes.small_site import write_small_site
 
 from ltm_core.base.utc_time import DAY_NS
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.sampling import (
     Look,
     Sample,
+    in_daylight,
     repeated,
     sampled,
     spans,
@@ -70,6 +74,15 @@ def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
     taken = [hour for turn in TURNS for hour in chosen(DAY, turn, look)]
     assert {taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17)} == {5, 6}
     assert len(taken) == sum(taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17))
+
+
+def test_daylight_is_the_site_s_and_of_each_day(tmp_path: Path) -> None:
+    """Of early January in California: from 16 to 1 h UTC."""
+    site = write_small_site(tmp_path, recording=False).site
+    assert hours(in_daylight(FRAMES[:24], site)) == [0, *range(16, 24)]
+    # A camera that only sent by night is not taken by night for it, whatever it sent on other days.
+    assert in_daylight(FRAMES[5:8], site) == []
+    assert hours(in_daylight([*FRAMES[5:8], *FRAMES[40:42]], site)) == [16, 17]
 
 
 def test_a_picture_that_stands_still_for_weeks_is_one_look() -> None:

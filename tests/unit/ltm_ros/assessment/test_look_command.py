@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from ltm_core.base.errors import ConfigError
 from ltm_core.site.site_io import load_site
 from ltm_ros.assessment.answers_io import Answer, SampledCell, read_plan, write_answers, write_table
-from ltm_ros.assessment.look_command import learn
+from ltm_ros.assessment.look_command import learn, look
 
 DEMO = Path(__file__).parents[4] / "bags/demo"
 
@@ -30,3 +31,12 @@ def test_learn_takes_the_site_of_the_plan_and_names_the_next_commands(
     said = capsys.readouterr().out
     assert f"{81 - len(learned)} cells remain" in said
     assert str(tmp_path / "training") in said
+
+
+def test_look_checks_the_interpreters_name_before_it_reads_recordings(tmp_path: Path) -> None:
+    cell = SampledCell(1, 0, 0, 0.0, 0.0, 0.0, 0.0)
+    about = {"version": 1, "crs": "EPSG:32611", "cell_m": 30.0, "site": str(DEMO / "site.yaml")}
+    (tmp_path / "plan.json").write_text(json.dumps(about))
+    write_table(tmp_path / "cells.csv", list(vars(cell)), [vars(cell)])
+    with pytest.raises(ConfigError, match=r"\.\./x"):
+        look(tmp_path, [tmp_path / "none"], interpreter="../x")

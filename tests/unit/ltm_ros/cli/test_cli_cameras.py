@@ -119,6 +119,18 @@ def test_probe_takes_the_password_nowhere_but_to_the_host_that_was_named(camera:
     assert "hidden" not in said
 
 
+def test_an_address_that_cannot_be_asked_is_told_and_the_head_is_found_all_the_same(
+    camera: HttpCamera, head: FakeHead
+) -> None:
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
+    for stated in ("http://[::1/snapshot.jpg", "http://{}/snapshot.jpg?pwd=hidden"):
+        head.stated_picture = stated
+        said = run("probe", camera.url("/none.jpg"))
+        assert "kind: onvif" in said
+        assert "invalid address" in said or "cannot be taken" in said
+        assert "pwd=hidden" not in said
+
+
 def test_what_a_camera_calls_its_presets_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
     head.presets = {"[/] [bold]north": (10.0, -5.0, 1.0)}
     assert "[/] [bold]north" in run("probe", camera.url(""))
@@ -214,6 +226,12 @@ def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
     assert "North Ridge?[2J[/]" in said
     assert "3 answers could not be read" in said
     assert "\x1b[2J" not in said
+
+
+@pytest.mark.parametrize("interface", ["north", "10.255.255.254", "::1"])
+def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
+    with pytest.raises(ConfigError, match="this computer"):
+        run("discover", "--interface", interface, "--seconds", 0.2)
 
 
 MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}

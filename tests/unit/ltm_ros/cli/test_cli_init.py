@@ -113,3 +113,11 @@ def test_a_process_that_is_ended_leaves_nothing_half_written(
     result = init(services, tmp_path, *NEW)
     assert (tmp_path / "getty/site.yaml").is_file(), result.output
     assert {path.name for path in tmp_path.iterdir()} == {"cache", "getty", "sources.yaml"}
+
+
+def test_sources_are_listed(services: SiteServices) -> None:
+    result = CliRunner().invoke(cli, ["init", "--sources", "list"], env={"COLUMNS": "300"})
+    assert result.exit_code == 0
+    for name in ("usgs_3dep_1m", "copernicus_glo30", "landfire", "EPSG:5703"):
+        assert name in result.output
+    assert services.requests == []

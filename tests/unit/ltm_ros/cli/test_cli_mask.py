@@ -82,3 +82,24 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
     assert (hidden & corners()).any()
     with pytest.raises(LtmError, match="no image of tower has a pose in the direction of view east"):
         run("mask", *given, "--looking", "200,-14", "--keep", "all")
+
+
+def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
+    out = ["--out", tmp_path / "m.png"]
+    with pytest.raises(LtmError, match="different sizes"):
+        run("mask", photos, *out)
+    with pytest.raises(LtmError, match="--site and --camera together"):
+        run("mask", photos, "--camera", "west", *out)
+    with pytest.raises(LtmError, match="--view and --looking together"):
+        run("mask", photos, "--view", "west", *out)
+    for said in ("70", "70,west", "70,-14,30,5", "500,0"):
+        with pytest.raises(LtmError, match="expected AZIMUTH,PITCH"):
+            run("mask", photos, "--view", "west", "--looking", said, *out)
+    with pytest.raises(LtmError, match="no photos match 'east"):
+        run("mask", photos, "--only", "east*", *out)
+    with pytest.raises(LtmError, match="there is no proposal 99"):
+        run("mask", photos, "--only", "west*", "--keep", "1,99", *out)
+    with pytest.raises(LtmError, match="expected numbers of proposals"):
+        run("mask", photos, "--only", "west*", "--keep", "one", *out)
+    assert "nothing to mask" in run("mask", photos, "--only", "west*", "--keep", "none", *out)
+    assert not (tmp_path / "m.png").exists()

@@ -141,3 +141,18 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
     said = run(path, "north", "--photos", tmp_path)
     assert "4 images agree" in said
     assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["{site}", "south", "--points", "{points}"], "south"),
+        (["{site}", "north", "--photos", "{folder}"], "readings.csv"),
+        (["{site}", "north"], "--points .* or --photos"),
+        (["{site}", "north", "--points", "{points}", "--free", "k1"], "--free k1"),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> None:
+    places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
+    with pytest.raises(LtmError, match=told):
+        run(*(argument.format(**places) for argument in arguments))

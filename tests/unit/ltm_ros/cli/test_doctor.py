@@ -78,6 +78,13 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
     assert [one.name for one in by_extra["view"]] == ["rerun-sdk"]
 
 
+def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
+    participant = found(list(doctor.check_transport()), "participant")
+    assert participant.state is DoctorState.WARNING
+    assert "0.5 MB: too small for images" in participant.detail
+
+
 def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_memory, "free_bytes", lambda: 64 << 20)
     monkeypatch.setattr(shared_memory, "survey", lambda: shared_memory.SharedMemory(("a",), ("b", "c"), (), 140 << 20))
@@ -86,6 +93,14 @@ def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> No
     assert "--shm-size" in room.remedy
     assert segments.detail == "1 in use, 2 objects of dead processes (140 MB)"
     assert segments.state is DoctorState.WARNING
+
+
+def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    assert doctor.numba_cache() == tmp_path / "kernels"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "kernels"))
+    assert doctor.numba_cache() is None
 
 
 def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -148,6 +148,10 @@ MISTAKES = [
             "replay recording --site site.yaml --out file/out --offline",
             "run site.yaml --state file/map",
             "record --site site.yaml --out file/bag",
+            "pose points points.csv --guess pose.yaml --out file/fitted.yaml",
+            "viewshed --site site.yaml --out file/coverage.tif",
+            "import photos --site site.yaml --out file/bag",
+            "check site.yaml --out file/check.png",
         )
     ),
 ]

@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 import rasterio
 from scenes.fuel_frames import (
+    BEGIN_NS,
     LABELS,
+    NAME,
     camera_of,
     grid_of,
     message,
     stamp_of_frame,
     write_grass_site,
+    write_site,
 )
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
+from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
@@ -29,6 +33,8 @@ from ltm_core.pictures.fuel_maps import (
 )
 from ltm_core.pictures.maps import MapCamera
 from ltm_core.raster.dem import Dem
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
@@ -150,3 +156,18 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
         store, "--site", site, "--out", since, "--format", "change", "--since", "2023-11-15", "--as-of", "2025-12-31"
     )
     assert since.read_bytes() != (tmp_path / "change.png").read_bytes()
+
+
+def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:
+    site = write_site(tmp_path)
+    grid = grid_of(site)
+    with BagWriter(tmp_path / "bag") as writer:
+        for number in range(4):
+            writer.write(f"/{NAME}/{camera_of(number)}/fuel/votes", message(number, grid), stamp_of_frame(number))
+        writer.write(f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS), BEGIN_NS)
+    export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.png", "--format", "coverage")
+    assert cv2.imread(str(tmp_path / "c.png")).shape[0] > 3 * 500, "three cameras, a row each"
+    with pytest.raises(ConfigError, match="needs a store"):
+        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--as-of", "2024-01-01")
+    with pytest.raises(ConfigError, match="give --format change"):
+        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--since", "2024-01-01")

@@ -193,6 +193,26 @@ def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
         node.handler.on_region(region)
 
 
+def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    with pytest.raises(ConfigError, match="parameter folder"):
+        Node(site).handler.export()
+    node = kept()
+    node.feed(*range(80))
+    assert node.handler.export().startswith("landscape.lcp and landscape.tif written")
+    for name in ("landscape.lcp", "landscape.tif"):
+        with rasterio.open(tmp_path / "kept" / name) as found:
+            assert found.count == 8
+            known = found.read(1) != -9999
+            assert known[1:].all()  # the grid's first row lies beyond the terrain
+            np.testing.assert_array_equal(found.read(4), np.where(known, node.map.layers().code, -9999))
+            if name.endswith("tif"):
+                assert found.tags()["unit_height"] == "m x 10"
+        item = json.loads((tmp_path / "kept" / f"{name}.stac.json").read_text())
+        assert name in item["assets"]
+
+
 def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
     """Nor for a frame of one cell, whose arrays have both orders of axes. In a process of its own: in this one other
     tests have compiled."""

@@ -12,7 +12,7 @@ from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
 from scenes.region_scene import CAMERA, REGION, RegionScene, same_map, stamp_of, write_region_scene
 from sensor_msgs.msg import PointCloud2
 
-from ltm_core.base.errors import MessageError
+from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -220,3 +220,16 @@ def test_a_tower_that_means_harm_does_not_end_the_map(scene: RegionScene) -> Non
 
 def _cdr(cloud: object) -> bytes:
     return bytes(serialize_message(cloud))
+
+
+def test_an_identity_says_what_is_wrong_with_its_files(scene: RegionScene) -> None:
+    broker = scene.broker("alta")
+    wrong = {
+        "not to 'bear'": (broker, "bear"),
+        "does not belong to": (broker.model_copy(update={"key": scene.certs / "bear.key"}), "alta"),
+        "no certificate in PEM": (broker.model_copy(update={"certificate": scene.certs / "acl"}), "alta"),
+        "No such file": (broker.model_copy(update={"key": scene.certs / "none.key"}), "alta"),
+    }
+    for words, (config, name) in wrong.items():
+        with pytest.raises(ConfigError, match=words):
+            Identity(config, name)

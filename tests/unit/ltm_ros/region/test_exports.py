@@ -58,3 +58,22 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
     assert there >= {"item.stac.json", *item["assets"]}
     assert store.cat_file("maps/kern/life_form.tif") == (tmp_path / "out/life_form.tif").read_bytes()
     aggregator.close()
+
+
+def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) -> None:
+    scene, health = write_region_scene(tmp_path), Health()
+    (tmp_path / "out").mkdir()
+    aggregator = Aggregator(scene.config, health, lambda: 0)
+    elsewhere = ExportConfig(folder=tmp_path / "out", every=1.0, copy_to="s3://nobodys/kern")
+    exports = RegionExports(elsewhere, aggregator, health)
+    wait_for(
+        lambda: exports.look(0.0, changed=False) or "cannot be copied there" in health.last_error,
+        "words",
+        health.summary,
+    )
+    assert (tmp_path / "out/item.stac.json").is_file()
+    (tmp_path / "out/item.stac.json").unlink()
+    exports.close()
+    assert (tmp_path / "out/item.stac.json").is_file()
+    assert "noted.exported" not in health.summary()
+    aggregator.close()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,7 +40,7 @@ from ltm_ros.region.mqtt_link import (
     tile_topic,
     votes_topic,
 )
-from ltm_ros.region.service import RegionService
+from ltm_ros.region.service import RegionService, RegionWatch
 from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
@@ -328,3 +329,22 @@ def test_a_topic_that_is_no_text_is_counted(scene: RegionScene) -> None:
     message.topic = b"ltm/kern/votes/alta"
     hand_over(message, lambda topic, payload: got.append(topic), health)
     assert got == ["ltm/kern/votes/alta"]
+
+
+def test_the_region_answers_monitoring_systems(scene: RegionScene, broker: Broker) -> None:
+    port, site = free_port(), scene.config.site
+    site.write_text(f"{site.read_text()}health: {{port: {port}}}\n")
+    with mapped(scene) as service, sending(scene, "alta") as (alta, _):
+        watch = RegionWatch(scene.config, service.service, service.health)
+        try:
+            offer(alta, scene, range(5))
+            service.health.drop("message", "somebody's junk", 3)
+
+            def metrics() -> str:
+                return str(urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics").read().decode())
+
+            said = 'ltm_node_value{camera="",name="frames",node="/kern_map/region"} 5.0'
+            wait_for(lambda: f"\n{said}\n" in metrics(), said, metrics)
+            assert 'ltm_dropped_total{camera="",cause="message",node="/kern_map/region"} 3.0' in metrics()
+        finally:
+            watch.close()

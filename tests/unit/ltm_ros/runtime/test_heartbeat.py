@@ -6,7 +6,7 @@ import threading
 
 from scenes.waiting import wait_for
 
-from ltm_ros.runtime.heartbeat import Heartbeat
+from ltm_ros.runtime.heartbeat import Heartbeat, Traffic
 
 
 def test_a_turn_grows_old_and_waiting_for_work_does_not() -> None:
@@ -59,5 +59,23 @@ def test_does_not_wait_for_a_reader_that_is_stopped() -> None:
     worker = heart.activity("worker")
     worker.begin("Image")
     os.close(heard)
+    wait_for(gone.is_set, "the end of the reader")
+    os.close(told)
+
+
+def test_tells_what_was_sent_and_heard() -> None:
+    traffic, gone = Traffic(), threading.Event()
+    heart = Heartbeat(traffic)
+    votes, queries = traffic.speaker("/ridge/votes"), [traffic.listener("/ridge/query") for _ in range(2)]
+    traffic.listener("/ridge/region")
+    votes.messages, queries[0].messages, queries[1].messages = 7, 1, 2
+    heard, told = os.pipe()
+    heart.start(told, reader_gone=gone.set)
+    with os.fdopen(heard) as reader:
+        counts = {"said": {"/ridge/votes": 7}, "heard": {"/ridge/query": 3, "/ridge/region": 0}}
+        assert counts.items() <= json.loads(reader.readline()).items()
+        traffic.forget(queries)
+        while json.loads(line := reader.readline())["heard"] != {"/ridge/region": 0}:
+            assert line
     wait_for(gone.is_set, "the end of the reader")
     os.close(told)

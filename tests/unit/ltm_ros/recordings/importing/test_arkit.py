@@ -149,3 +149,21 @@ def test_a_record3d_capture_needs_the_first_frames_whole_pose(tmp_path: Path, si
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == (52.0, 51.0, 31.0, 21.0)
         np.testing.assert_allclose(found.position, expected(pose).position, atol=0.02)
         np.testing.assert_allclose(found.rotation, pose.rotation, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"poses": None},
+        {"poses": [[1, 2, 3]]},
+        {"poses": []},
+        {"K": [1, 2]},
+        {"fps": -1},
+        {"poses": [[0, 0, 0, 0, 1, 2, 3]]},
+        {"perFrameIntrinsicCoeffs": [[1, 2, 3]]},
+    ],
+)
+def test_record3d_metadata_that_is_none_is_told(tmp_path: Path, site: Site, changes: dict[str, object]) -> None:
+    path = record3d(tmp_path / "tree.r3d", **changes)
+    with pytest.raises(RecordingError, match=r"tree\.r3d: 'metadata'"):
+        import_photos([path], tmp_path / "bag", site=site)
