@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -45,23 +43,6 @@ class Bystander(SpinningNode):
     def send(self, topic: str, message: Any) -> None:
         """A message, or the bytes of one, on a topic that is open."""
         self._senders[topic].publish(message)
-
-    def send_until(self, send: Callable[[], object], condition: Callable[[], object], what: str) -> None:
-        """Calls `send` every other second until `condition` holds.
-
-        For what goes to a process that was killed and is back: DDS counts the dead one as a listener until its lease is
-        over, so all may look matched and what is sent once reach nobody.
-        """
-        last = -math.inf
-
-        def holds() -> bool:
-            nonlocal last
-            if not (held := bool(condition())) and time.monotonic() - last > SEND_AGAIN_S:
-                last = time.monotonic()
-                send()
-            return held
-
-        wait_for(holds, what, lambda: self.summaries)
 
     def stamps(self, topic: str) -> list[int]:
         """Stamps of what came on `topic`."""

@@ -31,7 +31,6 @@ LONGEST_FIRST = (
     "test_runner_processes.py",
     "test_terrain.py",
     "test_health.py",
-    "test_watchdog.py",
     "test_fuel_map.py",
     "test_hostile_input.py",
     "test_documented_camera.py",

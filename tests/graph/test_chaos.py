@@ -1,5 +1,3 @@
-"""A minute of chaos with a fixed seed; half an hour of it is `make chaos`."""
-
 from __future__ import annotations
 
 import json

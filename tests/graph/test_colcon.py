@@ -1,5 +1,3 @@
-"""The package as others install it: colcon beside an apt ROS (here the wheels), and a wheel of our own."""
-
 from __future__ import annotations
 
 import os

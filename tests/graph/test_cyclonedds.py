@@ -1,5 +1,3 @@
-"""Another DDS implementation takes a depth image from the running graph: nothing of ours or of ROS is on that side."""
-
 from __future__ import annotations
 
 import contextlib

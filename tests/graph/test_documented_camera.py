@@ -1,5 +1,3 @@
-"""The guide *a tower with IP cameras*, command by command: from a site without cameras to a map, status and alert."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The fuel map as a process on real DDS: killed under load it keeps what it told of; cameras join, people ask."""
-
 from __future__ import annotations
 
 import json

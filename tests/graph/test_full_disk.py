@@ -1,5 +1,3 @@
-"""A site whose disk is full while it runs: state and recording on one small disk, then SIGTERM."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What cameras and strangers may send to a running graph: each counted by its cause, none fatal, and work goes on."""
-
 from __future__ import annotations
 
 import time
@@ -10,11 +8,8 @@ import numpy as np
 import pytest
 from bystander import Bystander
 from living_graph import INPUTS, MAP_UPDATE, MAST_DEPTH, NODES, Living
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
 from scenes.small_site import NAME, SmallSite, apart
-from scenes.waiting import wait_for
 
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
@@ -108,51 +103,6 @@ def test_broken_messages_of_a_camera(living: Living, survives: Callable[..., Non
     survives({"tower/capture": tower, "mast/capture": {"dropped.image": 1, "dropped.too_large": 1}})
 
 
-def test_no_pose_and_impossible_poses(living: Living, survives: Callable[..., None]) -> None:
-    stamps = [living.stamp() for _ in range(3)]
-    nan, other_frame = (living.pose(stamp) for stamp in stamps[:2])
-    nan.pose.pose.position.x = float("nan")
-    other_frame.header.frame_id = "odom"
-    living.send(POSE, nan, other_frame)
-    living.send(IMAGE_COMPRESSED, *(living.image(stamp) for stamp in stamps))
-    # The images wait for a pose in vain.
-    survives({"tower/capture": {"dropped.pose": 2, "dropped.no_pose": 3}})
-
-
-def test_camera_under_the_ground(living: Living, survives: Callable[..., None]) -> None:
-    stamp = living.stamp()
-    message = living.pose(stamp)
-    message.pose.pose.position.z -= 50.0
-    living.send(CAMERA_INFO, living.info(stamp))
-    living.send(POSE, message)
-    living.send(IMAGE_COMPRESSED, living.image(stamp))
-    # And its camera knows that a frame is missing, but where a busy machine made it await those after `depth` no more.
-    dropped = {"tower/depth": {"dropped.pose": 1}}
-    survives(dropped | {"tower/capture": {"noted.unfinished": 1}}, dropped)
-
-
-def test_camera_at_the_end_of_the_world(living: Living, survives: Callable[..., None]) -> None:
-    for x, z in ((1e300, 400.0), (-1e300, -1e300)):
-        stamp = living.stamp()
-        message = living.pose(stamp)
-        message.pose.pose.position.x, message.pose.pose.position.z = x, z
-        living.send(CAMERA_INFO, living.info(stamp))
-        living.send(POSE, message)
-        living.send(IMAGE_COMPRESSED, living.image(stamp))
-    # It sees nothing of the terrain; that is no error.
-    survives({"fuel_map": {"noted.empty_votes": 2}})
-
-
-def test_stamps_twice_and_in_disorder(living: Living, survives: Callable[..., None]) -> None:
-    early, late = living.stamp(), living.stamp()
-    living.posed(late, living.image(late))
-    living.posed(early, living.image(early))
-    for stamp in (late, early):
-        living.bystander.wait_for_stamp(MAP_UPDATE, stamp)
-    living.send(IMAGE_COMPRESSED, living.image(early), living.image(late))
-    survives({"tower/capture": {"noted.out_of_order": 1, "dropped.duplicate": 2}})
-
-
 def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) -> None:
     small, names = living.small, LabelSet.load().names
     geometry = small.site.fuel_geometry(small.dem)
@@ -203,22 +153,3 @@ def test_names_that_are_no_text(living: Living, survives: Callable[..., None]) -
         living.send(topic, data.replace(name, b"\xff" * len(name)))
     living.bystander.wait_for_stamp(MAST_DEPTH, stamp)
     survives({"tower/capture": {"dropped.pose": 1, "dropped.no_pose": 1}})
-
-
-def test_parameters_are_fixed_while_a_node_runs(living: Living) -> None:
-    bystander = living.bystander
-    client = bystander.node.create_client(SetParameters, f"/{NAME}/tower/capture/set_parameters")
-    assert client.wait_for_service(60.0)
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=9.0)
-    wanted = [Parameter(name=name, value=value) for name in ("max_wait", "pose_tolerance", "unheard_of")]
-    answer = client.call_async(SetParameters.Request(parameters=wanted))
-    wait_for(answer.done, "an answer")
-    results = answer.result().results
-    assert [result.successful for result in results] == [False] * 3
-
-
-def test_saving_without_a_path_is_refused(living: Living, survives: Callable[..., None]) -> None:
-    done, answer = living.bystander.call(f"/{NAME}/fuel_map/save")
-    assert not done
-    assert "export_path" in answer
-    survives({})

@@ -1,5 +1,3 @@
-"""A node that cannot work as it is told says why and exits with the status that tells the graph not to try again."""
-
 from __future__ import annotations
 
 import json
@@ -12,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from bystander import Bystander
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import qos_profile_sensor_data
 from scenes.networks import write_classifier
 from scenes.small_site import NAME, SmallSite, apart
@@ -122,29 +118,3 @@ def test_drivers_and_displays_with_sensor_data_qos_are_served(small_site: SmallS
         wait_for(answered, "a frame of the driver", lambda: bystander.summaries)
         assert (seen[0].width, seen[0].height) == (size.width, size.height)
         wait_for(lambda: bystander.summaries[CAPTURE].get("noted.best_effort") == "1", "word of it")
-
-
-def test_the_parameters_of_a_running_node_are_listed_and_described(small_site: SmallSite, ros_domain: int) -> None:
-    """What `ros2 node info`, `ros2 param list` and `ros2 param describe` ask."""
-    node = describe(apart(small_site.site), small_site.path).node("mast/capture")
-    with Runner(Graph(NAME, (node,)), domain_id=ros_domain) as runner, Bystander() as bystander:
-        runner.wait_until_ready(120.0)
-        client = AsyncParameterClient(bystander.node, CAPTURE)
-        wait_for(client.services_are_ready, "its parameter services")
-
-        def answer(future: Any) -> Any:
-            wait_for(future.done, "an answer")
-            return future.result()
-
-        listed = answer(client.list_parameters()).result.names
-        assert {"site", "camera", "in_flight", "finish_within", "use_sim_time"} <= set(listed)
-        (described,) = answer(client.describe_parameters(["in_flight"])).descriptors
-        assert described.read_only
-        assert described.description
-        assert described.integer_range[0].from_value == 1
-        (value,) = answer(client.get_parameters(["in_flight"])).values
-        assert value.integer_value == 2
-        (changed,) = answer(client.set_parameters([Parameter("in_flight", value=3)])).results
-        assert not changed.successful
-        published = dict(bystander.node.get_publisher_names_and_types_by_node("capture", f"/{NAME}/mast"))
-        assert published[POSED] == ["sensor_msgs/msg/Image"]

@@ -1,5 +1,3 @@
-"""More frames than can be done: what is let in is finished everywhere, the rest is counted, and no fault stops it."""
-
 from __future__ import annotations
 
 import threading
@@ -178,15 +176,3 @@ def test_what_is_let_in_is_finished_everywhere(cameras: Cameras) -> None:
     wait_for(
         lambda: cameras.bystander.count(f"/{NAME}/terrain", "frames") == sum(frames), "all frames in the terrain too"
     )
-
-
-def test_a_killed_process_is_back_with_all_its_cameras(cameras: Cameras) -> None:
-    """All that came while it was away is lost, and what comes then is not."""
-    process = cameras.runner.processes["cameras"]
-    with cameras.streaming(RATE_HZ / 3):
-        assert cameras.runner.kill("cameras")
-        wait_for(lambda: process.starts == 2 and process.running, "the process again")
-        later = time.time_ns()
-        for camera in CAMERAS:
-            for node in WORKERS:
-                cameras.wait_for_newer(camera, node, later)

@@ -1,21 +1,16 @@
-"""A pose topic that the site file names may have any type of pose: the first publisher shows which."""
-
 from __future__ import annotations
 
 from typing import Any
 
 import pytest
 import rclpy
-from bystander import Bystander
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSPresetProfiles
 from scenes.waiting import wait_for
-from std_msgs.msg import Header
 
-from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Topic
 from ltm_ros.runtime.outlet_node import OutletNode
 
@@ -48,32 +43,5 @@ def test_a_best_effort_driver_of_another_type_is_heard(ros_domain: int) -> None:
     finally:
         executor.shutdown()
         driver.destroy_node()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
-
-
-@pytest.mark.parametrize("kind", [PoseWithCovarianceStamped, Odometry, PoseStamped, TransformStamped, Header])
-def test_a_named_pose_topic_takes_the_type_that_is_published(ros_domain: int, kind: Any) -> None:
-    context, taken = rclpy.Context(), list[Any]()
-    rclpy.init(context=context)
-    given = {"context": context, "parameter_overrides": [Parameter("site", value="site.yaml")]}
-    node = OutletNode(NodeType("taker", NodeConfig, Handler), given)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        node.listen(NAMED, NAMED.name, taken.append)
-        with Bystander() as bystander:
-            bystander.open(NAMED.name, kind, listeners=0)
-
-            def arrived() -> bool:
-                node.state_listeners()
-                bystander.send(NAMED.name, kind())
-                executor.spin_once(timeout_sec=0.1)
-                return bool(taken) or type_name_of(kind()) in node.health.message
-
-            wait_for(arrived, f"a {kind.__name__}")
-        assert [type(message) for message in taken[:1]] == ([] if kind is Header else [kind])
-    finally:
-        executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown(context=context)

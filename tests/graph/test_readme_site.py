@@ -1,5 +1,3 @@
-"""The README's lines for an own site, as they stand there: from a point on the map to the map of a folder of photos."""
-
 from __future__ import annotations
 
 import os

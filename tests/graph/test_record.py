@@ -1,5 +1,3 @@
-"""`ltm record` on topics that somebody publishes: all of them, the right ones, and a bag that is whole after Ctrl-C."""
-
 from __future__ import annotations
 
 import signal

@@ -1,5 +1,3 @@
-"""A recording with long pauses goes through a graph without waiting for them, and waits for a graph that is behind."""
-
 from __future__ import annotations
 
 import threading
@@ -12,7 +10,7 @@ from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
 
 from ltm_ros.recordings.replay.offline import Selection
-from ltm_ros.recordings.replay.run import QUIET, LivePlayer
+from ltm_ros.recordings.replay.run import LivePlayer
 
 pytestmark = pytest.mark.graph
 
@@ -72,25 +70,3 @@ def test_time_stands_still_while_a_graph_is_behind(small_site: SmallSite, ros_do
     assert clock == sorted(clock)
     logged = [message.log_time_ns for message in selection]
     assert all(now >= due for now, due in zip(clock, logged, strict=True))
-
-
-def test_a_frame_that_is_at_work_is_waited_for(small_site: SmallSite, ros_domain: int) -> None:
-    """A large one takes longer than the time after which a graph that does not move is said to be done."""
-    selection = Selection.open(small_site.bag, small_site.site)
-    name = "/hollow/tower/capture"
-
-    def at_work(frames: int) -> DiagnosticArray:
-        values = [KeyValue(key="in_flight", value=str(frames)), KeyValue(key="waiting", value="0")]
-        return DiagnosticArray(status=[DiagnosticStatus(name=name, values=values)])
-
-    with Bystander() as bystander, LivePlayer(selection) as player:
-        bystander.open("/diagnostics", DiagnosticArray)
-
-        def heard(frames: int) -> bool:
-            bystander.send("/diagnostics", at_work(frames))
-            return player.summaries.get(name, {}).get("in_flight") == str(frames)
-
-        wait_for(lambda: heard(1), "word of a frame at work")
-        assert not player.drain([name], timeout=2 * QUIET)
-        wait_for(lambda: heard(0), "word of its end")
-        assert player.drain([name])

@@ -1,5 +1,3 @@
-"""The runner on real ROS processes: they come up, come back, and leave nothing."""
-
 from __future__ import annotations
 
 import os
@@ -7,9 +5,7 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -78,18 +74,6 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started]) -> None:
         assert f"[{label}] goodbye" in graph.lines
 
 
-def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started]) -> None:
-    def gone(line: str) -> None:
-        raise BrokenPipeError
-
-    graph = start(spec("depth"), console=gone)
-    graph.runner.wait_until_ready(30)
-    graph.runner.kill("north/depth")
-    depth = graph.runner.processes["north/depth"]
-    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
-    graph.runner.wait_until_ready(30)
-
-
 def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
     graph = start(spec("depth", behaviour="config_error"), spec("capture"))
     with pytest.raises(GraphError, match=r"not ready: north/depth\n.*given up.*2 starts.*78") as error:
@@ -100,22 +84,6 @@ def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., St
     verdicts = [line for line in graph.lines if "given up" in line]
     assert len(verdicts) == 1
     assert verdicts[0].endswith("the DEM moon.tif does not exist")
-
-
-def test_a_graph_is_up_without_an_optional_node_that_was_given_up(start: Callable[..., Started]) -> None:
-    """Else a service would never be ready for want of its status page."""
-    viewer = replace(spec("viewer", behaviour="config_error"), required=False)
-    graph = start(spec("capture"), viewer)
-    graph.runner.wait_until_ready(30)
-    graph.wait_for(lambda: graph.runner.given_up == ["north/viewer"], "the verdict")
-    graph.runner.wait_until_ready(30)
-
-
-def test_names_the_node_that_is_not_ready(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth", behaviour="silent"), spec("capture"))
-    graph.wait_for(lambda: any("hello from /ridge/north/depth" in line for line in graph.lines), "the silent node")
-    with pytest.raises(GraphError, match="not ready: north/depth\n"):
-        graph.runner.wait_until_ready(6)
 
 
 def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
@@ -130,23 +98,6 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     assert "[north/capture] goodbye" in graph.lines
     # Another test's runner may be about to remove them just now.
     assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
-
-
-def test_stops_quietly_in_the_middle_of_the_start(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth"), spec("capture"))
-    time.sleep(0.6)  # waits for nothing: it chooses the moment
-    graph.runner.stop()
-    assert not [line for line in graph.lines if "Traceback" in line or "still running" in line], graph.lines
-
-
-@pytest.mark.parametrize("behaviour", ["slow_to_start", "loses_the_stop"])
-def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started], behaviour: str) -> None:
-    graph = start(spec("depth", behaviour=behaviour))
-    graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
-    graph.runner.stop()
-    # Fast DDS may tell of another graph's port that was being removed as it looked.
-    said = [line for line in graph.lines if "RTPS_TRANSPORT_SHM" not in line]
-    assert len(said) == 2, graph.lines  # its start and its greeting
 
 
 RUN = """
@@ -183,16 +134,6 @@ def test_signal_to_the_runner_ends_everything(ros_domain: int) -> None:
     output, _ = runner.communicate(timeout=30)
     assert runner.returncode == 0
     assert "still running" not in output
-    assert processes_of_domain(ros_domain) == []
-
-
-def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int) -> None:
-    runner = _run_in_process(1, {})
-    runner.terminate()
-    output, _ = runner.communicate(timeout=30)
-    assert runner.returncode == 0
-    assert "nodes are ready" not in output
-    assert "not ready" not in output
     assert processes_of_domain(ros_domain) == []
 
 

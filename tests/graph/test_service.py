@@ -1,5 +1,3 @@
-"""`ltm run` as a service: what a service manager hears of a real graph whose cameras are all offline."""
-
 from __future__ import annotations
 
 import os
@@ -72,13 +70,3 @@ def test_the_manager_hears_all_of_a_life_and_no_camera_matters(
         graph.kill()
         graph.wait()
         console.close()
-
-
-def test_a_site_that_cannot_work_says_why(tmp_path: Path, manager: NotifySocket) -> None:
-    site = tmp_path / "site.yaml"
-    site.write_text("name: ridge\ncrs: EPSG:26911\norigin: [0, 0]\ndem: {path: none.tif}\ncameras: {north: {}}\n")
-    environment = os.environ | {"NOTIFY_SOCKET": manager.address}
-    ran = subprocess.run([sys.executable, "-c", LTM, "run", str(site)], env=environment, capture_output=True, text=True)
-    assert ran.returncode == 78, ran.stderr
-    assert manager.of("READY") == []
-    assert any("none.tif" in status for status in manager.of("STATUS"))

@@ -1,5 +1,3 @@
-"""A site's whole graph on a small recording, every node a process: nothing is lost, and what dies comes back."""
-
 from __future__ import annotations
 
 import os
@@ -84,7 +82,6 @@ def replayed(
     with runner, Bystander() as bystander:
         runner.wait_until_ready(120.0)
         # Slowly, in five seconds: a queue holds ten messages, and other tests may take the cores from who reads them.
-        # What gets through at full speed is measured in test_transport.
         with LivePlayer(Selection.open(small_site.bag, small_site.site), rate=0.25) as player:
             player.wait_for_listeners(len(graph), 60.0)
             player.play()

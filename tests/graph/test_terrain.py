@@ -1,5 +1,3 @@
-"""The living surface as processes on real DDS: from photos to maps, and killed."""
-
 from __future__ import annotations
 
 import json
@@ -18,16 +16,12 @@ from scenes.terrain_frames import (
     block_cells,
     built_up,
     mast_pose,
-    measured_messages,
     photo_of_depth,
-    sunk,
     write_fusing_site,
     write_terrain_site,
 )
 from scenes.waiting import wait_for
 
-from ltm_core.pipeline.site_surface import STORE_FILE
-from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import image_to_msg
@@ -154,41 +148,3 @@ def living(ros_domain: int, terrain_site: SmallSite, tmp_path: Path) -> Iterator
     with runner, Bystander() as bystander:
         runner.wait_until_ready(300.0)
         yield Living(terrain_site, runner, bystander)
-
-
-def test_what_was_told_of_outlives_kills(living: Living, tmp_path: Path) -> None:
-    small, bystander = living.small, living.bystander
-    process = living.runner.processes["terrain"]
-    truth = sunk(small)
-    for look in (0, 2):
-        living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
-    wait_for(lambda: bystander.heard[UPDATE], "an update", lambda: bystander.summaries)
-    for kill in range(2):
-        starts = process.starts
-        living.send(measured_messages(small, truth, BEGIN_NS + (10 + kill) * HOUR))
-        living.runner.kill("terrain")
-        wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
-        bystander.forget()
-        bystander.wait_for_wiring(1)
-
-        # All frames come again: those that were told of are known, the others are counted now.
-        def send_all(kill: int = kill) -> None:
-            for look in (0, 2, *range(10, 11 + kill)):
-                living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
-
-        frames = 3 + kill
-        bystander.send_until(send_all, lambda n=frames: bystander.count(NODE, "frames") == n, f"{frames} frames")
-        assert living.counted()["dropped.duplicate"] >= 2
-    told: dict[tuple[int, int], int] = {}
-    for message in bystander.heard[UPDATE]:
-        changed, _ = msg_to_changed(message)
-        told |= dict(zip(zip(changed.rows.tolist(), changed.cols.tolist(), strict=True), changed.kind, strict=True))
-    done, answer = bystander.call(f"{NODE}/save")
-    assert done, answer
-    with rasterio.open(tmp_path / "kept" / "terrain_change.tif") as file:
-        kinds = file.read(1)
-    assert {cell for cell, kind in told.items() if kind > 0} == set(zip(*np.nonzero(kinds % 255), strict=True))
-    with TileStore.open_read_only(tmp_path / "kept" / STORE_FILE, "terrain") as store:
-        assert store.frame_count() == 4
-        stored = {key: tile["kind"] for key, tile in store.tiles()}
-    assert sum(int((kind > 0).sum()) for kind in stored.values()) == int((kinds % 255 > 0).sum()) > 50

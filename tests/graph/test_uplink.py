@@ -1,5 +1,3 @@
-"""A graph that runs sends its cameras' votes to the map of a region, by way of a real broker."""
-
 from __future__ import annotations
 
 import signal

@@ -1,5 +1,3 @@
-"""Recordings as others make them, and damaged ones: what becomes of their frames, and which exit code says so."""
-
 from __future__ import annotations
 
 import json
@@ -244,33 +242,3 @@ def test_topics_that_the_site_file_names_are_taken(tower: SmallSite, tmp_path: P
     assert (result.exit_code, frames) == (0, FRAMES)
     _, record = reprocessed(own, bag, tmp_path / "archive")
     assert record["frames"]["merged"] == FRAMES
-
-
-def test_a_pose_of_the_site_file_is_used_and_named_beside_the_recorded_one(
-    tower: SmallSite, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    recorded = tower.tower_pose(0.0)
-    x0, y0 = tower.site.origin
-    x, y, z = recorded.position.tolist()
-    pose = {"x": x + x0 + 3.0, "y": y + y0 + 4.0, "z": z, "azimuth_deg": 0.0, "pitch_deg": -4.0, "roll_deg": 1.5}
-    document = yaml.safe_load(tower.path.read_text()) | {"cameras": {"tower": {"pose": pose}}}
-    own = tower.folder / "fixed.yaml"
-    own.write_text(yaml.safe_dump(document))
-    result, frames = replayed(own, tower.bag, tmp_path / "out")
-    assert (result.exit_code, frames) == (0, FRAMES)
-    assert "10.00 degrees and 5.00 m" in caplog.text
-    caplog.clear()
-    reprocessed(own, tower.bag, tmp_path / "archive")
-    assert "10.00 degrees and 5.00 m" in caplog.text
-
-
-def test_an_archive_whose_frames_show_no_cell_fails(tower: SmallSite, tmp_path: Path) -> None:
-    pose = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 0.0, "pitch_deg": 85.0}
-    document = yaml.safe_load(tower.path.read_text()) | {"cameras": {"tower": {"pose": {**pose, "roll_deg": 0.0}}}}
-    own = tower.folder / "upwards.yaml"
-    own.write_text(yaml.safe_dump(document))
-    result, frames = replayed(own, tower.bag, tmp_path / "out")
-    assert (result.exit_code, frames) == (1, FRAMES)
-    command = ["reprocess", str(tower.bag), "--site", str(own), "--out", str(tmp_path / "again"), "--workers", "0"]
-    assert CliRunner().invoke(cli, command).exit_code == 1
-    assert not (tmp_path / "again/fuel_map.ltm").exists()

@@ -1,5 +1,3 @@
-"""Photos become a confirmed surface, and later photos of the same recording are traced to it and fused with it."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""A disk that is full, read-only, or not there: the map lives on, says so, and loses nothing that it had told of."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -7,11 +5,10 @@ from typing import Any
 
 import pytest
 from scenes.fuel_frames import write_site
-from scenes.own_disk import run_on_own_disk, run_on_own_disks
-from scenes.slow_fsync import slow_fsync
+from scenes.own_disk import run_on_own_disks
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
-CASES = ("full", "stopped_while_full", "lost", "full_from_the_start", "read_only", "no_inodes")
+CASES = ("full", "stopped_while_full", "full_from_the_start")
 FRAMES = 30
 MANY = 150
 States = dict[str, list[dict[str, Any]]]
@@ -49,46 +46,8 @@ def test_a_node_that_is_stopped_on_a_full_disk_writes_all(states: States) -> Non
     assert (restarted["frames"], restarted["unsaved"]) == (MANY, 0)
 
 
-def test_what_is_lost_is_said_once(states: States) -> None:
-    stopped, restarted = states["lost"]
-    assert stopped["said"].startswith("27 unacknowledged frames are lost")
-    assert "SQLITE_FULL" in stopped["said"]
-    assert (stopped["frames"], stopped["updates"]) == (3, 3)
-    assert restarted["frames"] == 3
-
-
 def test_disk_that_is_full_when_the_node_starts(states: States) -> None:
     during, after = states["full_from_the_start"]
     assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
     assert "disk" in during["error"]
     assert (after["frames"], after["unsaved"], after["updates"]) == (3, 0, 3)
-
-
-def test_disk_that_turns_read_only(states: States) -> None:
-    before, during, after = states["read_only"]
-    assert before["frames"] == 3
-    assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
-    assert "ead-only" in during["error"]
-    assert (after["frames"], after["unsaved"]) == (6, 0)
-
-
-def test_disk_without_room_for_another_name(states: States) -> None:
-    running, stopped, started, after, restarted = states["no_inodes"]
-    assert (running["frames"], running["unsaved"]) == (6, 0), "its files are there already"
-    assert (stopped["frames"], stopped["updates"]) == (6, 6)
-    assert started["troubled"]
-    assert started["frames"] + started["unsaved"] in (3, 9)
-    assert (after["frames"], after["unsaved"]) == (9, 0)
-    assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (9, 0, False)
-
-
-@pytest.mark.slow
-def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
-    (tmp_path / "disk").mkdir()
-    during, restarted = run_on_own_disk(
-        PROGRAM, "slow", tmp_path / "disk", write_site(tmp_path), more=slow_fsync(tmp_path, 2.0)
-    )
-    assert (during["frames"], during["unsaved"], during["updates"]) == (30, 0, 30), "one wait for all that came"
-    assert during["troubled"]
-    assert "store_slow: the disk took" in during["error"]
-    assert (restarted["frames"], restarted["unsaved"]) == (30, 0)

@@ -1,14 +1,11 @@
-"""The live player's own parts: stamps of later rounds, and what it refuses."""
-
 from __future__ import annotations
 
 import pytest
 from scenes.small_site import SmallSite
 
-from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.recordings.replay.offline import Selection
-from ltm_ros.recordings.replay.run import LivePlayer, _round_ns
+from ltm_ros.recordings.replay.run import _round_ns
 
 
 @pytest.mark.parametrize("shift", [1, 999_999_999, 1_000_000_000, 86_400_000_000_123])
@@ -29,15 +26,3 @@ def test_rounds_of_a_loop_neither_touch_nor_flood(small_site: SmallSite) -> None
     one = Selection.open(small_site.bag, small_site.site, start=0.1, duration=0.001)
     assert one.frame_count == 1
     assert _round_ns(one) == 10**9
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
-def test_rate_must_be_positive(small_site: SmallSite, rate: float) -> None:
-    with pytest.raises(RecordingError, match="replay rate must be a positive number"):
-        LivePlayer(Selection.open(small_site.bag, small_site.site), rate)
-
-
-@pytest.mark.parametrize("pause", [0.0, -1.0, float("nan")])
-def test_longest_pause_must_be_positive(small_site: SmallSite, pause: float) -> None:
-    with pytest.raises(RecordingError, match="longest pause of a replay must be more than 0 s"):
-        LivePlayer(Selection.open(small_site.bag, small_site.site), 1.0, pause)

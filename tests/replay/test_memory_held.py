@@ -1,20 +1,14 @@
-"""What the handlers of a site hold after many frames: no more than after fewer, once what they remember is full."""
-
 from __future__ import annotations
 
 import gc
 from pathlib import Path
 
-import numpy as np
 import pytest
 from chaos.cameras import CAMERAS, PHASES, Photos
 from chaos.living_site import write_living_site
 from scenes.small_site import NAME
 
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import UNCOMMITTED
-from ltm_core.storage.tile_store import TileStore
-from ltm_core.storage.tile_store_schema import Field, FrameRecord, StoreSchema
 from ltm_ros.launching.graph import describe
 from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.process_memory import memory_in_use
@@ -55,17 +49,3 @@ def test_handlers_hold_no_more_after_more_frames(tmp_path: Path) -> None:
     more_blocks, more_in_use = _held()
     assert more_blocks - blocks < FRAMES
     assert more_in_use - in_use < 2 * FRAMES * 100  # the stores' rows: a frame's stamp, as long as days are remembered
-
-
-def test_a_store_holds_no_more_after_more_frames_were_counted(tmp_path: Path) -> None:
-    """SQLite's own cache would take in 2 MB of them."""
-    grid = GridGeometry(480_015.0, 4_150_915.0, 30.0, 21, 13, "EPSG:26911")
-    schema = StoreSchema("weather", 1, grid, 8, {"rain": Field(np.float32)})
-    held = []
-    with TileStore.open(tmp_path / "map.ltm", schema) as store:
-        for first in range(0, 100_000, 5_000):
-            stamps = range(first, first + 5_000)
-            store.commit({}, [FrameRecord(camera, 10**18 + k * 10**9) for k in stamps for camera in CAMERAS])
-            held.append(_held()[1])
-    assert (tmp_path / "map.ltm").stat().st_size > 3_000_000
-    assert max(held) - held[0] < 50_000  # full with the first of them

@@ -1,5 +1,3 @@
-"""Offline replay: the same handlers as live, without DDS; the same recording gives the same bytes."""
-
 from __future__ import annotations
 
 import shutil
@@ -16,7 +14,6 @@ from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite
 from sensor_msgs.msg import NavSatFix
 from typer.testing import CliRunner
 
-from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.cdr import TF_TYPE
 from ltm_msgs_py.bag.reader import BagReader
@@ -26,19 +23,16 @@ from ltm_msgs_py.json_topics import msg_to_model
 from ltm_msgs_py.pose import msg_to_transform
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
-from ltm_ros.recordings.recorded_run import last_fuel_map
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
-    FUEL_MAP,
     FUEL_VOTES,
     IMAGE_COMPRESSED,
     LABELS_IMAGE,
     LABELS_INFO,
     POSED_POSE,
     camera_topic,
-    site_topic,
 )
 
 Summaries = dict[str, dict[str, str]]
@@ -116,53 +110,6 @@ def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, first: tupl
                     np.testing.assert_allclose(msg_to_depth(message), expected, rtol=1e-6)
 
 
-def test_recorded_map_is_the_exported_one(small_site: SmallSite, first: tuple[Path, Summaries]) -> None:
-    out, _ = first
-    exported, geometry = read_fuel_map(out / "map.tif")
-    recorded, recorded_geometry, _ = last_fuel_map(out / "bag", small_site.site)
-    np.testing.assert_array_equal(recorded, exported)
-    assert recorded_geometry == geometry
-    assert (exported != 255).sum() > 300
-    assert BagReader(out / "bag").topic_infos()[site_topic(NAME, FUEL_MAP)].latched
-
-
-def test_results_can_be_replayed_again(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
-    """A recording of inputs and results: the inputs are taken, the results made anew."""
-    replayed(small_site, tmp_path / "again", bag=first[0] / "bag")
-    assert (tmp_path / "again/map.tif").read_bytes() == (first[0] / "map.tif").read_bytes()
-
-
-def test_span_gives_the_map_of_its_frames(small_site: SmallSite, first: tuple[Path, Summaries], tmp_path: Path) -> None:
-    (out, whole), part = first, replayed(small_site, tmp_path / "part", duration=0.6)
-    assert (whole[f"/{NAME}/fuel_map"]["frames_in"], part[f"/{NAME}/fuel_map"]["frames_in"]) == ("12", "5")
-    all_seen, seen = (read_fuel_map(at / "map.tif")[0] != 255 for at in (out, tmp_path / "part"))
-    assert 0 < seen.sum() < all_seen.sum()
-    assert not (seen & ~all_seen).any()
-
-
-def test_truncated_recording_gives_what_it_has(small_site: SmallSite, tmp_path: Path) -> None:
-    cut = small_site.cut_in_half(tmp_path)
-    summaries = replayed(small_site, tmp_path / "out", bag=cut)
-    frames = int(summaries[f"/{NAME}/fuel_map"]["frames_in"])
-    assert 2 <= frames < 2 * FRAMES
-    assert summaries[f"/{NAME}/tower/depth"]["dropped"] == "0"
-
-
-def test_message_that_does_not_decode_is_counted_and_passed_over(small_site: SmallSite, tmp_path: Path) -> None:
-    topic, broken = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
-    with BagWriter(tmp_path / "broken") as bag:
-        for message in BagReader(small_site.bag).messages():
-            raw = message.raw
-            if message.topic == topic:
-                broken += 1
-                raw = raw if broken != 3 else raw[:30]
-            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
-    summaries = replayed(small_site, tmp_path / "out", bag=tmp_path / "broken")
-    assert summaries["recording"]["dropped.recording"] == "1"
-    assert summaries[f"/{NAME}/tower/capture"]["frames_out"] == str(FRAMES - 1)
-    assert summaries[f"/{NAME}/fuel_map"]["frames_in"] == str(2 * FRAMES - 1)
-
-
 def test_a_dropped_image_is_named_by_camera_stamp_and_recording(small_site: SmallSite, tmp_path: Path) -> None:
     topic, seen = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
     with BagWriter(tmp_path / "odd") as bag:
@@ -195,15 +142,6 @@ def test_command_line(small_site: SmallSite, first: tuple[Path, Summaries], tmp_
     for wrong in (["--loop"], ["--rate", "2"], ["--rrd"], ["--publish-only"]):
         refused = CliRunner().invoke(cli, [*command, *wrong])
         assert refused.exit_code != 0, wrong
-
-
-@pytest.mark.parametrize("missing", ["bag", "site"])
-def test_what_is_missing_is_named(small_site: SmallSite, tmp_path: Path, missing: str) -> None:
-    places = {"bag": small_site.bag, "site": small_site.path} | {missing: tmp_path / "nowhere"}
-    command = ["replay", str(places["bag"]), "--site", str(places["site"]), "--out", str(tmp_path), "--offline"]
-    result = CliRunner().invoke(cli, command)
-    assert result.exit_code != 0
-    assert "nowhere" in f"{result.output} {result.exception}"
 
 
 def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(

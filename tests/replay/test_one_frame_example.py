@@ -1,5 +1,3 @@
-"""`examples/one_frame.py`: its plain calls make of a frame exactly what the nodes of the graph make of it."""
-
 from __future__ import annotations
 
 import importlib.util
@@ -145,10 +143,3 @@ def test_fuel_map(made: Any, graph: GraphRun) -> None:
     assert_same(made.layers, graph.layers, "layers")
     sent, _ = msg_to_classes(graph.message(site_topic("demo", FUEL_MAP)))
     np.testing.assert_array_equal(made.layers.life_form, sent)
-
-
-def test_says_what_it_made(example: ModuleType, made: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    example.report(made)
-    said = capsys.readouterr().out
-    for step in ("photo", "depth", "labels", "fused", "votes", "map"):
-        assert f"{step} " in said

@@ -1,5 +1,3 @@
-"""The guide *Your own recording* of docs/recordings.md: its commands, run on a bag of another recorder."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""Which messages of a recording a replay takes."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -49,18 +47,6 @@ def test_empty_span_is_an_error_that_says_how_long_the_recording_is(
 ) -> None:
     with pytest.raises(RecordingError, match=r"contains nothing between .* it is 1\.4 s long"):
         Selection.open(small_site.bag, small_site.site, start, duration)
-
-
-def test_recording_of_another_site_is_an_error_that_names_what_it_holds(small_site: SmallSite) -> None:
-    site = small_site.site.model_copy(update={"name": "meadow"})
-    with pytest.raises(RecordingError, match=rf"no images of site meadow \(mast, tower\).*/{NAME}/tower/image_raw"):
-        Selection.open(small_site.bag, site)
-
-
-def test_empty_recording_is_an_error(small_site: SmallSite, tmp_path: Path) -> None:
-    BagWriter(tmp_path / "empty").close()
-    with pytest.raises(RecordingError, match=r"its topics are \(none\)"):
-        Selection.open(tmp_path / "empty", small_site.site)
 
 
 def test_results_are_never_replayed_and_truth_only_when_asked(small_site: SmallSite, tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Pictures that show too little: they flow through the graph with their stamps, and change nothing in it."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -99,16 +97,6 @@ def test_dark_frames_change_nothing_and_are_counted(small: SmallSite, tmp_path: 
         assert summary["picture"] == "usable"
         assert summaries[f"/{NAME}/{camera}/topodepth"]["noted.verdict.picture_unusable"] == str(len(DARK))
     assert {name: s["dropped"] for name, s in summaries.items()} == dict.fromkeys(summaries, "0")
-
-
-def test_a_camera_whose_pictures_are_not_judged(small: SmallSite, tmp_path: Path) -> None:
-    content = yaml.safe_load(small.path.read_text())
-    content["cameras"]["tower"]["judge_pictures"] = False
-    path = small.folder / "unjudged.yaml"
-    path.write_text(yaml.safe_dump(content))
-    summaries = run_offline(small.bag, path, ReplayOptions(), lambda done, total: None)
-    assert "noted.unusable.night" not in summaries[f"/{NAME}/tower/segmentation"]
-    assert summaries[f"/{NAME}/mast/segmentation"]["noted.unusable.night"] == str(len(DARK))
 
 
 def test_nodes_finish_after_those_that_they_listen_to(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltm_core.base.errors import StoreError
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry
@@ -12,11 +11,10 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
 from scenes.fuel_frames import camera_of, grid_of, message
 from scenes.outlets import Kept
-from scenes.own_disk import answer, fill, make_disk, mount, take_inodes
+from scenes.own_disk import answer, fill, make_disk
 
 FRAMES = 30
 MANY = 150
-SLOW_FRAMES = 30
 
 
 class Node:
@@ -75,25 +73,6 @@ def stopped_while_full(disk: Path, site: Path) -> list[dict[str, object]]:
     return states
 
 
-def lost(disk: Path, site: Path) -> list[dict[str, object]]:
-    """The same where somebody has taken the room that the store held, too."""
-    make_disk(disk, "4m")
-    node = Node(site, disk)
-    node.feed(0, 3)
-    for held in disk.glob(".*.reserve"):
-        held.unlink()
-    fill(disk)
-    node.feed(3, FRAMES)
-    try:
-        node.handler.finish()
-        said = ""
-    except StoreError as error:
-        said = str(error)
-    states = [node.state() | {"said": said}]
-    states.append(Node(site, disk).state())
-    return states
-
-
 def full_from_the_start(disk: Path, site: Path) -> list[dict[str, object]]:
     """There is no room for a store when the node starts."""
     make_disk(disk, "1m")
@@ -107,58 +86,6 @@ def full_from_the_start(disk: Path, site: Path) -> list[dict[str, object]]:
     return [*states, node.state()]
 
 
-def read_only(disk: Path, site: Path) -> list[dict[str, object]]:
-    """The disk turns read-only, as one with errors does, and is mended; another node is started meanwhile."""
-    make_disk(disk, "4m")
-    node = Node(site, disk)
-    node.feed(0, 3)
-    node.handler.finish()
-    states = [node.state()]
-    mount(disk, "-o", "remount,ro")
-    node = Node(site, disk)
-    node.feed(3, 6)
-    states.append(node.state())
-    mount(disk, "-o", "remount,rw")
-    node.handler.tick(retry.LONGEST_RETRY_S)
-    return [*states, node.state()]
-
-
-def no_inodes(disk: Path, site: Path) -> list[dict[str, object]]:
-    """There is room for bytes and none for another file, while a node runs and when one starts."""
-    make_disk(disk, "8m", inodes=40)
-    node = Node(site, disk)
-    node.feed(0, 3)
-    taken = take_inodes(disk)
-    node.feed(3, 6)
-    states = [node.state()]
-    node.handler.finish()
-    states.append(node.state())
-    taken += take_inodes(disk)
-    node = Node(site, disk)
-    node.feed(6, 9)
-    states.append(node.state())
-    for file in taken:
-        file.unlink()
-    node.handler.tick(retry.LONGEST_RETRY_S)
-    states.append(node.state())
-    node.handler.persistence.store.close()  # killed
-    return [*states, Node(site, disk).state()]
-
-
-def slow(disk: Path, site: Path) -> list[dict[str, object]]:
-    """Each fsync takes 2 s (`slow_fsync`): a disk that is about to fail, or an SD card."""
-    make_disk(disk, "8m")
-    node = Node(site, disk)
-    for number in range(0, SLOW_FRAMES, 10):
-        # Ten frames between two looks of the node at the clock: as they come while it waits for the disk.
-        for frame in range(number, number + 10):
-            node.handler.on_votes(camera_of(frame), message(frame, node.grid))
-        node.handler.tick(0.5)
-    states = [node.state()]
-    node.handler.persistence.store.close()  # killed
-    return [*states, Node(site, disk).state()]
-
-
 if __name__ == "__main__":
-    cases = (full, stopped_while_full, lost, full_from_the_start, read_only, no_inodes, slow)
+    cases = (full, stopped_while_full, full_from_the_start)
     answer({case.__name__: case for case in cases})

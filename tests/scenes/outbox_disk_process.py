@@ -11,7 +11,7 @@ from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_ros.region.tower_link import OPEN_S, TowerLink
 from ltm_ros.runtime.health import Health
-from scenes.own_disk import answer, fill, make_disk, mount, take_inodes
+from scenes.own_disk import answer, fill, make_disk, mount
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 
 SIZE = 30_000
@@ -99,35 +99,5 @@ def read_only(disk: Path, folder: Path) -> list[dict[str, object]]:
     return [*states, tower.state()]
 
 
-def no_inodes(disk: Path, folder: Path) -> list[dict[str, object]]:
-    """There is room for bytes and none for another file, while a tower runs and when one starts."""
-    make_disk(disk, "8m", inodes=20)
-    tower = Tower(folder, disk)
-    tower.offer(0, 3)
-    taken = take_inodes(disk)
-    tower.offer(3, 6)
-    states = [tower.state()]
-    tower.close()
-    taken += take_inodes(disk)
-    (disk / "outbox.sqlite.lock").unlink(missing_ok=True)
-    taken += take_inodes(disk)
-    tower = Tower(folder, disk)
-    tower.offer(6, 9)
-    states.append(tower.state())
-    for file in taken:
-        file.unlink()
-    tower.offer(9, 10, OPEN_S + 1)
-    return [*states, tower.state()]
-
-
-def slow(disk: Path, folder: Path) -> list[dict[str, object]]:
-    """Each fsync takes 2 s (`slow_fsync`): a disk that is about to fail, or an SD card."""
-    make_disk(disk, "8m")
-    tower = Tower(folder, disk)
-    tower.offer(0, 30)
-    tower.offer(30, 60)
-    return [tower.state()]
-
-
 if __name__ == "__main__":
-    answer({case.__name__: case for case in (full, read_only, no_inodes, slow)})
+    answer({case.__name__: case for case in (full, read_only)})

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,17 +75,6 @@ def answer(cases: dict[str, Callable[..., Any]]) -> None:
 def make_disk(folder: Path, size: str, inodes: int = 0) -> None:
     """`inodes`: names that it has room for, its own counted; 0: any number."""
     mount(folder, "-t", "tmpfs", "-o", f"size={size},nr_inodes={inodes}", "tmpfs")
-
-
-def take_inodes(folder: Path) -> list[Path]:
-    """Empty files that take all names that are free; remove them to have room again."""
-    taken = []
-    with contextlib.suppress(OSError):
-        while True:
-            descriptor, file = tempfile.mkstemp(dir=folder)
-            os.close(descriptor)
-            taken.append(Path(file))
-    return taken
 
 
 def fill(folder: Path) -> Path:

@@ -18,7 +18,7 @@ from ltm_msgs_py.bag.writer import Split
 from ltm_ros.recordings import bounded_recording
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits
 from ltm_ros.runtime.health import Health
-from scenes.own_disk import answer, fill, make_disk, mount, take_inodes
+from scenes.own_disk import answer, fill, make_disk
 
 STRING = "std_msgs/msg/String"
 WIDE = Split(1 << 40, 1 << 62)
@@ -128,19 +128,6 @@ def floor(disk: Path) -> Any:
     return [*states, site.state(), read(disk / "bag")]
 
 
-def full_from_the_start(disk: Path) -> Any:
-    """A recorder that starts on a full disk records as soon as there is room."""
-    make_disk(disk, "16m")
-    ballast = fill(disk)
-    site = Site(disk)
-    site.send(3)
-    states = [site.state()]
-    ballast.unlink()
-    site.send(5)
-    site.recording.close()
-    return [*states, site.state(), read(disk / "bag")]
-
-
 def killed(disk: Path) -> Any:
     """A recorder is killed; the next one ends the bag that it left."""
     make_disk(disk, "16m")
@@ -162,37 +149,6 @@ def killed(disk: Path) -> Any:
     return [before, site.state(), read(bag), left]
 
 
-def no_inodes(disk: Path) -> Any:
-    """There is room for bytes and none for another file: the next one of a recording cannot begin."""
-    make_disk(disk, "16m", inodes=40)
-    site = Site(disk, split=Split(500_000, 1 << 62))
-    site.send(3)
-    taken = take_inodes(disk)
-    site.send(60)  # the first file of these takes the name of the room that the recording holds
-    states = [site.state()]
-    for file in taken:
-        file.unlink()
-    site.send(20)
-    site.recording.close()
-    return [*states, site.state(), read(disk / "bag")]
-
-
-def read_only(disk: Path) -> Any:
-    """The disk turns read-only, as one with errors does, and is mended: the file of then stays as it is."""
-    make_disk(disk, "16m")
-    site = Site(disk, split=Split(200_000, 1 << 62))
-    site.send(10)
-    site.recording.close()
-    mount(disk, "-o", "remount,ro")
-    site = Site(disk, split=Split(200_000, 1 << 62))
-    site.send(5)
-    states = [site.state()]
-    mount(disk, "-o", "remount,rw")
-    site.send(10)
-    site.recording.close()
-    return [*states, site.state(), read(disk / "bag"), read(disk / "bag_1")]
-
-
 if __name__ == "__main__":
-    cases = (full, stopped_while_full, floor, full_from_the_start, killed, no_inodes, read_only)
+    cases = (full, stopped_while_full, floor, killed)
     answer({case.__name__: case for case in cases})

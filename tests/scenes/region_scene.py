@@ -7,9 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from rclpy.serialization import serialize_message
 
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
@@ -100,3 +102,13 @@ def write_region_scene(folder: Path, port: int = 8883, **changes: Any) -> Region
     (folder / "region.yaml").write_text(yaml.safe_dump(region | changes), encoding="utf-8")
     (folder / "map").mkdir(exist_ok=True)
     return RegionScene(folder, port)
+
+
+def same_map(one: LivingFuelMap, other: LivingFuelMap) -> bool:
+    """Return whether all cells of two maps, and the time of their newest frames, are the same to the bit."""
+    rows, cols = one.tiles
+    for key in [(row, col) for row in range(rows) for col in range(cols)]:
+        mine, theirs = one.tile_state(key), other.tile_state(key)
+        if any(not np.array_equal(mine[name], theirs[name]) for name in mine):
+            return False
+    return one.newest_ns == other.newest_ns

@@ -25,7 +25,6 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import UNLABELLED
-from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
@@ -77,17 +76,6 @@ class SmallSite:
     @property
     def bag(self) -> Path:
         return self.folder / "recording"
-
-    def cut_in_half(self, folder: Path) -> Path:
-        """A file in `folder` with the first half of the recording's bytes, in small chunks: as one that a power cut
-        has ended."""
-        with BagWriter(folder / "small_chunks", chunk_size=20_000) as bag:
-            for message in BagReader(self.bag).messages():
-                bag.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns)
-        whole = next((folder / "small_chunks").glob("*.mcap"))
-        cut = folder / "cut.mcap"
-        cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-        return cut
 
     @cached_property
     def site(self) -> Site:

@@ -180,35 +180,6 @@ def test_options_named_alone_exist(page: Path) -> None:
     assert named - all_options(described()) - all_options(described("ltm-lab")) - FOREIGN == set()
 
 
-def test_commands_are_found_at_all() -> None:
-    assert len([line for page in TODAYS for line in command_lines(page)]) > 60
-
-
-@pytest.mark.parametrize(
-    ("line", "fault"),
-    [
-        ("ltm replay bag --site s.yaml --offline", ""),
-        ("ltm replay bag --site s.yaml --ofline", "ltm replay has no option --ofline"),
-        ("ltm replay bag --site s.yaml  # or --ofline", "ltm replay has no option --ofline"),
-        ("ltm replay bag more", "ltm replay takes 1 arguments, not 2"),
-        ("ltm-lab eval BAG --report DIR", ""),
-        ("ltm-lab eval BAG --reprot DIR", "ltm-lab eval bag has no option --reprot"),
-        ("ltm-lab eval pose-watch FOLDER", ""),
-        ("ltm-lab bench traces", "ltm-lab bench has no command 'traces'"),
-        ("ltm-lab train look FOLDER", "ltm-lab train run takes 1 arguments, not 2"),
-        ("ltm export a.ltm --out b --format landscape", ""),
-        ("ltm export a.ltm --out b --format landscapes", "ltm export --format is one of"),
-        ("ltm export a.ltm --out --crs EPSG:5070", "ltm export --out wants a value"),
-        ("ltm record --out bag  # or `ltm run --recrod bag`", "ltm run has no option --recrod"),
-        ("ltm repaly bag", "ltm has no command 'repaly'"),
-    ],
-)
-def test_the_check_itself(line: str, fault: str) -> None:
-    found = faults(line)
-    assert len(found) == bool(fault)
-    assert not fault or found[0].startswith(fault)
-
-
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_make_targets_exist(page: Path) -> None:
     targets = set(re.findall(r"^([a-z][a-z-]*):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))

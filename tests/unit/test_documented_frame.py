@@ -1,5 +1,3 @@
-"""docs/how/one_frame.md lists the files that a frame passes, in order. The imports of these files confirm the list."""
-
 from __future__ import annotations
 
 import ast
@@ -21,13 +19,6 @@ def imported(file: str) -> set[str]:
 def test_at_most_twelve_files() -> None:
     assert 10 <= len(FILES) <= 12
     assert len({*FILES}) == len(FILES)
-
-
-def test_each_file_imports_or_is_imported_by_another_one() -> None:
-    imports = {file: imported(file) & {*FILES} for file in FILES}
-    linked = {file for file in FILES if imports[file]} | set().union(*imports.values())
-    # The first file hands its frame on as messages.
-    assert linked | {FILES[0]} == {*FILES}
 
 
 def test_the_list_is_one_chain() -> None:

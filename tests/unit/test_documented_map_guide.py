@@ -1,5 +1,3 @@
-"""The guide *from the map to QGIS and a fire*, command by command, on the store of a small site."""
-
 from __future__ import annotations
 
 import json

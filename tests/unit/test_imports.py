@@ -114,24 +114,6 @@ def test_the_product_never_imports_the_laboratory() -> None:
     assert not crossing
 
 
-def test_one_function_opens_rasters_and_one_compares_crss() -> None:
-    opening, comparing = set(), set()
-    for top in ("ltm_core", "ltm_msgs_py", "ltm_ros"):
-        for module, path in modules(top).items():
-            for node in ast.walk(parsed(path)):
-                if isinstance(node, ast.Call) and ast.unparse(node.func) == "rasterio.open":
-                    modes = [ast.unparse(mode) for mode in node.args[1:2]]
-                    opening |= {module} if modes not in (["'w'"], ["'r+'"]) else set()
-                if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.Eq | ast.NotEq):
-                    sides = [ast.unparse(side) for side in (node.left, *node.comparators)]
-                    if any(re.search(r"(^|[._])crs$|^CRS\(|read_crs\(", side) for side in sides):
-                        comparing.add(f"{module}: {ast.unparse(node)}")
-                if isinstance(node, ast.Attribute) and node.attr in ("equals", "is_exact_same"):
-                    comparing |= {module} if "pyproj" in path.read_text(encoding="utf-8") else set()
-    assert opening == {"ltm_core.raster.raster_io"}
-    assert comparing == {"ltm_core.geometry.geodesy"}
-
-
 def test_the_product_imports_no_package_that_it_does_not_install() -> None:
     own = {"ltm_core", "ltm_msgs_py", "ltm_ros", ""}
     allowed = TOWER | set(ON_DEMAND) | ROS | own | set(sys.stdlib_module_names)
@@ -229,18 +211,3 @@ def test_algorithms_do_not_know_the_site_file() -> None:
     above = {"ltm_core.site", "ltm_core.pipeline"}
     reading = {name for name, needed in folders().items() if name.startswith("ltm_core.") and needed & above}
     assert reading <= above
-
-
-def test_every_way_to_import_is_seen() -> None:
-    source = """
-import a.b, c as d
-from e.f import g
-from . import h
-def late():
-    from i import j
-    import importlib
-    importlib.import_module("k.l")
-    __import__("m")
-"""
-    expected = {"a.b", "c", "e.f", "e.f.g", "own", "own.h", "i", "i.j", "importlib", "k.l", "m"}
-    assert set(imported(ast.walk(ast.parse(source)), "own")) == expected

@@ -1,5 +1,3 @@
-"""The container runs what the service runs."""
-
 from __future__ import annotations
 
 import json

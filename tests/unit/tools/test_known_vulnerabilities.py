@@ -1,5 +1,3 @@
-"""What `make audit` says of pip-audit's answers: never that all is well where nobody was asked."""
-
 from __future__ import annotations
 
 import json

@@ -1,10 +1,7 @@
-"""The complete site file is a site, has every key, and is what its tool writes now."""
-
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import get_args
 
 from pydantic import BaseModel
@@ -12,8 +9,6 @@ from site_file import FILE, written
 
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-
-MINIMAL = FILE.with_name("minimal.yaml")
 
 
 def keys(model: type[BaseModel]) -> Iterator[str]:
@@ -39,8 +34,3 @@ def test_it_loads_and_has_every_key() -> None:
     given = set(re.findall(r"^ *(?:- |# )?(\w+):", text, re.MULTILINE))
     assert len(given) > 200
     assert set(keys(Site)) - given == {"coarser"}  # the rest of a list of DEMs
-
-
-def test_the_minimal_file_has_eight_lines(tmp_path: Path) -> None:
-    assert len(MINIMAL.read_text(encoding="utf-8").splitlines()) == 8
-    assert load_site(MINIMAL).health is not None

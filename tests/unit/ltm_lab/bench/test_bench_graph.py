@@ -1,17 +1,13 @@
-"""The graph benchmark's parts: a site that loads, and frames that its cameras' nodes can read."""
-
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
 from rclpy.serialization import deserialize_message
-from typer.testing import CliRunner
 
 from ltm_core.base.resources import project_path
 from ltm_core.site.site_io import load_site
 from ltm_lab.bench.graph_site import SENT, Load, stamped, write_site
-from ltm_lab.cli.bench import bench
 from ltm_msgs_py.image import compressed_size
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
@@ -43,20 +39,3 @@ def test_every_camera_has_frames_of_a_tower(tmp_path: Path, fusion: bool) -> Non
             assert compressed_size(parts["image"]) == (model.width, model.height) == (1920, 1080)
         places.add((camera, *msg_to_pose(parts["pose"], "map").position))
     assert len({place[1:] for place in places}) == 2, "two towers, the third camera looks from the first"
-
-
-def test_a_finer_dem_shows_the_same_terrain(tmp_path: Path) -> None:
-    demo = project_path("bags/demo")
-    traffic = write_site(tmp_path, demo, Load(1, patrol=False, dem_size=1000))
-    assert traffic.frames == 1
-    finer, dem = (load_site(path).open_dem() for path in (traffic.site, demo / "site.yaml"))
-    assert finer.geometry.shape == (1000, 1000)
-    assert finer.geometry.bounds == dem.geometry.bounds
-    x, y = 1234.5, 2871.0
-    assert abs(float(finer.elevation_at(x, y)) - float(dem.elevation_at(x, y))) < 0.5
-
-
-@pytest.mark.parametrize("option", ["--cameras=two", "--rates=0", "--processes=one"])
-def test_numbers_that_make_no_run_are_refused(option: str) -> None:
-    result = CliRunner().invoke(bench, ["graph", option])
-    assert result.exit_code == 2

@@ -1,5 +1,3 @@
-"""`ltm-lab simulate`: bad scenarios end with the file, the line and the remedy; what it writes."""
-
 from __future__ import annotations
 
 import json
@@ -11,17 +9,12 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
-from PIL import Image
 
 from ltm_core.base.errors import LtmError
-from ltm_core.cameras.sensor_pose import phone_camera
-from ltm_core.raster.dem import Dem
 from ltm_lab.cli.main import cli
 from ltm_lab.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.recordings.importing.capture_files import CaptureFiles
-from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger
 
 SCENARIO = """name: tiny
 seed: 3
@@ -92,68 +85,3 @@ def test_a_phone_s_errors_reach_the_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(was.position, frame["position"], atol=1e-6)
         assert stamp.sec * 10**9 + stamp.nanosec - frame["stamp_ns"] == round(PHONE.clock_offset_s * 1e9)
     assert told[0][0].position[2] != true[0][0].position[2]
-
-
-@pytest.mark.slow
-def test_a_walk_is_written_as_a_phone_stores_it(tmp_path: Path) -> None:
-    """Photos, recording and list are of the frames, the recording's poses those that its sensors reported."""
-    text = SCENARIO.partition("dates:")[0] + (
-        "walks:\n  - {name: hiker, path: [[60, 60], [90, 70]], stops: 2, photos: 1, azimuth_deg: [10, 40], "
-        "portrait: [false, true], geoid_undulation: -35.0}\n"
-    )
-    simulate(tmp_path, text, "--phone", str(tmp_path / "phone"))
-    frames = json.loads((tmp_path / "out/frames.json").read_text())["frames"]
-    sizes = [Image.open(path).size for path in sorted((tmp_path / "phone/photos").iterdir())]
-    assert sizes == [(48, 32), (48, 32)]  # a portrait is stored on its side
-    track = read_sensor_logger(CaptureFiles(tmp_path / "phone/sensor_logger.zip"))
-    for frame, turned in zip(frames, (90.0, 0.0), strict=True):
-        told = frame["reported"]
-        sensed = track.at(told["stamp_ns"], phone_camera(turned))
-        assert sensed.pitch_deg == pytest.approx(told["pitch_deg"], abs=0.05)
-        assert sensed.altitude == pytest.approx(told["position"][2], abs=0.3)
-    assert len((tmp_path / "phone/true_poses.csv").read_text().splitlines()) == 3
-
-
-def test_the_ground_raster_is_the_ground(tmp_path: Path) -> None:
-    simulate(tmp_path, SCENARIO, "--site-only")
-    ground = Dem.open(tmp_path / "out/truth/before/ground.tif")
-    assert (ground.geometry.resolution, ground.geometry.shape) == (4.0, (60, 60))
-    fine = Dem.open(tmp_path / "out/truth/before/bare_earth.tif")
-    x, y = fine.geometry.to_map(*np.mgrid[4:236, 4:236])
-    np.testing.assert_allclose(fine.elevation[4:236, 4:236], ground.elevation_at(x, y), atol=2e-3)
-
-
-EVERYTHING = """name: whole
-seed: 8
-image: {width: 56, height: 36}
-truth_step: 2
-imaging: {samples: 1}
-terrain: {size: 240.0, surroundings: 512.0, resolution: 4.0, relief: 60.0}
-vegetation: {detail_radius: 90.0, grass_radius: 10.0, houses: 3}
-lakes: [{x: 120.0, y: 120.0, depth: 1.0, radius: 30.0}]
-smoke: [{x: 150.0, y: 190.0, height: 60.0, drift: 50.0, puffs: 40}]
-dates:
-  - {name: before}
-  - {name: after, years: 1.0}
-changes:
-  - {kind: burn, years: 0.9, mask: {box: [20, 150, 100, 220]}}
-  - {kind: landslide, years: 0.9, depth: 3.0, mask: {circle: [180, 180, 35]}}
-cameras:
-  - {name: walker, x: 120.0, y: 60.0, mast: 20.0, sensor: phone, patrol: {azimuth_deg: [10], pitch_deg: [4]}}
-"""
-
-
-@pytest.mark.slow
-def test_a_seed_gives_every_byte_and_another_another_landscape(tmp_path: Path) -> None:
-    """Smoke, water, houses, changes and a phone's sensors: what a run leaves is a function of the seed."""
-    runs: list[dict[str, bytes]] = []
-    for seed in (8, 8, 9):
-        out = tmp_path / "out"
-        simulate(tmp_path, EVERYTHING.replace("seed: 8", f"seed: {seed}"))
-        runs.append({str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()})
-        out.rename(tmp_path / f"out{len(runs)}")
-    first, again, other = runs
-    assert len([name for name in first if name.endswith("_truth.npz")]) == 2
-    assert first.keys() == again.keys() == other.keys()
-    assert [name for name in first if first[name] != again[name]] == []
-    assert [name for name in first if first[name] == other[name]] == []

@@ -1,5 +1,3 @@
-"""Named areas of real photos: the list holds together, and scores are those of hand-made answers."""
-
 from __future__ import annotations
 
 import csv
@@ -55,10 +53,3 @@ def test_every_photo_counts_by_the_share_of_its_areas() -> None:
     assert score.unlabelled == pytest.approx(0.01 / 0.4)
     assert score.tree_as_shrub == 0.5
     assert score.land_as_sky_or_water == pytest.approx(0.05 / 0.4)
-
-
-def test_risk_falls_where_the_wrong_pixels_are_the_least_sure() -> None:
-    right, wrong = _answer(Label.BARE, [Label.BARE] * 8, 0.8, 0.9), _answer(Label.BARE, [Label.SKY] * 2, 0.2, 0.3)
-    score = area_score([right, wrong])
-    assert score.risk == pytest.approx(0.2)
-    assert score.risk_at_80 == 0.0

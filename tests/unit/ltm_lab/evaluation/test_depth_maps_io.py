@@ -1,5 +1,3 @@
-"""Depth maps of others: files, units, sizes, and the fit of those without a scale."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -65,15 +63,3 @@ def test_files(tmp_path: Path) -> None:
     (tmp_path / "north/10.npy").write_bytes(b"none")
     with pytest.raises(ImageError, match=r"10\.npy is damaged"):
         read_depth_map(tmp_path, "north", 10, (1, 3))
-
-
-def test_a_rotated_map_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "north").mkdir()
-    for stamp, shape in enumerate([(12, 8), (120, 80), (8, 12), (10, 10), (24, 30)]):
-        np.save(tmp_path / f"north/{stamp}.npy", np.ones(shape, np.float32))
-    for stamp, rows in ((0, 12), (1, 120)):
-        with pytest.raises(ImageError, match=f"{rows} x .* are rotated; the image has 8 x 12"):
-            read_depth_map(tmp_path, "north", stamp, (8, 12))
-    for stamp in (2, 3, 4):  # any other size is a network's own
-        assert read_depth_map(tmp_path, "north", stamp, (8, 12)).size
-    assert read_depth_map(tmp_path, "north", 0, (12, 12)).size, "a square image has no side"

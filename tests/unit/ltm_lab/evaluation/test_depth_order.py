@@ -1,12 +1,8 @@
-"""Pairs of points in the right order."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scenes.depth_order import depth_order
-
-from ltm_core.base.errors import ImageError
 
 
 def test_pairs_that_are_clearly_apart_are_counted() -> None:
@@ -20,8 +16,3 @@ def test_ties_are_wrong_and_inverse_depth_is_given_negative() -> None:
     assert depth_order([2.0, 2.0], [10.0, 20.0]).right == 0.0
     assert depth_order(-np.array([0.5, 0.1]), [10.0, 20.0]).right == 1.0
     assert np.isnan(depth_order([1.0], [2.0]).right)
-
-
-def test_lengths_must_agree() -> None:
-    with pytest.raises(ImageError, match=r"order of \(2,\) estimates"):
-        depth_order([1.0, 2.0], [1.0])

@@ -1,5 +1,3 @@
-"""Scores of a fuel map on a recording, and how a network's errors correlate, by cases that are known."""
-
 from __future__ import annotations
 
 import json
@@ -10,9 +8,8 @@ import pytest
 from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, grid_of, write_site
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.fuel.class_map import write_fuel_map
-from ltm_core.fuel.label_errors import UNMEASURED, LabelCorrelation, LabelErrors, stated_errors
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -21,7 +18,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
-from ltm_lab.evaluation.fuel.trial_score import scaled, users_accuracy
+from ltm_lab.evaluation.fuel.trial_score import users_accuracy
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_lab.resources import lab_config
 from ltm_msgs_py.bag.writer import BagWriter
@@ -123,12 +120,6 @@ def test_errors_beyond_what_was_known_are_the_networks() -> None:
     assert found.network == pytest.approx(2 * 0.1**2 / (1 - 0.9**2 - 0.1**2), abs=0.02)
 
 
-def test_one_camera_tells_nothing_of_two() -> None:
-    frames = [drawn(np.full((SIDE, SIDE), 0.5), "north", second) for second in (1, 2)]
-    found, _ = label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.3), 3.0)
-    assert found.network == found.view < 1
-
-
 def test_odds_that_a_label_shows_open_ground() -> None:
     """Of a patch worth 2 / (1 + 0.5) cells, grass and bare ground as likely as shrubs and trees."""
     shares = np.eye(len(LifeForm))
@@ -142,29 +133,6 @@ def test_odds_that_a_label_shows_open_ground() -> None:
     assert odds[0] == 0
     shares[1] = np.nan
     assert not LabelErrors(shares, correlation).open_odds().any()
-
-
-def test_label_errors_that_are_none(tmp_path: Path) -> None:
-    path = tmp_path / "errors.yaml"
-    for content, message in (
-        ("source: x\nshares: {heath: {grass: 1}}", "shares.heath"),
-        ("source: x\ncorrelation: {cell: 0.2, stand: 0.1, view: 0.4, network: 0.1}", "must fall from cell"),
-        ("source: x\ncorrelation: {cell: 1.2, stand: 0.1, view: 0.4, network: 0.1}", "less than or equal to 1"),
-    ):
-        path.write_text(content, encoding="utf-8")
-        with pytest.raises(ConfigError, match=message):
-            stated_errors(path)
-    path.write_text("source: x\ncorrelation: {cell: 0.4, stand: 0.1, view: 0.2, network: 0.1}", encoding="utf-8")
-    loaded = stated_errors(path)
-    np.testing.assert_array_equal(loaded.shares, UNMEASURED.shares)
-    assert loaded.correlation == LabelCorrelation(cell=0.4, stand=0.1, view=0.2, network=0.1)
-
-
-def test_networks_with_more_and_fewer_errors() -> None:
-    half, many = scaled(ERRORS, 0.5), scaled(ERRORS, 99)
-    assert half.shares[1, 1] == pytest.approx(0.90)
-    assert many.shares[1, 1] == pytest.approx(0.10)
-    np.testing.assert_allclose(half.shares[:6].sum(axis=1), 1)
 
 
 @pytest.fixture
@@ -205,9 +173,3 @@ def test_a_recording_scored(recorded: Recorded, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "cells of grass are mostly labelled tree 100%" in result.output
     assert json.loads(figures.read_text())["maps"][0]["right"] == pytest.approx(2 / 3)
-
-
-def test_a_recording_without_votes_or_truth(recorded: Recorded, tmp_path: Path) -> None:
-    (tmp_path / "fuel_truth.tif").unlink()
-    with pytest.raises(RecordingError, match="--truth"):
-        score_fuel_bag(Recorded.find(recorded.bag, recorded.site_path))

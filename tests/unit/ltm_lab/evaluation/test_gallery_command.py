@@ -1,5 +1,3 @@
-"""`ltm-lab eval gallery` on made photos of towers, and what it says without data."""
-
 from __future__ import annotations
 
 import json
@@ -48,11 +46,3 @@ def test_a_page_with_a_sheet_for_each_photo_the_worst_first(tmp_path: Path) -> N
     assert {"name": "water by hand (500 px) is called"}.items() <= next(
         fact.items() for fact in named["facts"] if fact["name"].startswith("water")
     )
-
-
-def test_without_data_nothing_is_written_and_what_is_missing_is_named(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    done = CliRunner().invoke(cli, ["eval", "gallery", "--data", str(tmp_path / "none"), "--out", str(out)])
-    assert done.exit_code != 0
-    assert "engabreen/IMG_8902.jpg" in f"{done.output}{done.exception}"
-    assert not out.exists()

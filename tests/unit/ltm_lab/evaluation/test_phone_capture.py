@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scenes.phone_site import FRAME, ORIGIN, imported, phone_site, picture, taken
 
-from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.pose import Pose
 from ltm_lab.evaluation.phone_capture import write_phone_capture
 from ltm_ros.recordings.importing.assumptions import Assumptions
@@ -80,15 +79,3 @@ def test_photos_recording_and_truth_of_one_walk(tmp_path: Path) -> None:
         assert by_exif.angles_deg[0] == pytest.approx(told.pose.angles_deg[0], abs=1e-3)
         np.testing.assert_allclose(by_list.angles_deg, truth.angles_deg, atol=1e-4)
         np.testing.assert_allclose(by_list.position, truth.position, atol=1e-3)
-
-
-def test_what_is_no_walk_or_there_already_is_told(tmp_path: Path) -> None:
-    frames(tmp_path / "none", [])
-    with pytest.raises(RecordingError, match="frames of 0 walks"):
-        write_phone_capture(tmp_path / "none", tmp_path / "out")
-    with pytest.raises(RecordingError, match="no index of simulated frames"):
-        write_phone_capture(tmp_path / "absent", tmp_path / "out")
-    frames(tmp_path / "frames")
-    write_phone_capture(tmp_path / "frames", tmp_path / "out")
-    with pytest.raises(RecordingError, match="is not empty"):
-        write_phone_capture(tmp_path / "frames", tmp_path / "out")

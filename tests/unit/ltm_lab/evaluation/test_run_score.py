@@ -1,17 +1,12 @@
-"""A bag scored as a whole: every part that it has, by counted cases, and every part that it lacks, by name."""
-
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 from std_msgs.msg import String
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.fuel.class_map import write_fuel_map
@@ -23,9 +18,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.scoring.fuel import Share
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.cli.eval.score_table import print_table
-from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.run_score import BagScore, score_bag
+from ltm_lab.evaluation.run_score import score_bag
 from ltm_lab.evaluation.score_tables import as_json, tables
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
@@ -152,105 +145,6 @@ def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded) -> None
     for source, bias in (("traced", 3), ("fused", -1)):
         whole = rows[source].scores[-1]
         assert (whole.pixels, whole.bias) == (2 * 4 * 9, pytest.approx(bias, abs=1e-4))
-
-
-def test_sources_without_a_common_pixel_are_reported(recorded: Recorded, tmp_path: Path) -> None:
-    """Traced depth in the left half, fused in the right."""
-    left = depth_image()
-    left[:, 9:] = np.nan
-    right = depth_image()
-    right[:, :9] = np.nan
-    with BagWriter(tmp_path / "halves") as bag:
-        for topic, message in {
-            "camera_info": camera_to_msg(CAMERA, 5, "c"),
-            "pose": pose_to_msg(POSE, 5),
-            "truth/camera_info": camera_to_msg(CAMERA.scaled(STEP), 5, "c"),
-            "truth/depth": depth_to_msg(depth_image()[::STEP, ::STEP], 5, "c"),
-            "depth/image": depth_to_msg(left, 5, "c"),
-            "fused/depth": depth_to_msg(right, 5, "c"),
-        }.items():
-            bag.write(f"/ridge/north/{topic}", message, 5)
-    score = score_bag(Recorded.find(tmp_path / "halves", recorded.site_path, tmp_path))
-    assert {row.source for row in score.depth} == {"traced", "fused"}
-    assert not [row for row in score.depth if row.against == SHARED]
-    assert any(reason.startswith("depth, shared: no pixel") for reason in score.lacking)
-
-
-def test_tables_and_json(recorded: Recorded) -> None:
-    score = score_bag(recorded)
-    console = Console(width=200, record=True)
-    for table in tables(score):
-        print_table(console, table.title, table.columns, table.rows, table.note)
-    text = console.export_text()
-    for word in (
-        "traced, surface",
-        "100-300 m",
-        "macro mean",
-        "confusion",
-        "skyline",
-        "fuel cells",
-        "latency",
-        "fused",
-    ):
-        assert word in text
-    content = json.loads(json.dumps(as_json(score), allow_nan=False))
-    assert content["fuel"]["right"] == 5
-    assert content["depth"][0]["scores"][0]["near"] == 0
-    assert content["labels"]["macro_f1"] == pytest.approx(np.mean(_true_f1(score)))
-
-
-def _true_f1(score: BagScore) -> list[float]:
-    assert score.labels is not None
-    confusion = score.labels.confusion[:, :-1]
-    values = []
-    for k in range(len(confusion)):
-        if confusion[k].sum():
-            precision = confusion[k, k] / confusion[:, k].sum() if confusion[:, k].sum() else 0.0
-            recall = confusion[k, k] / confusion[k].sum()
-            values.append(2 * precision * recall / (precision + recall) if precision + recall else 0.0)
-    return values
-
-
-def test_what_is_lacking(tmp_path: Path, recorded: Recorded) -> None:
-    with BagWriter(tmp_path / "bare") as bag:
-        bag.write("/ridge/north/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
-    score = score_bag(Recorded.find(tmp_path / "bare", recorded.site_path, tmp_path))
-    named = " | ".join(score.lacking)
-    for part in (
-        "no truth/depth",
-        "depth, traced",
-        "depth, network",
-        "depth, fused",
-        "labels: ",
-        "latency: ",
-        "skyline",
-    ):
-        assert part in named
-    assert "fuel cells: the bag has no fuel_map" in named
-    assert [table.title for table in tables(score)] == ["lacking"]
-    result = CliRunner().invoke(cli, ["eval", str(tmp_path / "bare"), "--site", str(recorded.site_path)])
-    assert isinstance(result.exception, RecordingError)
-    assert "could not be scored" in str(result.exception)
-
-
-def test_command(recorded: Recorded, tmp_path: Path) -> None:
-    out = tmp_path / "scores/all.json"
-    result = CliRunner().invoke(cli, ["eval", str(recorded.bag), "--json", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "lacking depth, network" in " ".join(result.output.split())
-    assert json.loads(out.read_text())["frames_with_truth"] == 4
-
-
-def test_site_is_found_or_asked_for(recorded: Recorded, tmp_path: Path) -> None:
-    assert recorded.site_path == tmp_path / "run/site.yaml"
-    with BagWriter(tmp_path / "a/b/c") as bag:
-        bag.write("/demo/tower_north/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
-    assert Recorded.find(tmp_path / "a/b/c").site.name == "demo"
-    with BagWriter(tmp_path / "a/b/d") as bag:
-        bag.write("/nowhere/x/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
-    with pytest.raises(RecordingError, match="--site"):
-        Recorded.find(tmp_path / "a/b/d")
-    assert math.isfinite(score_bag(recorded).depth[0].coverage)
 
 
 def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:

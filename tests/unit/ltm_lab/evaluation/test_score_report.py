@@ -1,5 +1,3 @@
-"""The report of an evaluation: its figures are drawn from what the bag has, and what it lacks is said."""
-
 from __future__ import annotations
 
 from pathlib import Path

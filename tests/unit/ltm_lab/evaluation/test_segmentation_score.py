@@ -1,5 +1,3 @@
-"""`ltm-lab eval segmentation`: a network whose answers are known, scored on frames with truth."""
-
 from __future__ import annotations
 
 import json
@@ -11,14 +9,10 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import read_frames
 from ltm_core.scoring.labels import CalibrationScore
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli import main
-from ltm_lab.evaluation.segmentation.network_score import score_frames
 from ltm_lab.training.finish import fit_temperature
 
 
@@ -60,23 +54,6 @@ def test_scores_of_two_networks_are_those_of_their_answers(tmp_path: Path) -> No
     assert near["colors"]["f1"]["tree"] is None
 
 
-def test_skylines_are_compared_where_only_every_fourth_pixel_has_truth(tmp_path: Path) -> None:
-    _frame(tmp_path, "0001", shift=8)
-    labels = cv2.imread(str(tmp_path / "0001_labels.png"), cv2.IMREAD_UNCHANGED)
-    cv2.imwrite(str(tmp_path / "0001_labels.png"), labels[::4, ::4])
-    (frame,) = read_frames(tmp_path, 7, sampled=True)
-    score = score_frames(Segmenter.open(write_classifier(tmp_path, stride=1)), [frame])
-    assert score.skyline.columns == 60  # of 64, four of them unlabelled
-    assert score.skyline.median == pytest.approx(16.0, abs=3.0)
-
-
-def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    result = CliRunner().invoke(main.cli, ["eval", "segmentation", str(tmp_path)])
-    assert isinstance(result.exception, RecordingError)
-    assert "NAME_labels.png" in str(result.exception)
-
-
 def test_calibration_error_is_the_gap_between_confidence_and_right() -> None:
     truth = np.zeros((4, 25), np.uint8)
     found = truth.copy()
@@ -96,17 +73,6 @@ def test_the_temperature_that_was_applied_is_found() -> None:
     edges = np.cumsum(weights / weights.sum(axis=1, keepdims=True), axis=1)
     labels = (rng.random((6000, 1)) > edges).sum(axis=1).astype(np.uint8)
     assert fit_temperature(logits, labels) == pytest.approx(2.5, rel=0.08)
-
-
-def test_sets_count_alike_in_the_confusion() -> None:
-    many = np.array([[900, 100, 0], [0, 50, 0]])
-    few = np.array([[5, 5, 0], [0, 0, 0]])
-    matrix = balanced([many, few])
-    np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
-    np.testing.assert_allclose(matrix[0], [0.7, 0.3], atol=2e-3)
-    assert 0.0 < matrix[1, 0] < 2e-3
-    nothing = balanced([np.zeros((3, 4), np.int64)])
-    assert np.all(np.diagonal(nothing) > 0.5)
 
 
 def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: Path) -> None:
@@ -135,30 +101,3 @@ def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: P
     assert score["macro_f1"] == pytest.approx(score["f1"]["sky"])
     assert score["pixels"] == 15 * 60
     assert cv2.imread(str(tmp_path / "drawn" / "photos_b_colors.png")).shape[1] == 2 * 60
-
-
-@pytest.mark.parametrize(
-    ("areas", "said"),
-    [
-        ([{"image": "b.jpg", "class": "moss", "polygon": [[0, 0], [5, 0], [5, 5]]}], "'moss'"),
-        ([{"image": "../b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]}], "image"),
-        ([{"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0]]}], "polygon"),
-        ({"image": "b.jpg"}, "list"),
-    ],
-)
-def test_areas_that_cannot_be_taken_are_refused_in_words(tmp_path: Path, areas: object, said: str) -> None:
-    (tmp_path / "polygons.json").write_text(json.dumps(areas))
-    with pytest.raises((ConfigError, RecordingError), match=said):
-        read_frames(tmp_path, 7)
-
-
-def test_risk_at_a_coverage_is_that_of_the_surest_pixels() -> None:
-    truth = np.array([[1, 1, 1, 1, 1, 1, 1, 1, 1, UNLABELLED]], np.uint8)
-    given = np.array([[1, 1, 1, 1, 2, 1, 2, 2, UNLABELLED, 2]], np.uint8)
-    sure = np.array([[250, 250, 200, 200, 100, 100, 50, 50, 0, 255]], np.uint8)
-    risk = CalibrationScore.empty().plus(truth, given, sure, 7)
-    assert risk.risk(1.0) == pytest.approx(3 / 8)
-    assert risk.risk(0.5) == 0.0
-    assert risk.risk(0.75) == pytest.approx(1 / 6)
-    assert risk.risk(0.625) == pytest.approx(0.1)  # of two pixels alike in confidence, one wrong: half of each counts
-    assert np.isnan(CalibrationScore.empty().risk(0.8))

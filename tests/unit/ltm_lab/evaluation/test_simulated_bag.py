@@ -1,5 +1,3 @@
-"""Simulated frames as a recording."""
-
 from __future__ import annotations
 
 import json
@@ -10,17 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_lab.evaluation.simulated_bag import write_simulated_bag
-from ltm_lab.simulator.scenario import LAST_NS
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
-from ltm_msgs_py.stamp import LATEST_NS, stamp_of
+from ltm_msgs_py.stamp import stamp_of
 
 CAMERA = Camera(30, 18, 25.0, 26.0, 14.0, 9.0, (-0.1, 0.02, 0.0, 0.001, 0.0))
 STEP = 4
@@ -89,33 +85,3 @@ def test_a_frame_as_its_messages(simulated: Path, tmp_path: Path) -> None:
             assert np.isinf(exact[0]).all()
             np.testing.assert_allclose(msg_to_depth(of[topic]), exact, rtol=6.2e-5)
             assert not np.allclose(truth[name][1:], exact[1:], rtol=1e-3)
-
-
-def test_a_folder_without_index(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"frames\.json: no index of simulated frames.*ltm-lab simulate"):
-        write_simulated_bag(tmp_path, tmp_path / "bag", "ridge")
-
-
-def test_a_missing_picture(simulated: Path, tmp_path: Path) -> None:
-    (simulated / "0001.png").unlink()
-    with pytest.raises(RecordingError, match=r"0001\.png: the frame's picture is missing"):
-        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
-    assert not (tmp_path / "bag").exists(), "half a recording looks like a whole one"
-
-
-def test_truth_that_is_broken(simulated: Path, tmp_path: Path) -> None:
-    (simulated / "0001_truth.npz").write_bytes(b"PK but no archive")
-    with pytest.raises(RecordingError, match=r"0001_truth\.npz: no truth of the frame"):
-        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
-
-
-def test_what_stands_there_already_is_kept(simulated: Path, tmp_path: Path) -> None:
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "precious.txt").write_text("keep")
-    with pytest.raises(RecordingError, match="exists already"):
-        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
-    assert (tmp_path / "bag" / "precious.txt").read_text() == "keep"
-
-
-def test_the_simulator_refuses_dates_that_no_stamp_holds() -> None:
-    assert LAST_NS == LATEST_NS

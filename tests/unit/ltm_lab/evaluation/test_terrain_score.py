@@ -1,5 +1,3 @@
-"""How trials are summed up over seeds, and frames with truth scored."""
-
 from __future__ import annotations
 
 import numpy as np

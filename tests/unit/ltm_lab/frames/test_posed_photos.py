@@ -1,5 +1,3 @@
-"""Photos of a recording with the calibration and the pose that were recorded with them."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The simulator's ground and vegetation of a real site: its own heights, and the life forms of its fuel map."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -8,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_lab.frames.posed_photos import photos_of
 from ltm_lab.simulator.landcover import GRASS, TREE
 from ltm_lab.simulator.real_site import Rendered, scenario_of, simulated_site, views_of
 
@@ -64,18 +60,6 @@ def test_a_frame_has_the_pose_of_its_camera(site: Site) -> None:
     assert (scenario.crs, scenario.origin, scenario.imaging.samples) == (CRS, (X, Y), 4)
 
 
-def test_a_photo_gets_the_size_of_its_rendering(site: Site) -> None:
-    dem = site.open_dem()
-    (view,) = views_of(site, dem)
-    rendered = Rendered.of(view.name, view, dem)
-    photo = np.zeros((1080, 1920, 3), np.uint8)
-    photo[:, 961:] = 200  # an edge between the two pixels of one in the rendering
-    small = np.asarray(rendered.like(photo))
-    np.testing.assert_array_equal(small[270, 479:482, 0], [0, 100, 200])
-    with pytest.raises(ConfigError):
-        rendered.like(photo[:, :1080])
-
-
 def test_a_photo_is_paired_without_the_distortion_of_its_lens(site: Site) -> None:
     dem = site.open_dem()
     (view,) = views_of(site, dem)
@@ -93,15 +77,3 @@ def test_a_photo_is_paired_without_the_distortion_of_its_lens(site: Site) -> Non
     small = rendered.shot.camera
     assert cols.mean() == pytest.approx(small.cx + small.fx * x, abs=0.6)
     assert rows.mean() == pytest.approx(small.cy + small.fy * y, abs=0.6)
-
-
-def test_photos_belong_to_the_camera_that_they_name(tmp_path: Path) -> None:
-    for name in ("north/a.jpg", "north_east/b.png", "north_1.jpg", "notes.txt", "other.jpg"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    found = photos_of(tmp_path, ["north", "north_east"])
-    assert [path.name for path in found["north"]] == ["a.jpg", "north_1.jpg"]
-    assert [path.name for path in found["north_east"]] == ["b.png"]
-    assert len(photos_of(tmp_path, ["west"])["west"]) == 4  # of a site with one camera
-    with pytest.raises(ConfigError, match="no photo"):
-        photos_of(tmp_path, ["west", "east"])

@@ -1,5 +1,3 @@
-"""Scenario files that cannot be: messages that name the key and, for one value, its line."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,21 +1,16 @@
-"""Changes between the dates of a simulated site: masks, stands, ground."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.simulated_ground import BOX, GRID, after, cover, inside_box, terrain
+from scenes.simulated_ground import BOX, GRID, after, inside_box, terrain
 
 from ltm_lab.simulator.changes import (
-    Burn,
     Conversion,
-    Cut,
     Landslide,
     MaskConfig,
-    Thinning,
 )
-from ltm_lab.simulator.landcover import BARE, GRASS, SHRUB, TREE
-from ltm_lab.simulator.stand import changed_terrain, mask_weights, stand_at
+from ltm_lab.simulator.landcover import GRASS, SHRUB, TREE
+from ltm_lab.simulator.stand import changed_terrain, mask_weights
 
 
 def test_shapes_of_masks() -> None:
@@ -29,17 +24,6 @@ def test_shapes_of_masks() -> None:
     assert np.any(ragged != round_one)
 
 
-def test_dates_before_a_change_do_not_see_it() -> None:
-    change = Conversion(kind="conversion", to="conifer", mask=BOX, years=2.0)
-    assert np.all(after(change, 1.9).classes == SHRUB)
-    converted = after(change, 2.0)
-    np.testing.assert_array_equal(converted.classes == TREE, inside_box())
-    np.testing.assert_array_equal(converted.stand.conifer, inside_box())
-    np.testing.assert_array_equal(
-        converted.stand.tree_height[~inside_box()], after(change, 0.0).stand.tree_height[0, 0]
-    )
-
-
 def test_conversion_takes_the_classes_named() -> None:
     stripes = np.where(np.arange(GRID.width) % 2, GRASS, TREE).astype(np.uint8)[None, :]
     change = Conversion(kind="conversion", to="shrub", of=["grass"], mask=BOX, age=4.0)
@@ -48,55 +32,6 @@ def test_conversion_takes_the_classes_named() -> None:
     np.testing.assert_array_equal(out.classes[:, 1::2] == SHRUB, inside_box()[:, 1::2])
     young = out.stand.shrub_height[:, 1::2][inside_box()[:, 1::2]]
     assert np.all(young < 0.5)
-
-
-def test_plants_grow_with_the_years() -> None:
-    young = stand_at(cover(), [], 0.0, 3.0, True, 3).stand.shrub_height
-    later = stand_at(cover(), [], 10.0, 3.0, True, 3).stand.shrub_height
-    still = stand_at(cover(), [], 10.0, 3.0, False, 3).stand.shrub_height
-    assert young[0, 0] < 0.4 < later[0, 0] < 1.0
-    np.testing.assert_array_equal(still, young)
-
-
-def test_thinning_leaves_the_share_and_felling_opens_the_land() -> None:
-    thinned = after(Thinning(kind="thinning", keep=0.4, mask=BOX), 0.0, TREE)
-    np.testing.assert_allclose(thinned.stand.density, np.where(inside_box(), 0.4, 1.0), rtol=1e-6)
-    assert np.all(thinned.classes == TREE)
-    felled = after(Thinning(kind="thinning", keep=0.0, mask=BOX), 0.0, TREE)
-    np.testing.assert_array_equal(felled.classes == GRASS, inside_box())
-
-
-def test_a_wildfire_blackens_then_heals() -> None:
-    fire = Burn(kind="burn", severity=1.0, mask=BOX, years=1.0)
-    fresh, herbs, shrubs = (after(fire, y) for y in (1.0, 2.0, 6.0))
-    burnt = (fresh.classes == BARE) & inside_box()
-    assert burnt.sum() > 0.9 * inside_box().sum()
-    assert np.all(fresh.classes[~inside_box()] == SHRUB)
-    assert np.all(fresh.stand.dead[burnt] == SHRUB)
-    assert fresh.stand.char[burnt].mean() > 0.8 > 0.4 > herbs.stand.char[burnt].mean()
-    assert np.all(herbs.classes[burnt] == GRASS)
-    assert np.all(shrubs.classes[burnt] == SHRUB)
-    assert np.all(shrubs.stand.shrub_height[burnt] < 0.6)
-
-
-def test_changes_that_end_in_an_edge_say_where() -> None:
-    """There shrubs are planted one by one: a whole patch of them would draw the edge straight."""
-    fire = after(Burn(kind="burn", severity=1.0, mask=BOX), 0.0)
-    np.testing.assert_array_equal(fire.stand.touched > 0, fire.classes == BARE)
-    thinned = after(Thinning(kind="thinning", keep=0.4, of=["tree"], mask=BOX), 0.0)
-    assert not thinned.stand.touched.any(), "there were no trees"
-    planted = after(Conversion(kind="conversion", to="conifer", mask=BOX), 0.0)
-    assert not planted.stand.touched.any(), "trees stand singly anyway"
-    slide = after(Landslide(kind="landslide", mask=BOX), 0.0)
-    np.testing.assert_array_equal(slide.stand.touched > 0, inside_box())
-
-
-def test_trees_die_by_severity() -> None:
-    wild = after(Burn(kind="burn", severity=1.0, mask=BOX), 0.0, TREE)
-    light = after(Burn(kind="burn", severity=0.35, mask=BOX), 0.0, TREE)
-    killed = [np.mean(c.stand.dead[inside_box()] == TREE) for c in (wild, light)]
-    assert killed[0] > 0.6 > 0.1 > killed[1]
-    assert light.stand.scorch.max() > 0
 
 
 def test_earth_moves_inside_the_mask_and_stays() -> None:
@@ -113,16 +48,3 @@ def test_earth_moves_inside_the_mask_and_stays() -> None:
     assert abs(dz.sum()) < 0.1 * np.abs(dz).sum(), "what leaves the scar lies in the toe"
     wide_dz = moved.surroundings.at(180.0, 140.0) - ground.surroundings.at(180.0, 140.0)
     assert wide_dz == pytest.approx(float(moved.site.at(180.0, 140.0) - ground.site.at(180.0, 140.0)), abs=0.8)
-
-
-def test_a_cut_has_its_depth_and_ramps() -> None:
-    ground = terrain()
-    mask = MaskConfig(box=(60.0, 80.0, 220.0, 200.0), ragged=0.0)
-    dug = changed_terrain(ground, [Cut(kind="cut", depth=4.0, ramp=10.0, mask=mask)], 0.0, 3)
-    dz = dug.site.elevation - ground.site.elevation
-    x, y = np.meshgrid(*dug.site.axes())
-    deep = (x > 75) & (x < 205) & (y > 95) & (y < 185)
-    np.testing.assert_allclose(dz[deep], -4.0, atol=0.01)
-    outside = (x < 60) | (x > 220) | (y < 80) | (y > 200)
-    assert np.all(dz[outside] == 0)
-    assert -2.5 < dz[np.argmin(np.abs(y[:, 0] - 140)), np.argmin(np.abs(x[0] - 64.5))] < -0.5

@@ -1,5 +1,3 @@
-"""What stands before the camera and over it: buried cameras, smoke."""
-
 from __future__ import annotations
 
 from typing import Any
@@ -10,32 +8,13 @@ from scenes.small_scenario import CAMERA, small_scenario
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.pose import Pose
 from ltm_lab.simulator.imaging import smoke
-from ltm_lab.simulator.run import SimulatedSite, make_site, plan_shots, render_shots, site_at
 from ltm_lab.simulator.scenario import Scenario
 
 
 def scenario(**changes: Any) -> Scenario:
     return small_scenario(**({"cameras": [CAMERA]} | changes))
-
-
-CONFIG = scenario()
-
-
-@pytest.fixture(scope="module")
-def site() -> SimulatedSite:
-    return make_site(CONFIG)
-
-
-def test_cameras_under_ground_are_refused(site: SimulatedSite) -> None:
-    filled = scenario(
-        changes=[{"kind": "cut", "depth": -40.0, "mask": {"circle": [120, 90, 40]}, "years": 1.0}],
-    )
-    dated = site_at(filled, site, filled.dates[1])
-    with pytest.raises(ConfigError, match=r"camera a is .* m under the ground that changes up to after leave"):
-        next(iter(render_shots(filled, dated, plan_shots(filled, site, filled.dates[1]))))
 
 
 def test_smoke_rises_with_the_wind_and_hides_only_what_is_behind_it() -> None:

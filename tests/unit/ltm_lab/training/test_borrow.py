@@ -1,5 +1,3 @@
-"""What photos and rendered frames lend each other for training: skies, patches of ground, a lake."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,8 +7,8 @@ import numpy as np
 from ltm_core.base.types import UInt8Array
 from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
-from ltm_lab.training.augment import Lent, augmented
-from ltm_lab.training.borrow import photo_skies, photo_sky, with_ground, with_lake
+from ltm_lab.training.augment import augmented
+from ltm_lab.training.borrow import with_ground
 from ltm_lab.training.config import AugmentConfig
 from ltm_lab.training.training_frames import TrainingFrame
 
@@ -26,33 +24,6 @@ def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tupl
     labels = np.full(SIZE, ground, np.uint8)
     labels[:skyline] = Label.SKY
     return photo.astype(np.uint8), labels
-
-
-def _photo(skyline: int = 24) -> TrainingFrame:
-    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline)
-    return TrainingFrame(photo, labels, Path("photos/1.jpg"), np.ones(SIZE, np.float32), ordinal=True)
-
-
-def test_a_photo_lends_what_is_sky_from_side_to_side() -> None:
-    rendered = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
-    (sky,) = photo_skies([rendered, _photo(), _photo(skyline=6)])  # the last has too little of it
-    assert sky.shape == (22, 96, 3)
-    np.testing.assert_array_equal(sky, _photo().image[:22])
-
-
-def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
-    grey = np.full((30, 50, 3), 128, np.uint8)
-    new = photo_sky(SIZE, 24, grey, np.random.default_rng(0))
-    assert new.shape == (*SIZE, 3)
-    np.testing.assert_allclose(new, 128 / 255, atol=1e-6)
-    frame = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
-    lent = Lent(np.zeros((0, 2, 3), np.float32), [grey])
-    changed, labels, _ = augmented(
-        frame, SIZE, AugmentConfig(**{**NONE, "photo_sky": 1.0}), np.random.default_rng(0), lent
-    )
-    np.testing.assert_array_equal(labels, frame.labels)
-    np.testing.assert_array_equal(changed[28:], frame.image[28:])
-    np.testing.assert_array_equal(changed[:20], 128)
 
 
 def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
@@ -74,14 +45,6 @@ def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
     assert np.ptp(shares) > 0.05
 
 
-def test_a_picture_without_land_gets_no_lake() -> None:
-    photo, labels = _scene(Label.GRASS, (200, 180, 90), skyline=60)
-    unit = photo.astype(np.float32) / 255
-    same, found = with_lake(unit, labels, np.random.default_rng(0))
-    assert same is unit
-    assert found is labels
-
-
 def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() -> None:
     photo, labels = _scene(Label.TREE, (60, 90, 50))
     sand, other = _scene(Label.SHRUB, (210, 190, 150), skyline=30)
@@ -95,10 +58,3 @@ def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() ->
         np.testing.assert_array_equal(np.isnan(inverse), patch)
         own, before, after = photo[30:].mean(axis=(0, 1)), sand[patch].mean(axis=0), mixed[patch].mean(axis=0)
         assert np.abs(after - own).sum() < 0.8 * np.abs(before - own).sum()
-
-
-def test_ground_is_lent_to_ground_alone() -> None:
-    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline=64)
-    host = (photo, labels, np.ones(SIZE, np.float32))
-    donor = (*_scene(Label.SHRUB, (210, 190, 150)), np.ones(SIZE, np.float32))
-    assert with_ground(host, donor, np.random.default_rng(1)) is host

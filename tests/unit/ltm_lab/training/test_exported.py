@@ -1,18 +1,13 @@
-"""Networks that are read from exported files and trained further."""
-
 from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from scenes.tiny_training import TINY, drawn_frame, with_steps
+from scenes.tiny_training import TINY, with_steps
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.config import NetworkConfig
 from ltm_lab.training.training_frames import read_split
 
@@ -42,39 +37,3 @@ def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Pat
     wider = config.model_copy(update={"network": NetworkConfig(width=32, pretrained=False)})
     with pytest.raises(ConfigError, match=r"another network than configured.*width 32"):
         Run.start(wider, 7, weights)
-
-
-@pytest.mark.parametrize("name", ["landscape_lite0", "landscape_v2"])
-def test_a_shipped_network_can_be_trained_further(name: str) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.export import load_exported
-    from ltm_lab.training.loop import Run, normalised
-
-    network = load_exported(NetworkManifest.find(name))
-    assert network.own is not None
-    assert network.side is not None
-    config = TINY.model_copy(update={"network": NetworkConfig(pretrained=False)})
-    run = Run.start(config, 7, network.state_dict())
-    photo, (rows, cols) = drawn_frame(5)[0], (352, 640)
-    photo = np.asarray(cv2.resize(photo, (cols, rows)), np.uint8)
-    with torch.inference_mode():
-        logits, _ = run.network.eval()(normalised([photo]))
-    segmenter = Segmenter.open(name)
-    spec = segmenter.manifest
-    found = segmenter.scores_and_maps(photo)[0]
-    offsets = np.array([spec.output.offsets.get(each, 0.0) for each in spec.classes], np.float32)
-    kept = [k for k, each in enumerate(spec.classes) if each not in spec.output.redness]
-    expected = logits[0].numpy() + offsets[:, None, None]
-    np.testing.assert_allclose(found[kept], expected[kept], atol=0.05)
-
-
-def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="training needs the extra `train`")
-    from scenes.networks import write_classifier
-
-    from ltm_core.base.errors import ModelError
-    from ltm_core.vision.manifest import NetworkManifest
-    from ltm_lab.training.export import load_exported
-
-    with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
-        load_exported(NetworkManifest.load(write_classifier(tmp_path)))

@@ -1,5 +1,3 @@
-"""The fit of fusion's log odds: from samples of known odds, and from a scene of known depth."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -8,7 +6,6 @@ import numpy as np
 import pytest
 from scenes.depth_scene import depth_scene
 
-from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float64Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
@@ -51,15 +48,6 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
     assert found["boundaries.toward"] == config.boundaries.toward
 
 
-def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:
-    found = list(constants(FusionConfig()))
-    assert len(found) > 100
-    assert len({name for name, *_ in found}) == len(found)
-    for name, _, origin, meaning in found:
-        assert origin in ("fitted", "chosen"), name
-        assert len(meaning) > 3, name
-
-
 def test_constants_survive_their_file(tmp_path: Path) -> None:
     config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "error_model.shrink": (2.0, 9.0)})
     write_fusion_config(tmp_path / "net_fusion.yaml", config, "a test")
@@ -67,22 +55,6 @@ def test_constants_survive_their_file(tmp_path: Path) -> None:
     assert "a test" in text
     assert "# fitted; trees" in text
     assert load_yaml(tmp_path / "net_fusion.yaml", FusionConfig) == config
-
-
-def test_constants_of_one_network_are_not_written_through_a_link_to_anothers(tmp_path: Path) -> None:
-    own, other = tmp_path / "net_fusion.yaml", tmp_path / "longer_fusion.yaml"
-    write_fusion_config(own, FusionConfig(), "a test")
-    other.symlink_to(own.name)
-    write_fusion_config(other, FusionConfig(), "another test")
-    assert not other.is_symlink()
-    assert "another" not in own.read_text()
-    assert "another test" in other.read_text()
-
-
-def test_too_few_samples_are_refused() -> None:
-    empty = FrameSamples(nothing(len(STANDING)), nothing(len(OUTLINE)), nothing(len(CANOPY)))
-    with pytest.raises(ModelError, match="too few pixels"):
-        fit_fusion([[empty]], FusionConfig())
 
 
 def test_pixels_of_trees_that_the_dem_does_not_know_are_samples_of_what_stands() -> None:

@@ -1,16 +1,9 @@
-"""Tests of masts, huts and dishes that are drawn into training windows, and of rock that is put into shade."""
-
 import numpy as np
 import pytest
 
 from ltm_core.label_heads.labelled_frames import UNKNOWN
-from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_lab.training.augment import augmented
-from ltm_lab.training.config import AugmentConfig
+from ltm_core.vision.labels import Label
 from ltm_lab.training.structures import with_structures
-from ltm_lab.training.training_frames import TrainingFrame
-
-NOTHING = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
 
 
 def scene() -> tuple[np.ndarray, np.ndarray]:
@@ -36,49 +29,3 @@ def test_what_is_drawn_is_built_and_the_rest_stays(seed: int) -> None:
     again, same = with_structures(photo, labels, np.random.default_rng(seed))
     np.testing.assert_array_equal(drawn, again)
     np.testing.assert_array_equal(changed, same)
-
-
-def test_most_windows_get_something_built_of_many_sizes() -> None:
-    photo, labels = scene()
-    shares = [
-        (with_structures(photo, labels, np.random.default_rng(seed))[1] == Label.BUILT).mean() for seed in range(60)
-    ]
-    assert np.mean(np.array(shares) > 0) > 0.8
-    assert min(share for share in shares if share) < 0.01
-    assert max(shares) > 0.1
-
-
-def test_nothing_is_built_into_the_sky_or_a_lake() -> None:
-    photo, labels = scene()
-    labels[30:] = Label.WATER
-    drawn, changed = with_structures(photo, labels, np.random.default_rng(1))
-    np.testing.assert_array_equal(drawn, photo)
-    np.testing.assert_array_equal(changed, labels)
-
-
-def test_shade_darkens_bare_ground_alone_and_takes_its_colour(tmp_path) -> None:  # noqa: ANN001
-    photo, labels = scene()
-    frame = TrainingFrame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png")
-    shaded = 0
-    for seed in range(8):
-        changed, same, _ = augmented(
-            frame, labels.shape, NOTHING.model_copy(update={"shade": 1.0}), np.random.default_rng(seed)
-        )
-        np.testing.assert_array_equal(same, labels)
-        away = labels != Label.BARE
-        away[36:44], away[:, 54:] = False, False  # the edge is soft
-        np.testing.assert_array_equal(changed[away], frame.image[away])
-        rock = changed[50:, 70:].reshape(-1, 3).astype(float)
-        shaded += rock.mean() < 0.8 * frame.image[50:, 70:].mean()
-    assert shaded >= 5
-
-
-def test_structures_hide_what_is_known_of_depth(tmp_path) -> None:  # noqa: ANN001
-    photo, labels = scene()
-    inverse = np.full(labels.shape, 0.01, np.float32)
-    frame = TrainingFrame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png", inverse)
-    chances = NOTHING.model_copy(update={"structures": 1.0})
-    _, changed, depth = augmented(frame, labels.shape, chances, np.random.default_rng(3))
-    assert (changed == Label.BUILT).any()
-    np.testing.assert_array_equal(np.isnan(depth), (changed == Label.BUILT) | (changed == UNKNOWN))
-    assert UNLABELLED not in changed

@@ -1,5 +1,3 @@
-"""Training of the segmentation network: frames and splits, augmentation, and a short run to a working model."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -9,14 +7,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from scenes.tiny_training import COLORS, SIZE, TINY, drawn_frame, with_steps, write_drawn
+from scenes.tiny_training import COLORS, TINY, drawn_frame, with_steps, write_drawn
 
-from ltm_core.base.errors import ConfigError, ImageError, RecordingError
+from ltm_core.base.errors import ConfigError
 from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.training.augment import Lent, augmented, photo_looks
-from ltm_lab.training.config import AugmentConfig, OptimiserConfig, SplitConfig, TrainingConfig
+from ltm_lab.training.augment import augmented
+from ltm_lab.training.config import AugmentConfig, OptimiserConfig, SplitConfig
 from ltm_lab.training.training_frames import TrainingFrame, read_split, read_training_frames
 
 if TYPE_CHECKING:
@@ -38,40 +36,6 @@ def test_no_scenario_is_in_two_parts(frames: Path) -> None:
     assert len(split.train) == 6
 
 
-def test_a_held_out_scenario_must_be_there(frames: Path) -> None:
-    with pytest.raises(RecordingError, match=r"no scenario yew.*ash, elm, fir, oak"):
-        read_split(frames, SplitConfig(validation=("yew",), test=("oak",)), 7)
-
-
-def test_a_scenario_in_validation_and_test_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"elm is in validation and in test"):
-        SplitConfig(validation=("elm",), test=("oak", "elm"))
-
-
-def test_labels_of_another_size_or_unknown_id_are_refused(tmp_path: Path) -> None:
-    write_drawn(tmp_path / "small", 1, np.zeros((64, 95), np.uint8))
-    with pytest.raises(ImageError, match=r"0001_labels\.png: is \(64, 95\) uint8, expected \(64, 96\)"):
-        read_training_frames(tmp_path / "small", 7)
-    write_drawn(tmp_path / "unknown", 2, np.full(SIZE, 7, np.uint8))
-    with pytest.raises(ImageError, match=r"label 7"):
-        read_training_frames(tmp_path / "unknown", 7)
-
-
-def test_sampled_labels_can_score_but_not_train(tmp_path: Path) -> None:
-    truth = drawn_frame(4)[1]
-    write_drawn(tmp_path / "frames", 4, truth[::4, ::4])
-    (frame,) = read_training_frames(tmp_path / "frames", 7, sampled=True)
-    np.testing.assert_array_equal(frame.labels[::4, ::4], truth[::4, ::4])
-    assert np.sum(frame.labels != UNLABELLED) == 16 * 24
-    with pytest.raises(ImageError, match=r"\(16, 24\) uint8, expected \(64, 96\)"):
-        read_training_frames(tmp_path / "frames", 7)
-
-
-def test_a_folder_without_frames_says_what_it_expects(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"NNNN_labels\.png"):
-        read_training_frames(tmp_path, 7)
-
-
 def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -> None:
     """With geometry alone the photo's colours still tell each pixel's class."""
     image, labels = drawn_frame(5)
@@ -90,48 +54,6 @@ def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -
         np.testing.assert_array_equal(depth[known], truth[known] + 1.0)
         assert np.isnan(depth[~known]).all()
         assert (distance.argmin(axis=-1) == truth)[known].mean() > 0.85
-
-
-def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
-    image, labels = drawn_frame(6)
-    every = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 1.0), "lake": 0.0})
-    none = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
-    frame = TrainingFrame(image, labels, Path("oak/0006.png"))
-    photo, truth, depth = augmented(frame, SIZE, none, np.random.default_rng(0))
-    np.testing.assert_array_equal(photo, image)
-    np.testing.assert_array_equal(truth, labels)
-    assert np.isnan(depth).all()
-    for seed in range(8):
-        photo, truth, _ = augmented(frame, SIZE, every, np.random.default_rng(seed))
-        assert photo.dtype == np.uint8
-        assert photo.std() > 1.0
-        assert set(np.unique(truth)) <= {*np.unique(labels), UNKNOWN, Label.BUILT}
-
-
-def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> None:
-    """Towards the photo's mean and contrast by the part drawn; sky, and the photo itself, as they were."""
-    image, labels = drawn_frame(7)
-    blue, photo_labels = drawn_frame(8)
-    blue = np.where((photo_labels == Label.SKY)[..., None], blue, blue // 4 + np.array([0, 0, 60], np.uint8))
-    order = np.ones(SIZE, np.float32)
-    photo = TrainingFrame(blue.astype(np.uint8), photo_labels, Path("photos/8.png"), order, ordinal=True)
-    rendered = TrainingFrame(image, labels, Path("oak/7.png"), order)
-    looks = photo_looks([rendered, photo])
-    assert looks.shape == (1, 2, 3)
-    only = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "photo_look": 1.0})
-    land = labels != Label.SKY
-    inner = cv2.erode((labels == Label.SKY).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    target = blue[photo_labels != Label.SKY].mean(axis=0)
-    for seed in range(6):
-        changed, truth, _ = augmented(rendered, SIZE, only, np.random.default_rng(seed), Lent(looks, []))
-        np.testing.assert_array_equal(truth, labels)
-        np.testing.assert_array_equal(changed[inner], image[inner])
-        before, after = (np.abs(a[land].mean(axis=0) - target).sum() for a in (image, changed))
-        assert after < 0.9 * before
-        lightness = [changed[labels == label].mean() for label in (Label.TREE, Label.SHRUB, Label.GRASS)]
-        assert lightness == sorted(lightness)
-        same, _, _ = augmented(photo, SIZE, only, np.random.default_rng(seed), Lent(looks, []))
-        np.testing.assert_array_equal(same, photo.image)
 
 
 def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path, tmp_path: Path) -> None:
@@ -192,48 +114,6 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
         Run.resume(checkpoint, config.model_copy(update={"seed": 9}), 7)
 
 
-def test_what_is_in_a_batch_does_not_depend_on_who_makes_it(frames: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.loop import train
-
-    weights = []
-    for workers in (0, 2):
-        config = with_steps(TINY, 3)
-        config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"workers": workers})})
-        network, _ = train(config, read_split(frames, config.split, 7), 7, lambda _: None)
-        weights.append(network.state_dict())
-    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
-
-
-def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.loop import Run, train
-
-    apart = {}
-    for keep in (0.0, 3.0):
-        update = {"depth": 0.0, "order": 0.0, "keep_depth": keep, "steps": 12, "validate_every": 6}
-        config = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update=update)})
-        split = read_split(frames, config.split, 7)
-        run = Run.start(config, 7)
-        photo = torch.randn(1, 3, 64, 96, generator=torch.Generator().manual_seed(1))
-        with torch.inference_mode():
-            before = run.average(photo)[1]
-        with pytest.raises(KeyboardInterrupt):
-            train(config, split, 7, break_off_at(6), run, checkpoint=tmp_path / "c.pt")
-        assert run.step == 6
-        if keep:  # a run that goes on keeps what was there at its start, not what it has come to
-            resumed = Run.resume(tmp_path / "c.pt", config, 7)
-            assert resumed.before is not None
-            with torch.inference_mode():
-                torch.testing.assert_close(resumed.before(photo)[1], before)
-            run = resumed
-        _, run = train(config, split, 7, lambda _: None, run)
-        with torch.inference_mode():
-            change = run.network.eval()(photo)[1] - before
-        apart[keep] = float((change - change.mean()).abs().mean())
-    assert apart[3.0] < 0.5 * apart[0.0]
-
-
 def test_depth_is_learnt_but_for_its_scale() -> None:
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_lab.training.losses import Batch, depth_loss, order_loss
@@ -267,19 +147,6 @@ def test_partial_knowledge_rules_out_what_cannot_be() -> None:
     assert loss(LAND, Label.WATER) > 1.0 > 0.1 > loss(LAND, Label.TREE)
     assert loss(UNLABELLED, Label.SKY) > 1.0 > 0.1 > loss(UNLABELLED, Label.WATER)
     assert loss(UNKNOWN, Label.SKY) == 0.0
-
-
-def test_sets_are_drawn_by_their_shares(frames: Path) -> None:
-    pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.loop import Deck
-
-    read = [frame for name in ("ash", "elm", "fir", "oak") for frame in read_training_frames(frames / name, 7)]
-    deck = Deck(read, {"oak": 0.5}, 1)
-    drawn = np.bincount([deck.card(i) for i in range(1200)], minlength=12)
-    assert drawn[9:].sum() == pytest.approx(600, abs=12)
-    assert drawn.min() > 0.8 * 600 / 9
-    with pytest.raises(ConfigError, match=r"shares names yew"):
-        Deck(read, {"yew": 0.5}, 1)
 
 
 def test_teachers_split_a_slope_by_a_persons_word() -> None:
@@ -324,36 +191,3 @@ def test_simulated_frames_bring_their_depth(tmp_path: Path) -> None:
     assert not frame.ordinal
     assert np.isnan(frame.inverse[:20]).all()
     np.testing.assert_allclose(frame.inverse[40, 90], 1.0 / (250.0 * camera.rays()[40, 90, 2]), rtol=1e-6)
-
-
-def test_an_unknown_training_key_is_named(tmp_path: Path) -> None:
-    from ltm_core.storage.config_io import load_yaml
-
-    path = tmp_path / "t.yaml"
-    path.write_text("name: t\nsplit: {validation: [a], test: [b]}\noptimiser: {lerning_rate: 1}\n")
-    with pytest.raises(ConfigError, match=r"optimiser\.lerning_rate: unknown key"):
-        load_yaml(path, TrainingConfig)
-
-
-def test_what_a_person_says_of_boxes_is_kept_apart_by_sets() -> None:
-    from ltm_lab.training.photo_sets import PhotoSets
-
-    photos = {"one": "BT", "two": "--"}
-    sets = PhotoSets(
-        size=(60, 40),
-        photos=photos,
-        held_out={"kept": ("two",)},
-        boxes={"two": (("shrub", 50, 25, 100, 75), ("land", 0, 80, 10, 100))},
-    )
-    assert [sets.set_of(name) for name in photos] == ["photos", "kept"]
-    labels = sets.by_hand("two")
-    assert np.all(labels[10:30, 30:] == Label.SHRUB)
-    assert np.all(labels[32:, :6] == LAND)
-    assert np.count_nonzero(labels != UNLABELLED) == 20 * 30 + 8 * 6
-    assert np.all(sets.by_hand("one") == UNLABELLED)
-    with pytest.raises(ValueError, match=r"boxes: one: bush"):
-        PhotoSets(size=(60, 40), photos=photos, boxes={"one": (("bush", 0, 0, 10, 10),)})
-    with pytest.raises(ValueError, match=r"unknown: three"):
-        PhotoSets(size=(60, 40), photos=photos, held_out={"kept": ("three",)})
-    with pytest.raises(ValueError, match=r"tags of one are not two of"):
-        PhotoSets(size=(60, 40), photos={"one": "B"})

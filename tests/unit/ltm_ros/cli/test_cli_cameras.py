@@ -1,5 +1,3 @@
-"""`ltm cameras` against cameras on loopback: what it finds, what it writes, and what it tells."""
-
 from __future__ import annotations
 
 import socket
@@ -12,8 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from scenes import rtsp_camera
-from scenes.http_camera import HttpCamera, Request, certificate, running
+from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
 from typer.testing import CliRunner
@@ -21,10 +18,10 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_io import read_readings
-from ltm_core.site.site_io import load_site, write_camera
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cameras.discovery import discover
-from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 from ltm_ros.cli import cameras
 from ltm_ros.cli.main import cli
 
@@ -106,51 +103,6 @@ def test_probe_adds_a_camera_to_every_site_file_and_completes_it(small: SmallSit
     assert ("# mine" in cameras) is ("# mine" in written)
 
 
-def test_probe_finds_a_head_by_the_camera_s_bare_address(camera: HttpCamera, small: SmallSite) -> None:
-    where = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48)
-    said = run("probe", camera.url(""), *where, "--site", small.path, "--camera", "north")
-    for told in ("PTZ protocol", "vapix", "-180 to 180 deg", "1 to 9999", "north, east, south ridge", "123.40 deg"):
-        assert told in said
-    north = load_site(small.path).camera("north")
-    assert north.ptz is not None
-    assert north.ptz.kind == "vapix"
-    assert north.mount is not None
-    assert north.mount.lens is not None
-    assert north.mount.lens.zoom[0].hfov_deg == 62.6  # ALERTCalifornia's, until it is calibrated
-
-
-def test_a_camera_with_a_stated_pose_is_fixed_although_it_could_turn(camera: HttpCamera, small: SmallSite) -> None:
-    run("probe", camera.url(""), *POSE[:6], "--hfov", 62, "--site", small.path, "--camera", "turning")
-    write_camera(small.path, "fixed", {"pose": {"x": 0.0, "y": 0.0, "height_above_ground": 9.0, "azimuth_deg": 1.0}})
-    run("probe", camera.url(""), "--hfov", 62, "--site", small.path, "--camera", "fixed")
-    turning, fixed = (load_site(small.path).camera(name) for name in ("turning", "fixed"))
-    assert (turning.ptz is None, turning.mount is None, turning.pose is None) == (False, False, True)
-    assert (fixed.ptz is None, fixed.mount is None, fixed.source is None) == (True, True, False)
-
-
-@pytest.mark.parametrize(
-    ("kind", "page"),
-    [
-        ("isapi degrees", "/ISAPI/PTZCtrl/channels/1/absoluteEx"),
-        ("isapi tenths", "/ISAPI/PTZCtrl/channels/1/status"),
-        ("onvif", "/onvif"),
-    ],
-)
-def test_probe_tells_each_kind_of_head(camera: HttpCamera, kind: str, page: str) -> None:
-    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith(page)}
-    said = run("probe", camera.url())
-    assert f"kind: {kind.split()[0]}" in said
-    assert kind in said
-
-
-def test_probe_signs_to_an_onvif_camera_whose_clock_is_two_minutes_off(camera: HttpCamera, head: FakeHead) -> None:
-    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
-    head.clock_ahead, head.user, head.password = 120.0, "viewer", PASSWORD
-    said = run("probe", camera.url(), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert "kind: onvif" in said
-    assert "+120." in said or "+119." in said
-
-
 def test_probe_takes_the_password_nowhere_but_to_the_host_that_was_named(camera: HttpCamera, head: FakeHead) -> None:
     """A camera states an address of its pictures by ONVIF: another host's, or of its own behind a gateway."""
     camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
@@ -181,26 +133,6 @@ def test_an_address_that_cannot_be_asked_is_told_and_the_head_is_found_all_the_s
 def test_what_a_camera_calls_its_presets_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
     head.presets = {"[/] [bold]north": (10.0, -5.0, 1.0)}
     assert "[/] [bold]north" in run("probe", camera.url(""))
-
-
-@pytest.mark.slow
-def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
-    said = run("probe", camera.url("/stream.mjpg"))
-    assert "kind: mjpeg" in said
-    assert "images per second" in said
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
-def test_probe_listens_to_rtsp_measures_its_clock_and_adds_it_to_a_site(small: SmallSite) -> None:
-    with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
-        where = (*POSE, "--hfov", 62, "--site", small.path, "--camera", "north")
-        said = run("probe", stream.url, "--timeout", 3, *where)
-    assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
-    assert "+37." in said or "+36.9" in said
-    source = load_site(small.path).camera("north").source
-    assert source is not None
-    assert source.kind == "rtsp"
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
@@ -236,41 +168,6 @@ def test_a_password_in_the_address_is_refused_without_repeating_it(url: str) -> 
     with pytest.raises(ConfigError, match="--password-env") as told:
         run("probe", url)
     assert "s3cret" not in str(told.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("--camera", "x"), "--site and --camera together"),
-        (("--password-env", "HEAD_PASSWORD"), "a password needs --user"),
-        (("--lonlat", "7"), "LON,LAT"),
-        (("--user", "a", "--password-env", "X", "--password-file", "y"), "not both"),
-    ],
-)
-def test_mistakes_are_told(arguments: tuple[str, ...], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
-        run("probe", "http://127.0.0.1:9", *arguments)
-
-
-def test_what_is_still_lacking_is_told_and_the_site_file_stays(camera: HttpCamera, small: SmallSite) -> None:
-    before = small.path.read_text()
-    with pytest.raises(ConfigError, match=r"not changed: camera north lacks mount"):
-        run("probe", camera.url(""), "--site", small.path, "--camera", "north")
-    assert small.path.read_text() == before
-
-
-def test_nothing_there_is_told_with_what_was_asked() -> None:
-    with running() as camera:
-        camera.behaviour.status = 404
-        with pytest.raises(
-            ConfigError, match=r"neither an image nor a PTZ head[\s\S]*/snapshot.jpg: the camera answered HTTP 404"
-        ):
-            run("probe", camera.url())
-
-
-def test_no_connection_is_told() -> None:
-    with pytest.raises(ConfigError, match="no connection"):
-        run("probe", "http://127.0.0.1:9/a.jpg", "--timeout", 1)
 
 
 ANSWER = """<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"
@@ -336,12 +233,6 @@ def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
         run("discover", "--interface", interface, "--seconds", 0.2)
 
 
-def test_discover_ends_where_nobody_answers() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        assert discover("127.0.0.1", 0.2, port=silent.getsockname()[1]) == ([], 0)
-
-
 MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}
 LENS = {
     "width": TOWER.width,
@@ -392,60 +283,3 @@ def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: Fa
         assert photo.size == (TOWER.width, TOWER.height)
         assert np.asarray(depth).std() > 10
     assert not (out / "again_depth.png").exists()
-
-
-def test_snapshot_tells_why_there_is_no_picture(tmp_path: Path, camera: HttpCamera, head: FakeHead) -> None:
-    small = write_small_site(tmp_path, recording=False)
-    write_label_head(small, camera)
-    head.slew(20.0)
-    with pytest.raises(SourceError, match="tower sent no usable image: moved"):
-        run("snapshot", small.path, "tower", "--out", tmp_path / "out", "--tries", 2)
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(ConfigError, match="mast of site hollow has no section `source`"):
-        run("snapshot", small.path, "mast", "--out", tmp_path / "out")
-
-
-@pytest.mark.parametrize("with_ptz", [False, True])
-def test_probe_finds_the_picture_of_an_onvif_camera_with_or_without_a_head(
-    camera: HttpCamera, head: FakeHead, with_ptz: bool
-) -> None:
-    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
-    camera.routes["/own.jpg"] = Request.snapshot
-    head.has_ptz, head.stated_picture = with_ptz, "http://{}/own.jpg?channel=1"
-    head.user, head.password = "viewer", PASSWORD
-    said = run("probe", camera.url("/none.jpg"), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert f"url: {camera.url('/own.jpg')}?channel=1" in said
-    assert ("kind: onvif" in said) is with_ptz
-
-
-def test_probe_finds_dahua_s_picture_by_the_bare_address(camera: HttpCamera) -> None:
-    camera.routes = {
-        "/cgi-bin/snapshot.cgi": Request.snapshot,
-        "/snapshot.jpg": lambda request: request.answer(404, b"", ""),
-    }
-    assert f"url: {camera.url('/cgi-bin/snapshot.cgi')}" in run("probe", camera.url(""))
-
-
-def test_a_camera_that_signs_its_clock_or_reports_none_is_read(camera: HttpCamera, head: FakeHead) -> None:
-    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
-    head.user, head.password, head.time = "viewer", PASSWORD, "signed"
-    login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
-    assert "kind: onvif" in run("probe", camera.url(), *login)
-    head.time = "none"
-    assert "kind: onvif" in run("probe", camera.url(), *login)
-    head.clock_ahead = 900.0
-    with pytest.raises(UnauthorisedError):
-        run("probe", camera.url(), *login)
-
-
-def test_the_message_of_a_self_signed_certificate_names_the_option(tmp_path: Path) -> None:
-    shown = certificate(tmp_path, "IP:127.0.0.1")
-    with running(certificate=shown) as camera:
-        with pytest.raises(ConfigError, match="--ca"):
-            run("probe", camera.url())
-        assert camera.url() in run("probe", camera.url(), "--ca", shown[0])
-    other = certificate(tmp_path, "DNS:camera")
-    with running(certificate=other) as camera, pytest.raises(ConfigError, match="--any-name"):
-        run("probe", camera.url(), "--ca", other[0])
-    with running() as camera, pytest.raises(ConfigError, match="http://"):
-        run("probe", camera.url().replace("http:", "https:"))

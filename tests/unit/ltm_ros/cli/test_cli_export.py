@@ -1,5 +1,3 @@
-"""`ltm export` and the fuel map that a recording ended with."""
-
 from __future__ import annotations
 
 import zipfile
@@ -9,20 +7,15 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
-from std_msgs.msg import String
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
-from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.base.errors import ConfigError
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.site.site_io import load_site
-from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.recordings.recorded_run import last_fuel_map
 
 LOCAL = GridGeometry(-25.0, 75.0, 30.0, 4, 3)  # in the map frame
 CLASSES = np.array([[1, 2, 3, 255], [4, 255, 5, 6], [0, 1, 1, 2]], np.uint8)
@@ -75,26 +68,6 @@ def test_in_landfires_crs(bag: Path, site_file: Path, tmp_path: Path) -> None:
     assert (classes != 255).sum() == pytest.approx((CLASSES != 255).sum(), abs=3)
 
 
-@pytest.mark.parametrize("name", ["in.tif", "IN.TIFF"])
-def test_from_a_raster(tmp_path: Path, name: str) -> None:
-    write_fuel_map(tmp_path / name, CLASSES, IN_CRS, life_form_labels(LabelSet.load()))
-    export(tmp_path / name, "--out", tmp_path / "out.tif")
-    assert (tmp_path / "out.tif").read_bytes() == (tmp_path / name).read_bytes()
-
-
-def test_a_bag_needs_its_site(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--site"):
-        export(bag, "--out", tmp_path / "out.tif")
-    assert not (tmp_path / "out.tif").exists()
-
-
-def test_a_bag_without_fuel_map(site_file: Path, tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "empty") as writer:
-        writer.write("/ridge/note", String(data="nothing seen"), 10)
-    with pytest.raises(RecordingError, match=r"no /ridge/fuel_map; its topics are /ridge/note"):
-        last_fuel_map(tmp_path / "empty", load_site(site_file))
-
-
 def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> None:
     around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
     wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
@@ -115,27 +88,6 @@ def terrain(folder: Path) -> None:
     around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
     wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
     Dem(np.full((8, 9), 500, np.float32), wide).save(folder / "dem.tif")
-
-
-def test_exports_of_one_name_keep_their_style_and_say_what_they_are(bag: Path, site_file: Path, tmp_path: Path) -> None:
-    """A class map beside a landscape took its style; as a landscape of the same name, it left a wrong description."""
-    terrain(tmp_path)
-    export(bag, "--site", site_file, "--out", tmp_path / "map.lcp")
-    style = (tmp_path / "map.qml").read_bytes()
-    output = export(bag, "--site", site_file, "--out", tmp_path / "map.tif")
-    assert "classes" in output
-    assert "map.lcp" in output
-    assert (tmp_path / "map.qml").read_bytes() == style
-    (tmp_path / "map.lcp").unlink()
-    assert "map.lcp" not in export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--overwrite")
-    assert (tmp_path / "map.qml").read_bytes() != style
-    export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--format", "landscape", "--overwrite")
-    assert (tmp_path / "map.tif.stac.json").is_file()
-    with pytest.raises(ConfigError, match="--site"):
-        export(bag, "--out", tmp_path / "map.tif", "--overwrite")
-    assert (tmp_path / "map.tif.stac.json").is_file()
-    export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--overwrite")
-    assert not (tmp_path / "map.tif.stac.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -168,10 +120,3 @@ def test_the_requested_format_decides(
     with rasterio.open(out) as source:
         assert source.count == bands
         assert source.dtypes[0] == ("uint8" if bands == 1 else "int16")
-
-
-def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"give --format, or one of \.tif"):
-        export(bag, "--out", tmp_path / "map.doc")
-    with pytest.raises(ConfigError, match="lcp needs the terrain"):
-        export(bag, "--out", tmp_path / "map.lcp")

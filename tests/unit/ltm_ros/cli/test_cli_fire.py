@@ -1,5 +1,3 @@
-"""`ltm fire`: what cannot be run is told with the remedy, before any work."""
-
 from __future__ import annotations
 
 import sys
@@ -56,22 +54,3 @@ def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
         with pytest.raises(LtmError, match=message):
             fire(*arguments)
         assert not out.exists()
-
-
-def test_without_the_fire_model(landscapes: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, was = landscapes
-    monkeypatch.setenv("LTM_PYRETECHNICS", str(tmp_path / "absent/python"))
-    with pytest.raises(LtmError, match=r"absent/python: no Python with .*make fire"):
-        fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
-    if not (Path(sys.prefix) / "lib/python3.11/site-packages/pyretechnics").exists():
-        monkeypatch.setenv("LTM_PYRETECHNICS", sys.executable)
-        with pytest.raises(LtmError, match=r"ModuleNotFoundError"):
-            fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
-
-
-def test_what_is_there_is_not_written_over(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
-    now, was = landscapes
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/fire.tif").write_text("mine")
-    with pytest.raises(LtmError, match=r"fire.tif: exists already"):
-        fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")

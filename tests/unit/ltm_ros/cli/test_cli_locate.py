@@ -1,5 +1,3 @@
-"""`ltm locate`: what it says, writes and refuses."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The command `ltm`: what it says of itself, and how bad input ends."""
-
 from __future__ import annotations
 
 import errno
@@ -9,7 +7,6 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -65,20 +62,6 @@ def test_the_examples_parse(path: str, line: str, tmp_path: Path, monkeypatch: p
     ALL[below].make_context(below, words[len(below.split()) :])  # raises a usage error for what does not parse
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "is_path", "expected"),
-    [
-        ("azimuth", "Azimuth in degrees from grid north.", False, "DEGREES"),
-        ("out", "Folder for the file of results.", True, "FOLDER"),
-        ("out", "Output file, or folder.", True, "FILE"),
-        ("since", "Date in days.", False, "DATE"),
-        ("tower", "Name of a tower.", False, "TOWER"),
-    ],
-)
-def test_metavars(name: str, text: str, is_path: bool, expected: str) -> None:
-    assert main.metavar_of(name, text, is_path) == expected
-
-
 def test_help_names_every_command() -> None:
     result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
@@ -91,13 +74,6 @@ def test_no_command_has_more_than_fourteen_options() -> None:
     assert {path: count for path, count in counts.items() if count > 14} == {}
 
 
-def test_short_help_and_version() -> None:
-    told = CliRunner().invoke(main.cli, ["export", "-h"], env={"COLUMNS": "200"})
-    assert told.exit_code == 0
-    assert "Usage: ltm export" in told.output
-    assert CliRunner().invoke(main.cli, ["--version"]).output == f"ltm {version('ltm')}\n"
-
-
 def test_the_demo_ends_with_a_command_that_works_in_the_users_shell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,12 +84,6 @@ def test_the_demo_ends_with_a_command_that_works_in_the_users_shell(
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin/ltm").touch(mode=0o755)
     assert to_type("ltm view") == "ltm view"
-
-
-def test_no_command_stands_twice() -> None:
-    named = [*main.cli.registered_commands, *main.cli.registered_groups]
-    names = [entry.name or getattr(entry.callback, "__name__", "") for entry in named]
-    assert sorted(names) == sorted(COMMANDS)
 
 
 def test_help_is_quick_because_it_imports_nothing_heavy() -> None:
@@ -129,12 +99,6 @@ def test_bad_input_is_a_message_not_a_traceback(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert result.stderr.startswith("ltm: absent.tif: not a raster that GDAL can read")
     assert "Traceback" not in result.stderr
-
-
-def test_an_unknown_option_is_a_usage_error() -> None:
-    result = CliRunner().invoke(main.cli, ["export", "--no-such-option"], env={"COLUMNS": "200", "NO_COLOR": "1"})
-    assert result.exit_code == 2
-    assert "--no-such-option" in result.stderr
 
 
 def test_offline_replay_knows_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,3 @@
-"""`ltm mask`, from images to the line for the site file."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -15,7 +13,7 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import LtmError
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.areas import NamedArea, read_areas, write_areas
+from ltm_core.vision.areas import read_areas
 from ltm_core.vision.masks import Looking
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
@@ -59,25 +57,6 @@ def test_a_person_confirms_what_is_proposed(photos: Path, tmp_path: Path) -> Non
     assert {area.kind for area in read_areas(tmp_path / "tower_mask.json")} == {"lens"}
     with Image.open(tmp_path / "tower_mask_proposals.png") as picture:
         assert picture.size == (WIDTH, HEIGHT)
-
-
-def test_a_recording_and_areas_drawn_by_hand(tmp_path: Path) -> None:
-    small = write_small_site(tmp_path, recording=False)
-    with BagWriter(tmp_path / "bag") as bag:
-        for seed in (1, 2):
-            message = compressed_to_msg(encode_rgb(tower_picture(seed), quality=95), "jpeg", seed * 10**9, "o")
-            bag.write(camera_topic(NAME, "tower", IMAGE_COMPRESSED), message, seed * 10**9)
-    roof = NamedArea(image="tower_1000000000", kind="roof", polygon=((0, 400), (90, 400), (90, 519), (0, 519)))
-    write_areas(tmp_path / "drawn.json", [roof, roof.model_copy(update={"image": "another.jpg"})])
-    given = [tmp_path / "bag", "--site", small.path, "--camera", "tower", "--drawn", tmp_path / "drawn.json"]
-    run("mask", *given)
-    (number,) = {a.number for a in read_areas(tmp_path / "tower_mask.json") if a.kind == "roof"}
-    run("mask", *given, "--keep", number)
-    with Image.open(tmp_path / "tower_mask.png") as png:
-        hidden = np.asarray(png) > 0
-    expected = np.zeros((HEIGHT, WIDTH), np.bool_)
-    expected[400:520, :91] = True
-    np.testing.assert_array_equal(hidden, expected)
 
 
 def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) -> None:

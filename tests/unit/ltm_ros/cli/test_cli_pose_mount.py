@@ -1,5 +1,3 @@
-"""`ltm pose mount`: a PTZ head is calibrated from files, and the site file has it afterwards."""
-
 from __future__ import annotations
 
 import math
@@ -14,7 +12,7 @@ from scenes.networks import write_classifier
 from scenes.small_site import PAINT, SKY
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError, LtmError, PoseError
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig
@@ -25,7 +23,6 @@ from ltm_core.site.site_io import load_site
 from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.vision.labels import Label
 from ltm_ros.cli.main import cli
-from ltm_ros.cli.pose_mount import ptz_mount_of
 
 ORIGIN = (380_000.0, 3_800_000.0)
 TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
@@ -110,27 +107,6 @@ def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_pa
     assert max(errors_deg(load_site(path))) < 0.02
 
 
-def test_with_out_the_site_file_stays(tmp_path: Path) -> None:
-    path = write_site(tmp_path)
-    before = path.read_text()
-    points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0))
-    run(path, "north", "--points", points, "--out", tmp_path / "found/mount.yaml", "--free", "none")
-    assert path.read_text() == before
-    section = yaml.safe_load((tmp_path / "found/mount.yaml").read_text())["mount"]
-    assert section["azimuth_deg"] == pytest.approx(63.0, abs=0.02)
-    assert section["lens"]["zoom"] == TABLE
-
-
-def test_an_axis_that_runs_the_other_way_is_told_and_written(tmp_path: Path) -> None:
-    path = write_site(tmp_path, pan_sign=-1)
-    said = run(path, "north", "--points", landmarks(tmp_path / "p.csv", (10.0, 100.0, 190.0, 280.0)))
-    assert "pan has the opposite sign" in said
-    mount = load_site(path).camera("north").mount
-    assert mount is not None
-    assert mount.pan_sign == 1
-    assert max(errors_deg(load_site(path))) < 0.02
-
-
 MAST = slice(60, 330)
 
 
@@ -149,21 +125,6 @@ def painted(pose: Pose) -> UInt8Array:
     ground = np.zeros_like(photo)
     ground[..., 1] = photo[..., 1]
     return np.where((labels == Label.SKY)[..., None], np.array(PAINT[SKY], np.uint8), ground)
-
-
-def test_a_lens_that_does_not_zoom_keeps_its_pixels_shape(tmp_path: Path) -> None:
-    path = write_site(tmp_path)
-    content = yaml.safe_load(path.read_text())
-    del content["cameras"]["north"]["mount"]["lens"]
-    stated = {"width": 480, "height": 300, "fx": 500.0, "fy": 470.0, "cx": 236.0, "cy": 151.5, "k1": -0.08}
-    content["cameras"]["north"]["calibration"] = stated
-    path.write_text(yaml.safe_dump(content))
-    calibration = load_site(path).camera("north").calibration
-    assert calibration is not None
-    lens, given = ptz_mount_of(path, "north").lens.camera(0.0), calibration.camera()
-    assert (lens.width, lens.height, lens.cx, lens.cy) == (480, 300, 236.0, 151.5)
-    assert (lens.fx, lens.fy) == pytest.approx((500.0, 470.0))
-    assert lens.distortion == given.distortion
 
 
 @pytest.mark.slow
@@ -195,9 +156,3 @@ def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> N
     places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
     with pytest.raises(LtmError, match=told):
         run(*(argument.format(**places) for argument in arguments))
-
-
-def test_points_without_readings_are_told(tmp_path: Path) -> None:
-    (tmp_path / "points.csv").write_text("id,x,y,z,u,v\na,1,2,3,4,5\n")
-    with pytest.raises(PoseError, match=r"no column 'pan'.*need id, x, y, z, u, v, pan, tilt, zoom"):
-        run(write_site(tmp_path), "north", "--points", tmp_path / "points.csv")

@@ -1,5 +1,3 @@
-"""`ltm pose photo` from files to files, and the mistakes that users make with it."""
-
 from __future__ import annotations
 
 import json
@@ -17,7 +15,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cli.main import cli
-from ltm_ros.cli.pose_photo import guesses_of
 
 CRS = "EPSG:32611"
 ORIGIN = (380_000.0, 3_800_000.0)
@@ -95,23 +92,6 @@ def test_a_pose_that_is_not_accepted_is_the_given_one_or_none(files: Path, tmp_p
     assert json.loads(report.read_text())["verdict"] != "accepted"
 
 
-def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path) -> None:
-    photo, labels = view(TRUE)
-    hidden = np.zeros(labels.shape, np.uint8)
-    hidden[: CAMERA.height // 2, : CAMERA.width // 3] = 255
-    photo[hidden > 0], labels[hidden > 0] = (20, 20, 20), 3
-    Image.fromarray(photo).save(tmp_path / "a.png")
-    Image.fromarray(labels).save(tmp_path / "labels.png")
-    Image.fromarray(hidden).save(tmp_path / "mask.png")
-    arguments = [str(tmp_path / "a.png"), "--guess", str(files / "guess.yaml")]
-    arguments += ["--labels", str(tmp_path / "labels.png"), "-o", str(tmp_path / "found.yaml"), "--overwrite"]
-    assert "accepted" in run(files, *arguments, "--mask", str(tmp_path / "mask.png"))
-    assert load_picture_config(tmp_path / "found.yaml").pose.azimuth_deg == pytest.approx(63.0, abs=0.1)
-    Image.fromarray(hidden[::2]).save(tmp_path / "small.png")
-    with pytest.raises(LtmError, match=r"--mask: .*small\.png: the mask has .* pixels, but the camera's images have"):
-        run(files, *arguments, "--mask", str(tmp_path / "small.png"))
-
-
 def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
     row = guess()["pose"]
     assert isinstance(row, dict)
@@ -121,35 +101,3 @@ def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
     arguments = [str(files / "photos"), "--guess", str(tmp_path / "poses.csv")]
     run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "out"))
     assert (tmp_path / "out" / "a.yaml").is_file()
-
-
-@pytest.mark.parametrize(
-    ("changed", "told"),
-    [({"z": 100.0}, "under the ground"), ({"x": 1000.0}, "no known terrain")],
-)
-def test_a_place_that_cannot_be_is_told(files: Path, tmp_path: Path, changed: dict[str, float], told: str) -> None:
-    (tmp_path / "bad.yaml").write_text(yaml.safe_dump(guess(**changed)), encoding="utf-8")
-    arguments = [str(files / "photos/a.png"), "--guess", str(tmp_path / "bad.yaml")]
-    with pytest.raises(LtmError, match=told):
-        run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "o.yaml"))
-
-
-def test_a_skyline_does_not_determine_k1(files: Path, tmp_path: Path) -> None:
-    arguments = [str(files / "photos/a.png"), "--guess", str(files / "guess.yaml"), "--free", "k1"]
-    with pytest.raises(LtmError, match="--free k1"):
-        run(files, *arguments, "-o", str(tmp_path / "o.yaml"))
-
-
-def test_a_photo_upside_down_is_refused(files: Path, tmp_path: Path) -> None:
-    with Image.open(files / "labels.png") as labels, Image.open(files / "photos/a.png") as photo:
-        labels.rotate(180).save(tmp_path / "l.png")
-        photo.rotate(180).save(tmp_path / "p.png")
-    arguments = [str(tmp_path / "p.png"), "--guess", str(files / "guess.yaml")]
-    with pytest.raises(LtmError, match="upside down"):
-        run(files, *arguments, "--labels", str(tmp_path / "l.png"), "-o", str(tmp_path / "o.yaml"))
-
-
-def test_a_list_without_sizes_takes_those_of_the_photos(files: Path, tmp_path: Path) -> None:
-    (tmp_path / "poses.csv").write_text("name,x,y,z,fx\na.png,1,2,3,500\n", encoding="utf-8")
-    (known,) = guesses_of(files / "photos", tmp_path / "poses.csv").values()
-    assert (known.calibration.width, known.calibration.height) == (CAMERA.width, CAMERA.height)

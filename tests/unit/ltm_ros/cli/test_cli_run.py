@@ -1,12 +1,9 @@
-"""`ltm run`: what it makes of its options."""
-
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from scenes.small_site import write_small_site
 from typer.testing import CliRunner
 
@@ -35,37 +32,6 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
     assert "folder" not in without
     assert kept["folder"] == str(tmp_path / "deep/map")
     assert (tmp_path / "deep/map").is_dir()
-
-
-@pytest.mark.parametrize(
-    ("nodes", "address"),
-    [
-        ({}, "http://127.0.0.1:9090/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"),
-        ({"web_port": 9191}, "http://127.0.0.1:9191/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"),
-    ],
-)
-def test_view_prints_its_address(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nodes: dict[str, int], address: str
-) -> None:
-    class Ended:
-        def __init__(self, graph: Any, domain_id: int | None) -> None:
-            pass
-
-        def run(self, manager: Any) -> int:
-            return 1
-
-    monkeypatch.setattr(ltm_ros.launching.runner, "Runner", Ended)
-    monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda path, wanted: [])
-    site = write_small_site(tmp_path).path
-    content = yaml.safe_load(site.read_text())
-    content["nodes"] = content.get("nodes", {}) | {"viewer": nodes}
-    site.write_text(yaml.safe_dump(content))
-    arguments = ["run", str(site)]
-    seen = CliRunner().invoke(cli, [*arguments, "--view"])
-    assert seen.exit_code == 1
-    assert address in seen.output
-    unseen = CliRunner().invoke(cli, arguments)
-    assert "http" not in unseen.output
 
 
 def test_a_site_that_cannot_work_ends_before_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,3 @@
-"""`ltm trace` from files to files."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,7 +8,6 @@ import pytest
 import rasterio
 from scenes.rasters import rough_terrain
 
-from ltm_core.base.errors import PoseError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_ros.cli.trace import trace
@@ -66,42 +63,3 @@ def test_a_coarser_raster_around_it(tmp_path: Path, dem_file: Path, capsys: pyte
     assert not (seen["alone"] & ~seen["stack"]).any()
     assert seen["stack"].sum() > seen["alone"].sum()
     assert "dem.tif, around.tif" in capsys.readouterr().out
-
-
-def test_says_so_when_no_terrain_is_in_view(tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    away = pose_file(tmp_path, 1000.0)
-    away.write_text(away.read_text().replace("400060.5", "402060.5").replace("75.0", "90.0"))
-    trace(dem=[dem_file], pose=away, out=tmp_path / "out")
-    said = capsys.readouterr().out
-    assert "No pixel sees the terrain" in said
-    assert "402060" in said
-
-
-def test_undeclared_nodata_is_unknown_and_said(
-    tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with rasterio.open(dem_file, "r+") as sink:
-        heights = sink.read(1)
-        heights[:, 240:] = -9999.0
-        sink.write(heights, 1)
-    trace(dem=[dem_file], pose=pose_file(tmp_path, 890.0), out=tmp_path / "out")
-    assert "-9999" in capsys.readouterr().err
-    with rasterio.open(tmp_path / "out/alignment.tif") as written:
-        assert np.nanmin(written.read(3)) >= heights[:, :240].min()
-
-
-def test_a_camera_under_the_ground_is_refused(tmp_path: Path, dem_file: Path) -> None:
-    with pytest.raises(PoseError, match="under the ground"):
-        trace(dem=[dem_file], pose=pose_file(tmp_path, 700.0), out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_picture_that_is_mostly_unknown_says_so(
-    tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """From 60 m before the raster's eastern edge, looking out and down."""
-    path = pose_file(tmp_path, 890.0, 90.0)
-    path.write_text(path.read_text().replace("400060.5", "400200.5").replace("-12", "-30"))
-    trace(dem=[dem_file], pose=path, out=tmp_path / "out")
-    said = " ".join(capsys.readouterr().out.split())
-    assert "unknown ground" in said

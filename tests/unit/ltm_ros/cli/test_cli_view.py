@@ -1,5 +1,3 @@
-"""`ltm view`: what it refuses."""
-
 from __future__ import annotations
 
 from pathlib import Path

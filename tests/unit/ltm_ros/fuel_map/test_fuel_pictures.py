@@ -1,8 +1,5 @@
-"""Pictures of the fuel map: colours say what the legend says, lie on their cells, and the axes tell where that is."""
-
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,41 +15,27 @@ from scenes.fuel_frames import (
     grid_of,
     message,
     stamp_of_frame,
-    votes,
     write_grass_site,
     write_site,
 )
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
-import ltm_ros.fuel_map.export
-from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.fuel.class_map import CoverageMap
-from ltm_core.fuel.codes import FuelClimate, code_color, code_colors, code_names, fuel_models
-from ltm_core.fuel.decision import FuelLayers, changed_cells, layers_of_classes
+from ltm_core.base.errors import ConfigError
+from ltm_core.fuel.codes import FuelClimate
+from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fuel_maps import (
-    CAMERAS,
-    DOUBT,
-    FOOTPRINT,
-    FRAMES,
     FuelCanvas,
-    Scale,
     change_sheet,
-    coverage_sheet,
-    fuel_sheet,
-    overlay_picture,
 )
 from ltm_core.pictures.maps import MapCamera
-from ltm_core.pictures.photo_overlays import round_step, with_axes
 from ltm_core.raster.dem import Dem
-from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.layers import places_of, seen_window, when
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
@@ -77,51 +60,6 @@ def bare(canvas: FuelCanvas, picture: np.ndarray) -> np.ndarray:
     return picture[: canvas.view.height, margin:]
 
 
-def test_every_fuel_model_has_a_colour_of_its_own() -> None:
-    models = fuel_models()
-    for codes in (models.fbfm40, models.fbfm13):
-        every = [*codes, *models.nonburnable]
-        assert len({code_color(code) for code in every}) == len(every)
-        assert code_color(0) not in {code_color(code) for code in every}
-    np.testing.assert_array_equal(code_colors(np.array([[102, -9999]], np.int16))[0, 0], code_color(102))
-    assert code_names(np.array([102, 183, 183, -9999], np.int16)) == [
-        ("TL3", code_color(183)),
-        ("GR2", code_color(102)),
-    ]
-
-
-@pytest.mark.parametrize("scale", [DOUBT, FRAMES, CAMERAS, FOOTPRINT])
-def test_scales_read_the_same_without_colours(scale: Scale) -> None:
-    light = cv2.cvtColor(np.array([scale.colors], np.uint8), cv2.COLOR_RGB2LAB)[0, :, 0].astype(int)
-    steps = np.diff(light)
-    assert (steps >= 8).all() or (steps <= -8).all()
-    assert len(scale.names) == len(scale.colors) == len(scale.bounds) + 1
-    values = np.array([[scale.bounds[0], scale.bounds[-1], 1e9, -1.0, np.nan]])
-    known = np.array([[True, True, True, True, False]])
-    last = len(scale.bounds)
-    np.testing.assert_array_equal(scale.classes(values, known), [[1, last, last, 0, 255]])
-
-
-@pytest.mark.parametrize(
-    ("length", "step"),
-    [(4000.0, 1000.0), (2900.0, 500.0), (700.0, 200.0), (45.0, 10.0), (float(np.nextafter(3000.0, 0.0)), 500.0)],
-)
-def test_axes_have_three_round_ticks_or_more(length: float, step: float) -> None:
-    assert round_step(length) == step
-
-
-def test_ticks_stand_where_they_say() -> None:
-    view = GridGeometry(1234.0, 6000.0, 10.0, 500, 300)
-    plain = np.full((300, 500, 3), 200, np.uint8)
-    sheet = with_axes(plain, view, offset=(340_000.0, 0.0))
-    left = sheet.shape[1] - 500
-    below = sheet[301, left:]  # just under the frame
-    marks = np.flatnonzero((below < 100).all(axis=-1))
-    np.testing.assert_allclose(marks, [(342_000 + 1000 * k - 341_234) / 10 for k in range(5)], atol=1)
-    beside = np.flatnonzero((sheet[:300, left - 2] < 100).all(axis=-1))
-    np.testing.assert_allclose(beside, [0, 100, 200], atol=1)
-
-
 def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
     canvas = FuelCanvas(GRID, flat(), [MapCamera("north", None, (400.0, 500.0))], GRID.bounds, width=720)
     classes = np.full(GRID.shape, 255, np.uint8)
@@ -140,34 +78,6 @@ def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
     pink = np.argwhere((drawn == PINK).all(axis=-1))
     assert pink.min(axis=0).tolist() == [150, 360]
     assert pink.max(axis=0).tolist() == [209, 449]
-
-
-def test_doubtful_cells_are_paler() -> None:
-    known = layers(np.full(GRID.shape, LifeForm.TREE, np.uint8))
-    entropy = np.full(GRID.shape, 0.1, np.float32)
-    entropy[:, 12:] = 0.8
-    picture = overlay_picture(replace(known, entropy=entropy), np.full(GRID.shape, 50.0), 30.0, PALETTE)
-    assert picture.shape == (4 * 16, 4 * 24, 3)
-    assert picture[:, 52:].mean() > picture[:, :44].mean() + 30
-
-
-def test_sheets_hold_what_they_name() -> None:
-    canvas = FuelCanvas(GRID, flat(), [], GRID.bounds, width=300)
-    classes = np.full(GRID.shape, LifeForm.GRASS, np.uint8)
-    before = layers(classes)
-    classes[2:5, 3:9] = LifeForm.TREE
-    after = layers(classes)
-    whole = fuel_sheet(canvas, replace(after, seen_by=np.ones(GRID.shape, after.seen_by.dtype)), PALETTE)
-    unknown = replace(after, p_max=np.full(GRID.shape, np.nan, np.float32), seen_by=np.zeros_like(after.seen_by))
-    as_of = fuel_sheet(canvas, unknown, PALETTE)
-    assert 2 * as_of.shape[0] == pytest.approx(whole.shape[0], rel=0.2), "two maps, of which something is known"
-    for sheet in (whole, change_sheet(canvas, before, after, PALETTE, ("then", "now"))):
-        assert sheet.shape[0] > 500
-        assert sheet.shape[1] > 2 * 300
-    changes = change_sheet(canvas, before, after, PALETTE, ("then", "now"))
-    assert (changes == PINK).all(axis=-1).sum() > 4 * 50, "outlined in all four maps"
-    with pytest.raises(ImageError, match="no camera has seen"):
-        coverage_sheet(canvas, CoverageMap(GRID))
 
 
 def test_the_panels_of_a_change_sheet_differ_in_changed_cells_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,56 +102,6 @@ def test_the_panels_of_a_change_sheet_differ_in_changed_cells_alone(monkeypatch:
     assert (before.life_form != after.life_form).sum() == 8 * 17
     assert outlined.sum() == after.changed.sum() == 5
     np.testing.assert_array_equal(then != now, outlined)
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "changed"),
-    [(102, 145, True), (102, 102, False), (-9999, 102, False), (102, -9999, True), (99, 99, False)],
-)
-def test_changed(before: int, now: int, changed: bool) -> None:
-    found = changed_cells(np.array([[before]], np.int16), np.array([[now]], np.int16))
-    assert found.tolist() == [[changed]]
-
-
-def test_coverage_counts_frames_and_keeps_the_best_footprint(tmp_path: Path) -> None:
-    grid = grid_of(write_site(tmp_path))
-    coverage = CoverageMap(grid)
-    frames = [votes(n, grid) for n in (0, 3, 1)]
-    for frame in frames:
-        coverage.add(frame)
-    assert sorted(coverage.cameras) == ["east", "north"]
-    north = coverage.cameras["north"]
-    count = np.zeros(grid.shape, int)
-    best = np.full(grid.shape, np.inf)
-    for frame in frames[:2]:
-        count[frame.rows, frame.cols] += 1
-        best[frame.rows, frame.cols] = np.minimum(best[frame.rows, frame.cols], frame.visibility.footprint)
-    np.testing.assert_array_equal(north.frames, count)
-    np.testing.assert_allclose(north.footprint, np.where(count > 0, best, np.nan))
-    np.testing.assert_array_equal(coverage.count(), (count > 0).astype(int) + (coverage.cameras["east"].frames > 0))
-
-
-@pytest.mark.parametrize(
-    ("text", "second"),
-    [
-        ("2023-11-14", 1_700_006_399),
-        ("2023-11-14T22:13:20Z", 1_700_000_000),
-        ("2023-11-14T22:13:20", 1_700_000_000),
-        ("2023-11-14T23:13:20+01:00", 1_700_000_000),
-    ],
-)
-def test_moments_are_taken_to_their_end(text: str, second: int) -> None:
-    assert when(text) == (second + 1) * 10**9 - 1
-    with pytest.raises(ConfigError, match="is not a date"):
-        when("last spring")
-
-
-def test_the_shown_part_holds_what_is_seen_and_the_cameras() -> None:
-    cells = np.zeros(GRID.shape, bool)
-    assert seen_window(GRID, cells, []) == GRID.bounds
-    cells[8, 10] = True
-    west, south, east, north = seen_window(GRID, cells, [MapCamera("a", None, (500.0, 600.0))])
-    assert (west, east, south, north) == (265.0, 650.0, 450.0, 795.0)
 
 
 def export(*arguments: Any) -> str:
@@ -298,23 +158,7 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
     assert since.read_bytes() != (tmp_path / "change.png").read_bytes()
 
 
-def test_change_is_drawn_of_the_part_that_cameras_have_seen(
-    kept: tuple[Path, Path, FuelMapHandler], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    site, store, node = kept
-    grid, layers = grid_of(site), node.persistence.map.layers()
-    drawn: list[Any] = []
-    draw = ltm_ros.fuel_map.export.canvas_of
-    monkeypatch.setattr(ltm_ros.fuel_map.export, "canvas_of", lambda *given: drawn.append(given[4]) or draw(*given))
-    for kind in ("change", "png"):
-        export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
-    places = places_of(load_site(site), load_site(site).open_dem())
-    part, whole = drawn
-    assert part == seen_window(grid, layers.last_seen > 0, places)
-    assert whole is None
-
-
-def test_a_bag_has_no_history(tmp_path: Path) -> None:
+def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:
     site = write_site(tmp_path)
     grid = grid_of(site)
     with BagWriter(tmp_path / "bag") as writer:

@@ -1,5 +1,3 @@
-"""Tests a fuel map that measures labels without a reliability record by its own votes."""
-
 from __future__ import annotations
 
 import json

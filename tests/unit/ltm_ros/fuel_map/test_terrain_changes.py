@@ -1,5 +1,3 @@
-"""The fuel map's node and what it hears of the terrain, and of fires: told once, kept, and nothing foreign taken."""
-
 from __future__ import annotations
 
 from array import array
@@ -13,7 +11,7 @@ from geometry_msgs.msg import Point32, PolygonStamped
 from scenes.fuel_frames import BEGIN_NS, grid_of, message, write_site
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.rules import FusionRules, reach_of
 from ltm_core.geometry.grid import GridGeometry
@@ -22,13 +20,11 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_core.surface.reference_surface import Reference
 from ltm_msgs_py.cells import changed_to_msg, msg_to_fuel_cells
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
-from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE, TERRAIN_CHANGE, TERRAIN_UPDATE
 
@@ -94,12 +90,6 @@ def felled(node: Node) -> tuple[np.ndarray, np.ndarray]:
     return kinds, mask
 
 
-def test_the_terrains_grid_is_the_terrain_nodes(site: Path) -> None:
-    dem = load_site(site).open_dem()
-    for resolution in (None, 7.0, 10.0):
-        assert terrain_grid(dem.geometry, resolution) == Reference.of(dem, None, resolution).geometry
-
-
 def test_a_felled_wood_appears_in_the_map_once(site: Path, tmp_path: Path) -> None:
     node = Node(site, tmp_path / "kept")
     kinds, mask = felled(node)
@@ -145,28 +135,6 @@ def test_kills_neither_lose_nor_repeat_what_was_told(site: Path, tmp_path: Path)
         nothing = np.zeros(config.fuel_geometry(config.open_dem()).shape, np.int32)
         np.testing.assert_array_equal(store.as_of("surface", nothing, BEGIN_NS), np.where(mask, 1102, 0))
         np.testing.assert_array_equal(store.as_of("surface", nothing, 2**62), nothing)
-
-
-def test_what_comes_while_the_store_is_away_is_told_when_it_is_back(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened = TileStore.open
-
-    def away(*_: object) -> TileStore:
-        raise StoreError("disk is not there")
-
-    monkeypatch.setattr(TileStore, "open", away)
-    node = Node(site, tmp_path / "kept")
-    kinds, mask = felled(node)
-    node.hear(kinds)
-    node.handler.tick(1.0)
-    assert node.outlet.on(FUEL_MAP_UPDATE) == []
-    monkeypatch.setattr(TileStore, "open", opened)
-    node.handler.tick(retry.LONGEST_RETRY_S)
-    assert (node.life_form[mask] == LifeForm.GRASS).all()
-    assert node.outlet.stamps(FUEL_MAP_UPDATE) == [BEGIN_NS]
-    node.kill()
-    assert (Node(site, tmp_path / "kept").life_form[mask] == LifeForm.GRASS).all()
 
 
 def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
@@ -225,11 +193,6 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     np.testing.assert_array_equal(node.life_form, shown)
 
 
-def test_a_site_without_terrain_does_not_listen(tmp_path: Path) -> None:
-    handler = FuelMapHandler(FuelMapConfig(site=str(write_site(tmp_path))), Kept(), Health())
-    assert not [topic for topic in handler.subscriptions if "terrain" in topic.name]
-
-
 def region(grid: GridGeometry, rows: tuple[int, int], cols: tuple[int, int], stamp: int) -> PolygonStamped:
     drawn = PolygonStamped()
     drawn.header.frame_id, drawn.header.stamp = "map", ns_to_time(stamp)
@@ -270,20 +233,6 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     grown = again.handler.persistence.map.layers()
     assert not (grown.life_form[mask] == LifeForm.BURNED).any()
     assert set(grown.code[mask].tolist()) == {101}
-
-
-def test_burns_at_no_known_time_are_now_and_none_is_in_the_future(kept: Callable[..., Node]) -> None:
-    node = kept(now=BEGIN_NS)
-    node.handler.on_region(region(node.fuel, (5, 6), (40, 41), 0))
-    assert node.handler.burn() == f"1 cells burned at stamp {BEGIN_NS} ns"
-    node.handler.on_region(region(node.fuel, (5, 6), (40, 41), BEGIN_NS + DAY))
-    with pytest.raises(MessageError, match="in the future"):
-        node.handler.burn()
-    outside = region(node.fuel, (5, 6), (40, 41), 0)
-    for corner in outside.polygon.points:
-        corner.x += 9000.0
-    with pytest.raises(MessageError, match="contains no cell"):
-        node.handler.on_region(outside)
 
 
 @pytest.mark.parametrize("heard_before", [True, False])

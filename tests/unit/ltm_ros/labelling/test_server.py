@@ -1,5 +1,3 @@
-"""The labelling page's server: who may ask, for what, and how much; and the page in a real browser."""
-
 from __future__ import annotations
 
 import http.client

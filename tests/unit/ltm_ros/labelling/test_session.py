@@ -1,18 +1,14 @@
-"""What is kept of areas that a person names, whatever the page sends."""
-
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError
 from ltm_core.label_heads.labelled_frames import read_frames
-from ltm_core.vision.areas import NamedArea, areas_of, labels_of, read_areas, write_areas
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.areas import read_areas
 from ltm_ros.labelling.server import LabelSession
 
 WIDTH, HEIGHT = 60, 40
@@ -51,29 +47,6 @@ def test_areas_become_polygons_and_a_label_image(folder: Path) -> None:
     assert [photo["name"] for photo in again.overview()["photos"]] == ["a.png", "b.png"], "label images are no photos"
 
 
-def test_strokes_are_kept_as_outlines_that_give_the_same_labels(folder: Path) -> None:
-    session = LabelSession(folder)
-    stroke = {"kind": "stroke", "name": "shrub", "points": [[12, 20], [40, 22], [45, 30]], "radius": 5}
-    dot = {"kind": "stroke", "name": "unlabelled", "points": [[40, 22]], "radius": 2}
-    session.save(0, {"shapes": [stroke, dot]})
-    labels = saved(folder, "a")
-    assert labels[20, 12] == labels[21, 30] == 2
-    assert labels[22, 40] == 255
-    assert labels[10, 12] == labels[38, 50] == 255
-    kept = session.areas(0)
-    session.save(0, {"shapes": kept})
-    np.testing.assert_array_equal(saved(folder, "a"), labels)
-
-
-def test_a_stroke_about_a_place_leaves_the_place_out(folder: Path) -> None:
-    ring = {"kind": "stroke", "name": "water", "points": [[10, 8], [50, 8], [50, 32], [10, 32], [10, 8]], "radius": 3}
-    session = LabelSession(folder)
-    session.save(0, {"shapes": [ring]})
-    labels = saved(folder, "a")
-    assert (labels[13:28, 15:46] == 255).all()
-    assert (labels[8, 10:51] == 5).all()
-
-
 def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
     """With a mask and an erased place, as the page saves them; by its label images and by its areas alone."""
     session = LabelSession(folder)
@@ -85,30 +58,6 @@ def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
         (frame,) = read_frames(folder, len(session.labels))
         np.testing.assert_array_equal(frame.labels, expected)
         (folder / "a_labels.png").unlink(missing_ok=True)
-
-
-def test_other_photos_keep_their_areas(folder: Path) -> None:
-    elsewhere = NamedArea(image="gone.jpg", kind="bare", polygon=((1, 1), (9, 1), (5, 9)))
-    write_areas(folder / "polygons.json", [elsewhere])
-    session = LabelSession(folder)
-    session.save(1, {"shapes": [square("water", 5, 5, 9, 9)]})
-    session.save(0, {"shapes": [square("grass", 5, 5, 9, 9)]})
-    session.save(0, {"shapes": []})
-    assert [(a.image, a.kind) for a in read_areas(folder / "polygons.json")] == [
-        ("gone.jpg", "bare"),
-        ("b.png", "water"),
-    ]
-    assert (saved(folder, "a") == 255).all()
-
-
-def test_a_label_image_comes_back_from_its_areas() -> None:
-    labels = LabelSet.load()
-    drawn = np.zeros((90, 130), np.uint8)
-    drawn[40:] = 2
-    drawn[50:70, 30:60] = 4
-    drawn[55:64, 40:52] = 3
-    back = labels_of(areas_of("a.jpg", drawn, labels.names), 90, 130, labels)
-    assert (back == drawn).mean() > 0.985
 
 
 @pytest.mark.parametrize(
@@ -130,22 +79,3 @@ def test_what_is_no_list_of_areas_changes_nothing(folder: Path, content: object)
     with pytest.raises(ConfigError):
         session.save(0, content)
     assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png"]
-
-
-def test_folders_that_cannot_be_labelled(folder: Path, tmp_path: Path) -> None:
-    for number in (-1, 2):
-        with pytest.raises(ConfigError, match="there is no photo"):
-            LabelSession(folder).save(number, {"shapes": []})
-    with pytest.raises(ConfigError, match="no network"):
-        LabelSession(folder).suggested(0)
-    (folder / "a.jpg").write_bytes((folder / "a.png").read_bytes())
-    with pytest.raises(ConfigError, match="several photos are named a"):
-        LabelSession(folder)
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    with pytest.raises(RecordingError, match="no photos"):
-        LabelSession(empty)
-    (folder / "a.jpg").unlink()
-    (folder / "polygons.json").write_text(json.dumps([{"image": "a.png"}]))
-    with pytest.raises(ConfigError, match=r"polygons\.json"):
-        LabelSession(folder)

@@ -1,5 +1,3 @@
-"""The description of a site's graph: which nodes, where, with which parameters; its runner, and its launch file."""
-
 from __future__ import annotations
 
 import os
@@ -20,7 +18,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
 from ltm_ros.cli import main
 from ltm_ros.launching import runner as runner_module
-from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, nodes_json, nodes_of_json
+from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.process_memory import Trimming
 
@@ -50,23 +48,6 @@ def test_every_camera_has_its_chain_and_the_site_its_map() -> None:
     assert all(node.required for node in graph)
 
 
-def test_a_site_with_a_depth_network_fuses_every_cameras_depth() -> None:
-    assert "topodepth" not in {node.name for node in describe(site(), "ridge.yaml")}
-    graph = describe(site(depth_model="tcmonodepth"), "ridge.yaml")
-    assert [node.full_name for node in graph if node.name == "topodepth"] == [
-        "/ridge/north/topodepth",
-        "/ridge/south/topodepth",
-    ]
-    assert graph.node("north/topodepth").busy
-
-
-def test_only_some_cameras_in_simulated_time() -> None:
-    graph = describe(site(), "ridge.yaml", cameras=["south"], sim_time=True)
-    assert {node.namespace for node in graph} == {"/ridge", "/ridge/south"}
-    assert all(node.parameters["use_sim_time"] is True for node in graph)
-    assert all(node.parameters["site"] == str(Path.cwd() / "ridge.yaml") for node in graph)
-
-
 def test_a_camera_with_a_source_is_asked_for_its_pictures_but_not_in_a_replay() -> None:
     source = {"kind": "snapshot", "url": "http://127.0.0.1/snapshot.jpg"}
     calibration = {"width": 320, "height": 180, "hfov_deg": 62.0}
@@ -86,17 +67,6 @@ def test_a_recordings_frames_are_not_shed_unless_somebody_says_so() -> None:
     assert replayed.node("north/capture").parameters["shed"] is False
     told = describe(site(nodes={"capture": {"shed": True, "in_flight": 3}}), "ridge.yaml", sim_time=True)
     assert {"shed": True, "in_flight": 3}.items() <= told.node("north/capture").parameters.items()
-
-
-def test_viewer_and_recorder_on_request_are_not_required() -> None:
-    graph = describe(site(), "ridge.yaml", view={"serve": True}, record={"bag": "/bags/today"})
-    viewer, recorder = graph.node("viewer"), graph.node("recorder")
-    assert (viewer.full_name, viewer.parameters["serve"], viewer.required) == ("/ridge/viewer", True, False)
-    assert (recorder.full_name, recorder.parameters["bag"], recorder.required) == (
-        "/ridge/recorder",
-        "/bags/today",
-        False,
-    )
 
 
 def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:
@@ -126,24 +96,6 @@ def test_refuses_parameters_that_no_node_can_take(nodes: dict[str, Any], message
         describe(site(nodes=nodes), "ridge.yaml")
 
 
-def test_names_the_cameras_and_nodes_there_are() -> None:
-    with pytest.raises(ConfigError, match="'west'; it has north, south"):
-        describe(site(), "ridge.yaml", cameras=["west"])
-    with pytest.raises(ConfigError, match="'depth' in the graph of ridge; it has fuel_map, north/capture"):
-        describe(site(), "ridge.yaml").node("depth")
-
-
-@pytest.mark.parametrize(("name", "namespace"), [("a b", "/x"), ("1a", "/x"), ("a", "x"), ("a", "/x/"), ("a", "/")])
-def test_refuses_names_that_ros_does_not_allow(name: str, namespace: str) -> None:
-    with pytest.raises(ConfigError):
-        NodeSpec(name, namespace, "m")
-
-
-def test_refuses_two_nodes_of_one_label() -> None:
-    with pytest.raises(ConfigError, match="duplicate nodes north/depth"):
-        Graph("ridge", (NodeSpec("depth", "/ridge/north", "a"), NodeSpec("depth", "/cliff/north", "b")))
-
-
 def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     apart, together = (
         describe(site(processes=processes, depth_model="d"), "ridge.yaml", record={"bag": "/b"})
@@ -161,21 +113,6 @@ def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     assert not together.process("recorder").required
     with pytest.raises(ConfigError, match=r"no process 'north/depth' .* it has fuel_map, cameras, recorder"):
         together.process("north/depth")
-
-
-def test_a_part_of_a_graph_keeps_its_processes() -> None:
-    whole = describe(site(processes="site"), "ridge.yaml")
-    part = Graph("ridge", (whole.node("fuel_map"), whole.node("south/depth")))
-    assert [(process.label, len(process.nodes)) for process in part.processes] == [("fuel_map", 1), ("cameras", 1)]
-    assert part.process("cameras").shared
-
-
-def test_what_a_shared_process_is_told_is_what_was_described() -> None:
-    nodes = {"capture": {"pose_tolerance": 2.0, "hosts": ["y", "n"], "title": "on"}}
-    told = describe(site(processes="site", nodes=nodes), "ridge.yaml", sim_time=True).process("cameras").nodes
-    again = nodes_of_json(nodes_json(told))
-    assert again == told
-    assert [type(value) for value in again[0].parameters.values()] == [type(v) for v in told[0].parameters.values()]
 
 
 def run_idle_graph(folder: Path, console: Callable[[str], None]) -> None:
@@ -283,8 +220,3 @@ def test_launch_runs_what_the_command_line_runs(
     assert {key: value or usual.get(key) for key, value in read.items()} == {
         "site": Path("ridge.yaml")
     } | usual | options
-
-
-def test_refuses_a_flag_that_is_neither(launch_file: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match="view:=yes"):
-        command_of(launch_file, site="ridge.yaml", view="yes")

@@ -1,5 +1,3 @@
-"""What is compiled before a graph starts."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -7,7 +5,7 @@ from pathlib import Path
 import pytest
 from scenes.small_site import write_small_site
 
-from ltm_core.pipeline.kernels import KERNELS, compile_kernels
+from ltm_core.pipeline.kernels import KERNELS
 from ltm_core.site.site_io import load_site
 from ltm_ros.launching import kernels
 from ltm_ros.launching.graph import describe
@@ -38,8 +36,3 @@ def test_each_kind_of_node_is_compiled_once_for_a_state_of_the_source(
     assert sorted(kinds) == sorted({node.module.rpartition(".")[2] for node in graph} & set(KERNELS))
     assert "fuel_votes" in kinds
     assert len(said) == 2  # at its begin and at its end
-
-
-@pytest.mark.parametrize("kind", KERNELS)
-def test_the_scene_of_each_kind_can_be_computed(tmp_path: Path, kind: str) -> None:
-    compile_kernels(kind, load_site(write_small_site(tmp_path, recording=False).path))

@@ -1,18 +1,13 @@
-"""What a service manager hears: sd_notify(3), on a real socket; and the status of a run."""
-
 from __future__ import annotations
 
 import os
 import sys
 import threading
-import uuid
 from pathlib import Path
 
-import pytest
 from scenes.notify_socket import NotifySocket
 from scenes.waiting import wait_for
 
-from ltm_core.base.errors import ConfigError
 from ltm_ros.launching import supervisor
 from ltm_ros.launching.service_manager import LONGEST, ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartPolicy
@@ -47,48 +42,6 @@ def test_the_manager_hears_ready_once_signs_of_life_and_the_end(tmp_path: Path) 
             "1 of 2 processes run; down: depth",
             "stopping",
         ]
-
-
-def test_the_abstract_namespace_is_reached() -> None:
-    with NotifySocket(f"@ltm-{uuid.uuid4()}") as socket:
-        ServiceManager(socket.address).report("up", ready=True, alive=True)
-        assert socket.heard == [("READY", "1"), ("STATUS", "up")]
-
-
-@pytest.mark.parametrize("other", [{"WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "-3"}])
-def test_without_a_watchdog_for_this_process_no_signs_of_life_are_sent(tmp_path: Path, other: dict[str, str]) -> None:
-    with NotifySocket(tmp_path / "notify") as socket:
-        environ = {"NOTIFY_SOCKET": socket.address, "WATCHDOG_USEC": "30"} | other
-        manager = ServiceManager.of_environment(environ)
-        for _ in range(3):
-            manager.report("up", ready=True, alive=True)
-        assert socket.heard == [("READY", "1"), ("STATUS", "up")]
-
-
-def test_signs_of_life_come_no_more_often_than_wanted(tmp_path: Path) -> None:
-    with NotifySocket(tmp_path / "notify") as socket:
-        manager = ServiceManager(socket.address, watchdog_s=3600.0)
-        for _ in range(5):
-            manager.report("up", ready=True, alive=True)
-        assert len(socket.of("WATCHDOG")) == 1
-
-
-def test_without_a_manager_nothing_is_sent_and_nothing_is_wrong() -> None:
-    manager = ServiceManager.of_environment({"WATCHDOG_USEC": "30"})
-    manager.report("a", ready=True, alive=True)
-    manager.stopping()
-
-
-def test_a_manager_that_goes_away_stops_nothing(tmp_path: Path) -> None:
-    with NotifySocket(tmp_path / "notify") as socket:
-        manager = ServiceManager(socket.address, watchdog_s=1e-6)
-    manager.report("up", ready=True, alive=True)
-    manager.stopping()
-
-
-def test_an_address_where_no_manager_listens_is_an_error_that_names_it() -> None:
-    with pytest.raises(ConfigError, match="/nowhere/notify"):
-        ServiceManager.of_environment({"NOTIFY_SOCKET": "/nowhere/notify"})
 
 
 QUICK = RestartPolicy(initial_s=0.05, maximum_s=0.05, config_tries=2)

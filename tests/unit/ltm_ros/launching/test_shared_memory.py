@@ -1,10 +1,7 @@
-"""Shared memory of dead processes is told from that of living ones by its locks and maps; and who removes it."""
-
 from __future__ import annotations
 
 import fcntl
 import mmap
-import time
 from pathlib import Path
 
 import pytest
@@ -59,33 +56,10 @@ def test_looking_is_in_nobodys_way(folder: Path, monkeypatch: pytest.MonkeyPatch
     assert len(taken) == 2
 
 
-def test_looks_where_the_kernel_does_not_tell_of_locks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared_memory, "_held_locks", lambda: None)
-    with (folder / f"{SEGMENT}_el").open() as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        seen = shared_memory.survey(folder, min_age_s=0.0)
-    assert (seen.in_use, seen.stale) == ((SEGMENT,), (PORT,))
-    assert (folder / PORT).exists()
-
-
-def test_leaves_a_port_whose_shared_lock_is_held(folder: Path) -> None:
-    (folder / f"{PORT}_sl").touch()
-    with (folder / f"{PORT}_sl").open() as lock:
-        fcntl.flock(lock, fcntl.LOCK_SH)
-        assert shared_memory.remove_stale(folder, min_age_s=0.0).in_use == (PORT,)
-        assert (folder / PORT).exists()
-
-
 def test_leaves_a_port_that_a_sender_maps(folder: Path) -> None:
     with (folder / PORT).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ):
         assert shared_memory.remove_stale(folder, min_age_s=0.0).in_use == (PORT,)
         assert (folder / PORT).exists()
-
-
-def test_removes_a_segment_that_only_peers_map(folder: Path) -> None:
-    with (folder / SEGMENT).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ):
-        assert SEGMENT in shared_memory.remove_stale(folder, min_age_s=0.0).stale
-        assert not (folder / SEGMENT).exists()
 
 
 def test_leaves_a_mapped_segment_without_lock_file(folder: Path) -> None:
@@ -99,16 +73,3 @@ def test_leaves_what_may_just_be_coming_up(folder: Path) -> None:
     seen = shared_memory.remove_stale(folder, min_age_s=3600.0)
     assert (seen.stale, seen.young) == ((), (SEGMENT, PORT))
     assert (folder / SEGMENT).exists()
-
-
-def test_a_clock_that_was_set_back_makes_nothing_young(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else what a killed node leaves, 70 MB each, would stay until the clock has caught up."""
-    an_hour_ago = time.time() - 3600.0
-    monkeypatch.setattr(time, "time", lambda: an_hour_ago)
-    seen = shared_memory.remove_stale(folder)
-    assert (seen.stale, seen.young) == ((SEGMENT, PORT), ())
-
-
-def test_no_shared_memory_at_all(tmp_path: Path) -> None:
-    assert shared_memory.remove_stale(tmp_path / "none") == shared_memory.SharedMemory((), (), (), 0)
-    assert shared_memory.free_bytes(tmp_path / "none") is None

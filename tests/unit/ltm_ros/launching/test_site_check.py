@@ -1,9 +1,6 @@
-"""What a graph needs of its machine, and how a run that cannot be ends."""
-
 from __future__ import annotations
 
 import os
-import socket
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -17,8 +14,7 @@ from ltm_core.base.errors import SiteFinding, SiteVerdict
 from ltm_core.raster import prepared_heights_io
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_ros.launching import site_check
-from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine, examined_apart, exit_status
-from ltm_ros.recordings.replay import run as replay_run
+from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
 
 
 def finding(area: str, verdict: SiteVerdict) -> SiteFinding:
@@ -54,19 +50,6 @@ def test_room_for_what_is_kept(
     assert ("free some space" in room.said) is (verdict is not SiteVerdict.OK)
 
 
-def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: Path) -> None:
-    site = write_small_site(tmp_path, recording=False).path
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        site.write_text(site.read_text() + yaml.safe_dump({"health": {"port": port}}))
-        found = examine(site, Wanted(health={})).findings
-    (of_port,) = [one for one in found if one.name == "health"]
-    assert of_port.verdict is SiteVerdict.DOUBTFUL
-    assert f"127.0.0.1:{port} cannot be opened (Address already in use)" in of_port.said
-    assert "the tower runs, and retries" in of_port.said
-    assert exit_status(found) == 0
-
-
 def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     """Of the recorder and the viewer too, where they run."""
     site = write_small_site(tmp_path, recording=False).path
@@ -93,16 +76,6 @@ def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest
     (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
     assert (found.area, found.verdict) == (MACHINE, SiteVerdict.WRONG)
     assert "larger than the memory" in found.said
-
-
-def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay_run, "Runner", None)
-    monkeypatch.setattr(site_check, "examined_apart", lambda path, wanted: examine(path, wanted).findings)
-    small = write_small_site(tmp_path)
-    small.path.write_text(small.path.read_text().replace("EPSG:26911", "EPSG:26910"))
-    with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
-        replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print)
-    assert told.value.status == 78
 
 
 def test_what_a_source_or_an_alert_lacks_is_doubted_and_keeps_nothing_from_starting(

@@ -1,5 +1,3 @@
-"""Processes that end with their runner, whatever state they are in, and processes that hang, without ROS."""
-
 from __future__ import annotations
 
 import os
@@ -98,12 +96,6 @@ def state_of(pid: int) -> str:
 def test_no_process_outlives_a_killed_runner(folder: Path) -> None:
     pids = start_and_kill_parent(folder, "well", "stopped", stop="stopped")
     wait_for(lambda: not alive(pids), "the end of all", lambda: alive(pids))
-
-
-@pytest.mark.slow
-def test_what_holds_pythons_lock_does_not_outlive_a_killed_runner(folder: Path) -> None:
-    pids = start_and_kill_parent(folder, "holds_the_lock")
-    wait_for(lambda: not alive(pids), "its end", lambda: alive(pids))
 
 
 class Watched:

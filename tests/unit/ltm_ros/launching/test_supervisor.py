@@ -1,5 +1,3 @@
-"""One supervised process, without ROS: its output, its deaths, its end."""
-
 from __future__ import annotations
 
 import signal
@@ -7,10 +5,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 from scenes.waiting import wait_for
 
-from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartDelay, RestartPolicy, describe_exit
+from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartDelay, RestartPolicy
 from ltm_ros.runtime.handler import EX_CONFIG
 
 QUICK = RestartPolicy(initial_s=0.01, maximum_s=0.02, config_tries=2)
@@ -32,21 +29,6 @@ def test_gives_up_only_after_configuration_errors_in_a_row() -> None:
     assert delay.after(1, 0.0) is not None
     assert delay.after(EX_CONFIG, 0.0) is not None
     assert delay.after(EX_CONFIG, 0.0) is None
-
-
-@pytest.mark.parametrize(
-    ("status", "words"),
-    [
-        (-9, "killed by SIGKILL"),
-        (-11, "killed by SIGSEGV"),
-        (-63, "killed by signal 63"),
-        (0, "ended normally (exit code 0)"),
-        (3, "exit code 3"),
-        (78, "exit code 78: its configuration is invalid"),
-    ],
-)
-def test_says_how_a_process_ended(status: int, words: str) -> None:
-    assert describe_exit(status) == words
 
 
 class Supervised:
@@ -75,16 +57,6 @@ class Supervised:
         assert self.process.wait_stopped(10.0)
 
 
-def test_output_of_both_kinds_goes_to_the_console() -> None:
-    one = Supervised("import sys, time; print('out'); print('err \\udcff', file=sys.stderr); time.sleep(60)")
-    one.wait_for(lambda: len(one.lines) == 3)
-    pid = one.process.pid
-    one.end()
-    assert one.lines[:2] == [f"[north/depth] -- started as process {pid}", "[north/depth] out"]
-    assert one.lines[2].startswith("[north/depth] err")
-    assert one.process.state is ProcessState.STOPPED
-
-
 def test_restarts_whatever_way_it_dies() -> None:
     one = Supervised("import os; print('up'); os.abort()")
     one.wait_for(lambda: one.process.starts >= 3)
@@ -102,24 +74,6 @@ def test_gives_up_a_configuration_error_with_its_last_words() -> None:
     assert one.process.last_words()[-1] == "no such camera"
     assert one.lines[-1].endswith("no such camera")
     assert one.process.signal(signal.SIGKILL) is False
-
-
-def test_stops_while_it_waits_to_restart() -> None:
-    one = Supervised("raise SystemExit(1)", RestartPolicy(initial_s=3600.0, maximum_s=3600.0))
-    one.wait_for(lambda: any("restarting in 3600.0 s" in line for line in one.lines))
-    one.process.request_stop()
-    assert one.process.wait_stopped(5.0)
-
-
-def test_command_that_does_not_exist_is_reported_and_tried_again() -> None:
-    one = Supervised("pass")
-    one.end()
-    lines: list[str] = []
-    process = NodeProcess("x", ["/no/such/python"], {}, lines.append, QUICK)
-    process.start()
-    wait_for(lambda: sum("cannot be started" in line for line in lines) >= 2, "two tries", lambda: lines)
-    process.request_stop()
-    assert process.wait_stopped(5.0)
 
 
 def test_ends_what_the_process_had_started() -> None:

@@ -1,5 +1,3 @@
-"""capture: which image leaves with which pose and calibration, when, and what becomes of the others."""
-
 from __future__ import annotations
 
 import io
@@ -13,21 +11,19 @@ import numpy as np
 import PIL.Image
 import pytest
 import yaml
-from nav_msgs.msg import Odometry
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain
 from scenes.transforms import transform_to_msg
 
-from ltm_core.base.errors import CameraError, ConfigError, ImageError, PoseError
+from ltm_core.base.errors import CameraError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose, pose_covariance
+from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.bag.cdr import Transforms
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import (
     LINK_OPTICAL,
-    msg_to_covariance,
     msg_to_pose,
     msg_to_transform,
     pose_to_msg,
@@ -40,7 +36,6 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
-    IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
     POSED_CAMERA_INFO,
@@ -182,20 +177,6 @@ def test_pose_has_the_stamp_or_is_interpolated(
     )
 
 
-def test_nearest_pose_within_the_tolerance_once_a_later_one_is_there(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of(pose_tolerance=0.5)
-    capture.on_camera_info(info(0))
-    capture.subscriptions[POSE](pose(6 * S // 10, x=0.6))
-    capture.on_image(image(S))
-    assert outlet.sent == [], "a nearer pose may be on its way"
-    capture.subscriptions[POSE](pose(13 * S // 10, x=1.3))
-    assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.3]
-    assert outlet.stamps(POSED_POSE) == [S]
-    capture.on_image(image(2 * S))
-    capture.subscriptions[POSE](pose(26 * S // 10, x=2.6))
-    assert outlet.stamps(POSED_POSE) == [S], "nobody is within half a second of it"
-
-
 def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of(max_wait=2.0)
     capture.on_camera_info(info(0))
@@ -210,36 +191,6 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     capture.subscriptions[POSE](pose(S))
     capture.subscriptions[POSE](pose(2 * S))
     assert outlet.stamps(POSED_IMAGE) == [2 * S]
-
-
-def test_without_calibration_that_is_the_cause(capture_of: CaptureOf) -> None:
-    capture, _, health = capture_of(max_wait=1.0)
-    capture.subscriptions[POSE](pose(S))
-    capture.on_image(image(S))
-    capture.tick(1.1)
-    assert health.dropped == {"no_calibration": 1}
-
-
-def test_oldest_goes_when_too_many_wait(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of(max_waiting=3)
-    capture.on_camera_info(info(0))
-    for stamp in (4 * S, 2 * S, 3 * S):
-        capture.on_image(image(stamp))
-    assert health.dropped == {}
-    capture.on_image(image(5 * S))
-    assert health.dropped == {"no_pose": 1}
-    for stamp in range(2, 6):
-        capture.subscriptions[POSE](pose(stamp * S))
-    assert outlet.stamps(POSED_IMAGE) == [3 * S, 4 * S, 5 * S]
-
-
-def test_end_gives_up_what_waits(capture_of: CaptureOf) -> None:
-    capture, _, health = capture_of()
-    for stamp in (S, 2 * S):
-        capture.on_image(image(stamp))
-    capture.finish()
-    assert health.dropped == {"no_pose": 2}
-    assert "ended" in health.last_error
 
 
 def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
@@ -298,20 +249,6 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     assert outlet.sent == []
 
 
-def test_a_fixed_pose_is_as_sure_as_the_site_file_says(capture_of: CaptureOf) -> None:
-    where = {"x": 500_321.0, "y": 4_000_123.0, "z": 900.0, "azimuth_deg": 70.0, "pitch_deg": -3.0}
-    for sigmas in ({}, {"azimuth_sigma_deg": 1.25, "position_sigma": 2.0}):
-        capture, outlet, _ = capture_of({"pose": where | sigmas})
-        capture.on_camera_info(info(S))
-        capture.on_image(image(S))
-        (message,) = outlet.on(POSED_POSE)
-        expected = pose_covariance(msg_to_pose(message), 2.0, 0.5, 1.25, 0.3, 0.3) if sigmas else None
-        found = msg_to_covariance(message)
-        assert (found is None) == (expected is None)
-        if expected is not None:
-            np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
     calibration = {"width": 12, "height": 7, "fx": 9.0}
     where = {"x": 500_321.0, "y": 4_000_123.0, "height_above_ground": 8.0, "azimuth_deg": 70.0}
@@ -323,13 +260,6 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
     ground = Dem.open(Path(capture.config.site).parent / "dem.tif").elevation_at(500_321.0, 4_000_123.0)
     np.testing.assert_allclose(sent.position, [321.0, 123.0, float(ground) + 8.0], atol=1e-6)
     assert msg_to_camera(outlet.on(POSED_CAMERA_INFO)[0]) == Camera(12, 7, 9.0, 9.0, 5.5, 3.0)
-
-
-def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
-    capture, _, _ = capture_of()
-    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, IMAGE_RAW, CAMERA_INFO, POSE, FINISHED}
-    capture, _, _ = capture_of({"image": "compressed"})
-    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE, FINISHED}
 
 
 def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
@@ -355,11 +285,6 @@ def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: Capture
     for sent in outlet.on(POSED_IMAGE):
         np.testing.assert_array_equal(msg_to_rgb(sent), PHOTO)
     assert health.dropped == {}
-
-
-def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
-    with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
-        CaptureHandler(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
 
 
 FUSE = "/ridge/eye/topodepth"
@@ -394,18 +319,6 @@ def test_a_recordings_frames_are_not_shed(capture_of: CaptureOf) -> None:
     for stamp in range(S, 7 * S, S):
         capture.on_finished(make_header(stamp, FUSE))
     assert outlet.stamps(POSED_IMAGE) == [*range(S, 7 * S, S)]
-    assert health.dropped == {}
-
-
-def test_what_is_no_image_of_the_camera_takes_no_place_at_the_door(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of()
-    outlet.working = {FUSE}
-    offered(capture, S, 2 * S, 3 * S)
-    capture.subscriptions[POSE](pose(4 * S))
-    with pytest.raises(ImageError):
-        capture.on_image(image(4 * S, b"garbage"))
-    capture.on_finished(make_header(S, FUSE))
-    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S, 3 * S]
     assert health.dropped == {}
 
 
@@ -454,32 +367,6 @@ def grown() -> Iterator[Callable[[], int]]:
     tracemalloc.stop()
 
 
-def test_equal_poses_and_calibrations_are_held_once(capture_of: CaptureOf, grown: Callable[[], int]) -> None:
-    """A thousand are remembered, and those of a camera that stands still are all the same."""
-    capture, _, health = capture_of()
-
-    def held_by(first: int, at_x: Callable[[int], float]) -> int:
-        before = tracemalloc.get_traced_memory()[0]
-        for number in range(first, first + 200):
-            capture.on_camera_info(info(number * S, 10.0 + at_x(number)))
-            capture.subscriptions[POSE](pose(number * S, at_x(number)))
-        return tracemalloc.get_traced_memory()[0] - before
-
-    moving = held_by(100, lambda number: number / 10)
-    still = held_by(300, lambda _: 1.0)
-    assert 0 < still < 0.4 * moving
-    assert health.dropped == {}
-
-
-def test_a_pose_that_differs_in_its_covariance_alone_is_another(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of()
-    for stamp, sigma in ((S, 2.0), (2 * S, 2.0), (3 * S, 5.0)):
-        capture.on_camera_info(info(stamp))
-        capture.subscriptions[POSE](pose_to_msg(at(1.0), stamp, "map", np.diag([1.0, 2, 3, 4, 5, sigma])))
-        capture.on_image(image(stamp))
-    assert [sent.pose.covariance[35] for sent in outlet.on(POSED_POSE)] == [2.0, 2.0, 5.0]
-
-
 def refuse_to_decode(monkeypatch: pytest.MonkeyPatch) -> None:
     def decode(*_: object) -> Any:
         raise AssertionError("decoded")
@@ -525,15 +412,6 @@ def test_images_of_too_many_bytes_do_not_wait(capture_of: CaptureOf, site: Calla
     assert health.dropped == {"too_large": 2}
 
 
-def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    capture, _, _ = capture_of()
-    refuse_to_decode(monkeypatch)
-    capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
-    capture.subscriptions[POSE](pose(S))
-    with pytest.raises(ImageError, match="12 x 7 pixels, but its calibration is for 13 x 7"):
-        capture.on_image(image(S))
-
-
 def test_calibrations_of_too_many_pixels_are_dropped(capture_of: CaptureOf) -> None:
     capture, _, health = capture_of()
     capture.on_camera_info(camera_to_msg(Camera.from_fov(12_000, 9_000, 50.0), S, "x"))
@@ -552,26 +430,6 @@ def test_images_that_wait_hold_bounded_bytes(capture_of: CaptureOf) -> None:
         capture.on_image(image(number * S, bytes(30 << 20)))
     assert health.dropped == {"no_pose": 21}, "four of 30 MB are within 128 MB"
     assert "MB of data are queued" in health.last_error
-
-
-def test_the_newest_frame_is_not_one_from_before_the_clock_was_set_back(capture_of: CaptureOf) -> None:
-    """Else a camera that delivers no more would pass for one that does, for a day where the clock was a day ahead."""
-    capture, outlet, health = capture_of()
-    outlet.now = 90_000 * S
-    capture.on_image(image(90_000 * S))
-    assert health.summary()["newest_stamp"] == "90000.000"
-    outlet.now = 3_600 * S
-    capture.on_image(image(3_599 * S))
-    assert health.summary()["newest_stamp"] == "3599.000"
-    capture.on_image(image(3_598 * S))
-    assert health.summary()["newest_stamp"] == "3599.000", "one that is late is not the newest"
-
-
-def test_clocks_that_were_never_set_are_refused(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of()
-    outlet.now = 1_800_000_000 * S
-    capture.on_image(image(S))
-    assert health.dropped == {"unset_clock": 1}
 
 
 @pytest.fixture
@@ -605,17 +463,3 @@ def test_a_pose_from_live_transforms_and_frames_for_others(capture_of: CaptureOf
     through = msg_to_transform(fixed).after(msg_to_transform(moved))
     np.testing.assert_allclose(through.rotation, expected.rotation, atol=1e-12)
     np.testing.assert_allclose(through.position, expected.position)
-
-
-def test_a_named_pose_may_be_odometry(capture_of: CaptureOf) -> None:
-    capture, outlet, _ = capture_of({"topics": {"pose": "/odom"}})
-    (callback,) = (callback for topic, callback in capture.subscriptions.items() if topic.name == "/odom")
-    sent = Odometry(header=make_header(S, "map"), child_frame_id="eye_optical")
-    sent.pose = pose(S).pose
-    callback(sent)
-    capture.on_camera_info(info(S))
-    capture.on_image(image(S))
-    assert msg_to_pose(outlet.on(POSED_POSE)[0]).position == pytest.approx([1.0, 2.0, 3.0])
-    sent.child_frame_id = "base_link"
-    with pytest.raises(PoseError):
-        callback(sent)

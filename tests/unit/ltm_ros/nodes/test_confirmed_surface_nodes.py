@@ -1,5 +1,3 @@
-"""The confirmed surface from `terrain` to `depth` and `topodepth`: followed, taken back, and never read by the wire."""
-
 from __future__ import annotations
 
 import json
@@ -13,7 +11,7 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
-from ltm_core.base.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import MessageError, StoreError
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
@@ -128,18 +126,6 @@ def test_later_frames_are_traced_to_what_was_confirmed(chain: Chain) -> None:
     assert chain.health.dropped == chain.depth_health.dropped == {}
 
 
-def test_what_is_confirmed_is_not_confirmed_again_and_does_not_undo_itself(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for look in range(8):
-        chain.look(truth, 2 * look)
-    names = [msg_to_version(message) for message in chain.told.on(TERRAIN_SURFACE)]
-    assert len(names) == len(set(names)) <= 4, names
-    assert chain.versions[-1] == names[-1]
-    manifest = json.loads((chain.folder / MANIFEST).read_text())
-    first, last = manifest["versions"][0], manifest["versions"][-1]
-    assert last["changed"] >= first["changed"] > 50
-
-
 def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     truth = sunk(chain.small)
     for hours in (0, 2, 4):
@@ -162,16 +148,6 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     chain.look(truth, 12)
     assert chain.versions[-1] != ""
     assert confirmed != ""
-
-
-def test_whoever_starts_again_has_the_version_that_counts(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2, 4):
-        chain.look(truth, hours)
-    counts = chain.versions[-1]
-    chain.restart()
-    chain.look(truth, 6)
-    assert chain.versions == [counts]
 
 
 def test_a_kill_before_the_version_was_written_is_made_good_without_a_frame(chain: Chain) -> None:
@@ -207,21 +183,6 @@ def test_where_no_version_can_be_written_the_terrain_goes_on_and_tries_again(
     chain.look(truth, 8)
     chain.terrain.tick(30.0)
     assert "cells seen have changed" in chain.terrain.services["terrain/confirm"]()
-
-
-def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2):
-        chain.look(truth, hours)
-    for path in chain.folder.glob("*.npz"):
-        path.write_bytes(b"PK\x05\x06" + bytes(18))
-    chain.restart()
-    assert chain.depth_health.troubled
-    assert "frames are traced to the original terrain" in chain.depth_health.last_error
-    chain.look(truth, 4)
-    chain.look(truth, 6)
-    assert chain.versions[0] == ""
-    assert chain.versions[-1] != ""
 
 
 @pytest.mark.parametrize("when", ["at the start", "meanwhile"])
@@ -283,39 +244,3 @@ def test_a_version_that_the_manifest_does_not_name_is_not_followed(chain: Chain)
     listens[SURFACE](status_to_msg("terrain/surface", 0, {"version": "0123456789abcdef"}))
     chain.look(chain.small.dem, 0)
     assert chain.versions == [""]
-
-
-def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Chain) -> None:
-    """Two hundred metres of something where the mast stands, as two cameras may have it."""
-    from ltm_core.pipeline.site_surface import surface_versions
-    from ltm_core.surface.confirmed_surface import ConfirmedSurface
-
-    pose = msg_to_pose(measured_messages(chain.small, chain.small.dem, 0)[POSED_POSE], "map")
-    row, col = chain.small.dem.geometry.cell_of(*pose.position[:2])
-    rows, cols = (index.ravel().astype(np.int32) for index in np.mgrid[row - 1 : row + 2, col - 1 : col + 2])
-    tall = ConfirmedSurface(
-        chain.small.dem.geometry,
-        rows,
-        cols,
-        chain.small.dem.elevation[rows, cols] + np.float32(200.0),
-        np.full(9, np.nan, np.float32),
-    )
-    surface_versions(chain.small.site, chain.folder).add(tall, BEGIN_NS, 9)
-    chain.restart()
-    chain.look(chain.small.dem, 0)
-    assert chain.versions == [""]
-    assert chain.depth_health.summary()["noted.below_confirmed_surface"] == "1"
-
-
-def test_a_site_that_asks_for_it_needs_a_place(small: SmallSite) -> None:
-    without = small.site.model_copy(update={"nodes": {}})
-    with pytest.raises(ConfigError, match="trace_confirmed needs a folder for the confirmed surfaces"):
-        describe(without, small.path)
-    given = describe(small.site, small.path)
-    wanted = str(small.folder / "kept" / FOLDER)
-    assert {node.label: node.parameters.get("surfaces") for node in given if node.name != "capture"} == {
-        "fuel_map": None,
-        "terrain": wanted,
-        **{f"{camera}/depth": wanted for camera in ("tower", "mast")},
-        **{f"{camera}/{kind}": None for camera in ("tower", "mast") for kind in ("segmentation", "fuel_votes")},
-    }

@@ -1,5 +1,3 @@
-"""depth: both hits of a pixel, where the site knows both bare ground and what stands on it."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -19,7 +17,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.topics import DEPTH_IMAGE, FINISHED, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
+from ltm_ros.runtime.topics import DEPTH_IMAGE, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
 
 STAMP = 1_700_000_000_000_000_000
 
@@ -65,21 +63,6 @@ def test_both_hits_are_kept_where_there_is_a_surface_raster(tmp_path: Path) -> N
     assert apart[scene.stand].mean() > 0.9
     assert apart[~scene.stand].mean() < 0.02
     assert kept.stamps(GROUND_DEPTH) == [STAMP]
-
-
-@pytest.mark.parametrize(("with_surface", "surface"), [(False, True), (True, False)])
-def test_without_one_or_when_told_so_both_hits_are_bare_ground(
-    tmp_path: Path, with_surface: bool, surface: bool
-) -> None:
-    kept = traced(tmp_path, with_surface, GROUND_DEPTH, surface=surface)
-    over, ground = (msg_to_depth(kept.on(topic)[0]) for topic in (DEPTH_IMAGE, GROUND_DEPTH))
-    np.testing.assert_array_equal(over, ground)
-
-
-def test_nothing_is_traced_twice_while_nobody_listens(tmp_path: Path) -> None:
-    kept = traced(tmp_path, True)
-    assert kept.on(GROUND_DEPTH) == []
-    assert kept.acknowledged == [(FINISHED, STAMP)]
 
 
 def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

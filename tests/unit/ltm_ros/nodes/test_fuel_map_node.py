@@ -1,5 +1,3 @@
-"""The fuel map's node without its transport: which votes it takes, and what people ask."""
-
 from __future__ import annotations
 
 import json
@@ -13,34 +11,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import (
     BEGIN_NS,
     CAMERAS,
     LABELS,
     NAME,
-    camera_of,
     message,
-    stamp_of_frame,
-    votes,
     write_site,
 )
 from scenes.fuel_map_node import Node, state
 
 from ltm_core.base.errors import ConfigError, LtmError, MessageError
-from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.life_form import LifeForm, life_form_labels
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_INFO, FUEL_VOTES
+from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
 
 
 @pytest.fixture
@@ -79,20 +68,6 @@ def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert send(now - 6 * day + 1)["too_old"] == 1
 
 
-def test_a_replay_has_the_time_of_its_recording(site: Path) -> None:
-    """Frames of years ago, with hours between them, while the graph's time is theirs; and before that has begun."""
-    node = Node(site)
-    node.feed(0)
-    for number in range(1, 10):
-        stamp = BEGIN_NS + number * 5 * 3600 * 10**9
-        node.outlet.now = stamp + 10**8
-        node.handler.on_votes("north", message(number, node.map.geometry, stamp))
-    node.handler.idle()
-    assert node.health.dropped == {}
-    assert node.gauge("frames") == "10"
-    assert "noted.stamp_jump" not in node.health.summary()
-
-
 def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attack: more votes that say nothing than a store remembers, each stamped as far ahead as may be."""
     monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10, most_frames=10))
@@ -109,19 +84,6 @@ def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPat
     node.handler.idle()
     assert node.health.dropped == {}
     assert node.gauge("frames") == "1"
-
-
-def test_many_votes_of_a_minute_push_out_none_of_the_day(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
-    now = BEGIN_NS + 10**15
-    node = Node(site, now=now)
-    for number in range(50):
-        node.handler.on_votes("north", message(0, node.map.geometry, now + 9 * 10**9 + number))
-        node.handler.idle()
-    node.handler.on_votes("north", message(0, node.map.geometry, now - 3600 * 10**9))
-    node.handler.idle()
-    assert node.health.dropped == {}
-    assert node.gauge("frames") == "51"
 
 
 def test_clear_and_burn_are_off_unless_the_site_allows_them(site: Path) -> None:
@@ -191,33 +153,6 @@ def test_query_of_a_point(kept: Callable[..., Node]) -> None:
             node.handler.on_query(asked)
 
 
-def test_network_that_labels_is_kept_with_the_frames(kept: Callable[..., Node]) -> None:
-    node = kept()
-    node.feed(0)
-    node.handler.on_label_info(camera_of(0), label_set_to_msg(LABELS, "spine 0123456789ab"))
-    node.handler.on_votes(camera_of(0), message(0, node.map.geometry, stamp_of_frame(0) + 1))
-    node.handler.idle()
-    seen = votes(0, node.map.geometry)
-    key = (int(seen.rows[0]) // 32, int(seen.cols[0]) // 32)
-    found = node.handler.persistence.store.touches(key)
-    assert [(t.source, t.model, t.frames) for t in found] == [("north", "", 1), ("north", "spine 0123456789ab", 1)]
-
-
-@pytest.mark.parametrize(("model", "state"), [("", "measured on photos"), ("mosaic_r4_ade20k31", "unmeasured")])
-def test_diagnostics_and_the_file_state_what_labels_were_measured_on(tmp_path: Path, model: str, state: str) -> None:
-    node = Node(write_site(tmp_path, **({"model": model} if model else {})), folder=str(tmp_path / "kept"))
-    node.handler.start()
-    assert node.gauge("labels") == state
-    message = node.outlet.on(FUEL_MAP_INFO)[-1]
-    info = json.loads(message.data)
-    assert info["labels_measured"] == state
-    assert {label["name"] for label in info["labels"]} >= {"grass", "shrub", "tree"}
-    node.feed(0)
-    node.handler.save()
-    with rasterio.open(tmp_path / "kept" / "fuel_map.tif") as file:
-        assert file.tags()["labels"] == state
-
-
 def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
     node = kept(allow_clear_and_burn=True)
     node.feed(*range(60))
@@ -258,17 +193,6 @@ def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
         node.handler.on_region(region)
 
 
-def test_save_writes_where_the_configuration_says(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="export_path"):
-        Node(site).handler.save()
-    node = kept()
-    node.feed(*range(5))
-    assert node.handler.save() == "fuel map of 5 frames written to fuel_map.tif"
-    classes, geometry = read_fuel_map(tmp_path / "kept" / "fuel_map.tif")
-    np.testing.assert_array_equal(classes, node.map.layers().life_form)
-    assert geometry.crs == "EPSG:26911"
-
-
 def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
     import rasterio
 
@@ -287,27 +211,6 @@ def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], sit
                 assert found.tags()["unit_height"] == "m x 10"
         item = json.loads((tmp_path / "kept" / f"{name}.stac.json").read_text())
         assert name in item["assets"]
-
-
-def test_frames_survive_as_bytes() -> None:
-    grid = GridGeometry(0.0, 2100.0, 30.0, 90, 70)
-    given = votes(5, grid)
-    back = votes_of(FrameRecord(given.source, given.stamp_ns, payload=votes_to_bytes(given)), grid)
-    for name in ("rows", "cols", "counts", "z", "confidence"):
-        found, expected = getattr(back, name), getattr(given, name)
-        assert found.dtype == expected.dtype
-        np.testing.assert_array_equal(found, expected)
-    for found, expected in zip(back.visibility.columns(), given.visibility.columns(), strict=True):
-        np.testing.assert_array_equal(found, expected)
-    for payload in (b"", b"x" * 40, votes_to_bytes(given)[:-7]):
-        with pytest.raises(ConfigError, match="damaged"):
-            votes_of(FrameRecord("north", 1, payload=payload), grid)
-
-
-def test_classes_of_the_map_are_the_life_forms() -> None:
-    classes = life_form_labels(LABELS)
-    assert [classes.name_of(form) for form in LifeForm] == [form.name.lower() for form in LifeForm]
-    assert classes.colors[: len(LABELS)] == LABELS.colors
 
 
 def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""What the fuel map's node keeps: each frame once, in the store before it is told, on a full disk and after a kill."""
-
 from __future__ import annotations
 
 import contextlib
@@ -132,23 +130,6 @@ def test_journal_gives_the_map_as_of_any_date(kept: Callable[..., Node], site: P
     assert (codes[3] != codes[-1]).any()
 
 
-def test_changes_of_code_that_were_not_journaled_before_a_kill_are_found(
-    kept: Callable[..., Node], tmp_path: Path
-) -> None:
-    node = kept()
-    node.feed(0)
-    node.handler.persistence.store.close()  # killed
-    with contextlib.closing(sqlite3.connect(tmp_path / "kept" / STORE_FILE)) as database, database:
-        database.execute("DELETE FROM changes")
-    node = kept()
-    node.feed(1)
-    initial = {"code": node.map.layers().code.copy()}
-    initial["code"][:] = -9999
-    np.testing.assert_array_equal(
-        node.handler.persistence.store.as_of("code", initial["code"], 2**62), node.handler.persistence.shown.code
-    )
-
-
 def test_full_disk_map_lives_on_and_catches_up(
     kept: Callable[..., Node], site: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -230,12 +211,3 @@ def test_foreign_and_damaged_stores_end_the_node_and_stay_as_they_are(site: Path
         with pytest.raises(ConfigError, match=complaint):
             Node(write_site(tmp_path, **changes), folder=str(folder))
         assert path.read_bytes() == content
-
-
-def test_folder_is_made_but_not_the_way_to_it(site: Path, tmp_path: Path) -> None:
-    Node(site, folder="beside").handler.finish()
-    assert (tmp_path / "beside" / STORE_FILE).is_file()
-    with pytest.raises(ConfigError, match=r"missing.* does not exist"):
-        Node(site, folder="missing/kept")
-    with pytest.raises(ConfigError, match="folder"):
-        Node(site, folder="site.yaml")

@@ -1,5 +1,3 @@
-"""fuel_votes: plants beyond the limits of growth do not vote, and /diagnostics says how many pixels they had."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""No node needs a gigabyte for the largest frames that `limits` allows."""
-
 from __future__ import annotations
 
 from pathlib import Path

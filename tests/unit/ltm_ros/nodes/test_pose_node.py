@@ -1,5 +1,3 @@
-"""A camera whose stated pose is off: the node pose says by how much, and capture's frames have the pose that it is."""
-
 from __future__ import annotations
 
 import os
@@ -7,21 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import yaml
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.mount.mount_watch import MountWatch
-from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.masks import write_mask
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import correction_to_msg, msg_to_correction, msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
@@ -168,87 +161,6 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     _, kept, health = started(calibration=calibration)
     assert not kept.on(POSE_CORRECTION)
     assert "not a valid mount state" in health.summary()["last_error"]
-
-
-def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tower's roof that stands into the sky, as the labels have it land: with the mask the search never sees it."""
-    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
-    hidden[CAMERA.height // 8 : CAMERA.height * 3 // 4, CAMERA.width // 3 : CAMERA.width // 2] = True
-    write_mask(tmp_path / "mask.png", hidden)
-    given: list[PictureEvidence] = []
-    look = MountWatch.look
-
-    def noted(self: MountWatch, evidence: PictureEvidence, pose: Pose, covariance: Any) -> bool:
-        given.append(evidence)
-        return look(self, evidence, pose, covariance)
-
-    monkeypatch.setattr(MountWatch, "look", noted)
-    photo, labels = view(TRUE)
-    photo[hidden], labels[hidden] = (170, 30, 30), 6
-    for mask in ("mask.png", None):
-        content = yaml.safe_load(Path(write_site(tmp_path, every=10.0, gather=2)).read_text())
-        content["cameras"]["mast"]["mask"] = mask
-        (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-        node = PoseHandler(PoseKeepingConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
-        node.subscriptions[STATED_POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
-        node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
-        node.subscriptions[POSED_IMAGE](image_to_msg(photo, "rgb8", STAMP, "mast_optical"))
-        node.subscriptions[LABELS_IMAGE](image_to_msg(labels, "mono8", STAMP, "mast_optical"))
-    masked = given[0]
-    scale = masked.camera.width / CAMERA.width
-    within = [
-        (e.skyline.u > scale * (CAMERA.width / 3 + 2)) & (e.skyline.u < scale * (CAMERA.width / 2 - 2))
-        for e in given
-        if e.skyline is not None
-    ]
-    assert len(within) == 2
-    assert not within[0].any()
-    assert within[1].any()
-    assert (masked.labels == 255).mean() > 0.9 * hidden.mean()
-
-
-def test_a_picture_by_night_is_not_looked_at_and_the_next_one_is(tmp_path: Path) -> None:
-    health = Health()
-    node = PoseHandler(
-        PoseKeepingConfig(site=write_site(tmp_path, every=10.0, gather=2), camera="mast"), Kept(), health
-    )
-    photo, labels = view(TRUE)
-    for stamp, dark in ((STAMP, True), (STAMP + SECOND, False)):
-        node.subscriptions[STATED_POSE](pose_to_msg(STATED, stamp, "map", COVARIANCE))
-        node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, stamp, "mast_optical"))
-        image = (photo * 0.06).astype(np.uint8) if dark else photo
-        node.subscriptions[POSED_IMAGE](image_to_msg(image, "rgb8", stamp, "mast_optical"))
-        node.subscriptions[LABELS_IMAGE](image_to_msg(labels, "mono8", stamp, "mast_optical"))
-    summary = health.summary()
-    assert summary["noted.unusable.night"] == "1"
-    assert summary["noted.clear"] == "1"
-
-
-@pytest.mark.parametrize("angles", [None, np.diag([1e-6, 2e-6, 3e-6]), np.diag([3.2, 3.3, 3.4])])
-def test_a_correction_travels(angles: Any) -> None:
-    sent = PoseCorrection(np.array([0.01, -0.02, 0.3]), angles)
-    came = msg_to_correction(correction_to_msg(sent, STAMP))
-    np.testing.assert_allclose(came.rotation, sent.rotation, atol=1e-12)
-    assert came.known == sent.known == (angles is None or angles[0, 0] < 1)
-    pose, covariance = came.applied(STATED, COVARIANCE)
-    np.testing.assert_allclose(pose.rotation, turned(STATED, sent.rotation).rotation, atol=1e-12)
-    expected = COVARIANCE[3:, 3:] if angles is None else angles
-    np.testing.assert_allclose(covariance[3:, 3:], expected)
-
-
-def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
-    site = write_site(tmp_path)
-    with pytest.raises(ConfigError, match="refine_poses"):
-        PoseHandler(PoseKeepingConfig(site=site, camera="mast"), Kept(), Health())
-    sent = Kept()
-    capture = CaptureHandler(CaptureConfig(site=site, camera="mast"), sent, Health())
-    assert POSE_CORRECTION not in capture.subscriptions
-    capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
-    capture.subscriptions[POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
-    black = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-    capture.subscriptions[IMAGE_RAW](image_to_msg(black, "rgb8", STAMP, "mast_optical"))
-    assert len(sent.on(POSED_POSE)) == 1
-    assert not sent.on(STATED_POSE)
 
 
 def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:

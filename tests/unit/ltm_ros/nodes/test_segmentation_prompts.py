@@ -1,5 +1,3 @@
-"""Tests the node `segmentation` with the prompts of a site and of an operator."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -12,7 +10,7 @@ from scenes.rerun_site import STAMP, chunks
 from scenes.worded_network import DEMO, demo_frames, write_worded_network
 from std_msgs.msg import String
 
-from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError
 from ltm_core.vision.labels import Label
 from ltm_msgs_py.image import image_to_msg, msg_to_array
 from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
@@ -104,9 +102,3 @@ def test_a_prompt_of_an_operator_gives_heat_and_no_votes(
     shown = np.frombuffer(bytes(row["Image:buffer"][0]), np.uint8).reshape(-1, 4)
     assert shown[:, 3].max() > 100
     assert shown[:, 3].min() < 20
-
-
-def test_a_network_without_text_rejects_prompts(tmp_path: Path) -> None:
-    handler, _ = node(tmp_path, "landscape_v2")
-    with pytest.raises(ModelError, match="landscape_v2"):
-        handler.on_prompt(String(data="downed trees"))

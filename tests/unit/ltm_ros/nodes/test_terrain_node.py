@@ -1,9 +1,6 @@
-"""The terrain node, fed with measured depth as a graph would: what it sends, keeps and refuses."""
-
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +21,6 @@ from ltm_core.vision.labels import Label
 from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
-from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
@@ -211,14 +207,6 @@ def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(
         assert sum(int((tile["kind"] > 0).sum()) for _, tile in store.tiles()) == len(changed.rows)
 
 
-def test_a_clock_that_was_never_set_is_no_view_decades_ago(small: SmallSite) -> None:
-    terrain, outlet, health = node(small)
-    for stamp in (5_000_000_000, BEGIN_NS):
-        feed(terrain, measured_messages(small, sunk(small), stamp))
-    assert health.dropped == {"unset_clock": 1}
-    assert outlet.on(TERRAIN_UPDATE) == []
-
-
 def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
 
@@ -255,17 +243,3 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
     assert outlet.on(TERRAIN_UPDATE) == []
     terrain.finish()
     assert health.dropped == {}
-
-
-def test_a_site_without_measured_depth_is_refused(small: SmallSite) -> None:
-    config = TerrainNodeConfig(site=str(small.path))
-    with pytest.raises(ConfigError, match="traced depth agrees with the DEM by construction: set `depth_model`"):
-        TerrainHandler(config, Kept(), Health())
-
-
-def test_the_graph_runs_it_where_the_site_asks_for_it(small: SmallSite) -> None:
-    with_terrain = describe(small.site, small.path)
-    assert with_terrain.node("terrain").full_name == f"/{NAME}/terrain"
-    without = describe(small.site.model_copy(update={"terrain": None}), small.path)
-    assert "terrain" not in [spec.label for spec in without]
-    assert replace(with_terrain.node("terrain"), name="terrain").required

@@ -1,5 +1,3 @@
-"""The terrain node's own messages in the fuel map's node: both maps say the same of the same ground."""
-
 from __future__ import annotations
 
 from pathlib import Path

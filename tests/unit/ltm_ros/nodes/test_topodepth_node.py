@@ -1,5 +1,3 @@
-"""topodepth: what it joins, waits for, publishes, and says when something is wrong."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -13,8 +11,6 @@ from scenes.depth_scene import CAMERA, DepthScene, depth_scene
 from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.depth import topodepth
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
@@ -25,7 +21,6 @@ from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values
 from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
-from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -130,66 +125,6 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
 
-def test_the_network_is_fitted_and_pixels_are_fused_only_for_subscribers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node, done = Node(tmp_path, monkeypatch), []
-    heard: tuple[Topic, ...] = ()
-    for name in ("fitted", "fuse_pixels"):
-
-        def counted(*args: Any, name: str = name, given: Any = getattr(topodepth, name)) -> Any:
-            done.append(name)
-            return given(*args)
-
-        monkeypatch.setattr(topodepth, name, counted)
-    monkeypatch.setattr(node.kept, "wanted", lambda topic: topic in heard)
-    monkeypatch.setattr(
-        node.kept, "provide", lambda topic, _, make: topic in heard and node.kept.publish(topic, make())
-    )
-    node.feed()
-    assert node.health.summary()["verdict"] == "ok"
-    assert done == ["fitted"], "for the status"
-    node.feed(stamp=STAMP + 10**9)
-    assert done == ["fitted"]
-    heard = MEASURED_DEPTH, MEASURED_SIGMA
-    node.feed(stamp=STAMP + 2 * 10**9)
-    assert done == ["fitted"] * 2
-    assert np.isfinite(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).any()
-    heard = FUSED_DEPTH, FUSED_INFO
-    node.feed(stamp=STAMP + 3 * 10**9)
-    assert done == [*["fitted"] * 3, "fuse_pixels"]
-    heard = ()
-    node.feed(stamp=STAMP + 4 * 10**9, pitch=0.8)
-    assert node.health.summary()["verdict"] == "pose_suspected"
-    node.feed(stamp=STAMP + 5 * 10**9)
-    assert node.health.summary()["verdict"] == "ok"
-
-
-def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    node = Node(tmp_path, monkeypatch, label_wait=1.0)
-    node.feed("image", "info", "pose", "depth")
-    node.handler.tick(0.7)
-    assert node.kept.on(FUSED_DEPTH) == []
-    node.handler.tick(0.7)
-    assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
-    assert node.health.summary()["noted.unlabelled"] == "1"
-    node.feed("labels")
-    assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
-
-
-def test_a_frame_that_never_gets_its_depth_is_given_up_by_its_age(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = Node(tmp_path, monkeypatch, label_wait=1.0, max_wait=9.0)
-    node.feed("image", "info", "pose", "labels")
-    node.handler.tick(9.0)
-    assert node.health.dropped == {}
-    node.handler.tick(0.5)
-    assert node.health.dropped == {"unjoined": 1}
-    assert node.health.summary()["noted.unjoined.depth"] == "1"
-    assert "is incomplete, without depth/image (sensor_msgs/msg/Image) (waited 9 s)" in node.health.last_error
-
-
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,9 +169,3 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
     assert node.health.summary()["noted.verdict.pose_suspected"] == "1"
     assert float(node.infos[0]["pose.pitch_deg"]) == pytest.approx(-0.8, abs=0.15)
     np.testing.assert_array_equal(msg_to_depth(node.kept.on(FUSED_DEPTH)[0]), depth_scene().turned(0.8).depth())
-
-
-def test_a_site_without_a_depth_network_cannot_run_the_node(tmp_path: Path) -> None:
-    path = site_file(tmp_path, depth_model="")
-    with pytest.raises(ConfigError, match="no depth network; set `depth_model`"):
-        TopoDepthHandler(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())

@@ -1,5 +1,3 @@
-"""viewer: what it asks the graph for, and what it shows of fused depth."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -18,7 +16,6 @@ from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_msgs_py.cells import changed_to_msg, fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg
@@ -42,7 +39,6 @@ pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 from rerun.chunk import RrdReader
 
 from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
-from ltm_ros.viewer import RerunView
 
 STAMP = 1_700_000_000_000_000_000
 
@@ -76,12 +72,6 @@ def test_fused_depth_is_shown_beside_traced_and_the_networks_of_the_same_stamp(t
     assert shown[f"/fusion/{camera}/fused"] == 2
     assert shown[f"/fusion/{camera}/difference"] == 2
     assert shown[f"/fusion/{camera}/network"] == 1, "the second frame's network depth never came"
-
-
-def test_without_a_depth_network_nobody_is_asked_for_fused_depth(tmp_path: Path) -> None:
-    node = viewer(write_small_site(tmp_path).path, tmp_path / "view.rrd")
-    assert not [topic.name for topic in node.subscriptions if "fused" in topic.name or "network" in topic.name]
-    node.finish()
 
 
 def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Path) -> None:
@@ -133,32 +123,6 @@ def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tm
     paths = {str(chunk.entity_path) for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
     assert any("queue" in path for path in paths)
     assert not any("frames_hz" in path for path in paths)
-
-
-def test_the_prior_is_shown_under_what_cameras_have_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = write_small_site(tmp_path)
-    grid = small.site.fuel_geometry(small.dem)
-    codes = np.full(grid.shape, 102, np.int16)
-    codes[:, : grid.width // 3] = 183
-    write_geotiff(tmp_path / "prior.tif", codes, small.site.in_crs(grid), -9999)
-    site = yaml.safe_load(small.path.read_text())
-    site["fuel"] = site.get("fuel", {}) | {"prior": "prior.tif"}
-    small.path.write_text(yaml.safe_dump(site))
-    drawn: list[Any] = []
-    monkeypatch.setattr(RerunView, "log_fuel_layers", lambda view, stamp, rasters: drawn.append(rasters))
-    node = viewer(small.path, tmp_path / "view.rrd")
-    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
-    layers = layers_of_classes(np.full(grid.shape, LifeForm.SHRUB, np.uint8), None, FuelClimate.named("dry"))
-    touched = np.zeros(grid.shape, np.bool_)
-    touched[1:3, 2:5] = True
-    seen = replace(layers, last_seen=np.where(touched, STAMP, 0), seen_by=touched.astype(np.uint8))
-    take[site_topic(small.site.name, FUEL_MAP_CELLS)](fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP))
-    node.finish()
-    (rasters,) = drawn
-    np.testing.assert_array_equal(rasters["code"][~touched], codes[~touched])
-    assert set(np.unique(rasters["life_form"][~touched])) == {LifeForm.GRASS, LifeForm.TREE}
-    assert (rasters["life_form"][touched] == LifeForm.SHRUB).all()
-    assert not rasters["seen_by"][~touched].any()
 
 
 def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Frames of a bag are joined by stamp and leave memory as soon as they are whole."""
-
 from __future__ import annotations
 
 import tracemalloc

@@ -1,5 +1,3 @@
-"""Which recorded topics are the inputs of a site, and what becomes of messages of other types."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -26,7 +24,7 @@ from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import LINK_OPTICAL, msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input, pose_difference, recorded_inputs
+from ltm_ros.recordings.inputs import InputReader, decoded_input, pose_difference, recorded_inputs
 from ltm_ros.runtime.topics import CAMERA_INFO, POSE
 
 S = 10**9
@@ -112,36 +110,6 @@ def test_bytes_that_are_too_few_are_an_error(size: int) -> None:
         msg_to_camera(decoded_input(CAMERA_INFO, serialize_message(a_pose("stamped"))[:size], INFO))
 
 
-def test_topics_are_named_beside_the_expected_ones_with_a_mapping() -> None:
-    recorded = {
-        "/rig/cam/image_raw": RAW,
-        "/rig/cam/depth/image": RAW,
-        "/odom": "nav_msgs/msg/Odometry",
-        "/tf": "x/msg/Tf",
-    }
-    said = beside_expected(site(north={"calibration": {"width": 4, "height": 3, "hfov_deg": 60}}), recorded)
-    assert "north: {topics: {image: /rig/cam/image_raw, pose: /odom}}" in said
-    assert all(f"{name} ({kind})" in said for name, kind in recorded.items())
-    assert "/ridge/north/camera_info" not in said, "the site file has it"
-    east = beside_expected(site(north={}, east={}), {"/a/east/image_raw": RAW}, ["east"])
-    assert "east: {topics: {image: /a/east/image_raw}}" in east
-    assert "/ridge/north/pose" not in east
-    assert "north: {image: auto}" in beside_expected(site(north={"image": "compressed"}), {BOTH[0][0]: RAW})
-
-
-@pytest.mark.parametrize(
-    ("other", "said"),
-    [
-        (Pose.from_angles((4.0, 6.0, 3.0), 40.0, -5.0, 1.0), "0.00 degrees and 5.00 m"),
-        (Pose.from_angles((1.0, 2.0, 3.0), 40.0, 0.0, 1.0), "5.00 degrees and 0.00 m"),
-        (Pose.from_angles((1.0, 2.0, 3.0), 40.0 + 1e-4, -5.0, 1.0), ""),
-    ],
-)
-def test_poses_differ_by_an_angle_and_a_distance(other: Pose, said: str) -> None:
-    found = pose_difference(STATED, other)
-    assert found.endswith(said) if said else found == ""
-
-
 BASE_MAST = Pose.from_angles((0.5, 0.0, 4.0), 90.0)
 FRAME = "camera_color_frame"
 
@@ -201,20 +169,6 @@ def test_transforms_of_different_rates_lead_to_the_camera(tmp_path: Path, start:
         assert pose.position == pytest.approx(expected.position, abs=0.02)  # the mast's arc between two samples
         assert pose.rotation == pytest.approx(expected.rotation, abs=1e-9)
         assert msg_to_covariance(message) is None
-
-
-def test_a_fixed_camera_has_a_pose_for_each_image(tmp_path: Path) -> None:
-    mounted = (1.0, "/tf_static", [tf(0, "map", "base_link", MAP_ODOM), *STATIC[2]])
-    found = read_poses(a_bag(tmp_path / "bag", [an_image(1.5), mounted, an_image(9.0)]), "/tf")
-    assert sorted(found) == [1.5, 9.0]
-    assert msg_to_pose(found[9.0]).position == pytest.approx(MAP_ODOM.to_map(BASE_MAST.position))
-
-
-def test_stamps_too_far_apart_are_not_interpolated(tmp_path: Path) -> None:
-    slow = [(2.0 + n, "/tf", [tf(2.0 + n, "map", "odom", MAP_ODOM)]) for n in range(3)]
-    quick = [(2.1 + 0.2 * n, "/tf", [tf(2.1 + 0.2 * n, "odom", "base_link", turned(0))]) for n in range(12)]
-    found = read_poses(a_bag(tmp_path / "bag", [an_image(1.5), STATIC, *slow, *quick]), "/tf")
-    assert sorted(found) == pytest.approx([3.0, 4.0])
 
 
 def test_odometry_of_another_frame_is_the_cameras_by_static_transforms(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""Tests `ltm models measure`: a record from a recording and the prior map, and from labelled photos."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -56,8 +54,3 @@ def test_a_recording_of_fixed_and_posed_cameras_gives_a_record_of_the_site(tmp_p
     assert known_errors(site.model).state == f"measured on site {site.name}"
     assert found.errors.correlation.view >= 0.9
     assert found.path.is_file()
-
-
-def test_nothing_to_measure_on(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--photos"):
-        measure_network(str(write_classifier(tmp_path)), None, [], None)

@@ -1,5 +1,3 @@
-"""What a recorded run gives back of its frames."""
-
 from __future__ import annotations
 
 from pathlib import Path

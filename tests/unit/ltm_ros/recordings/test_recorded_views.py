@@ -1,5 +1,3 @@
-"""The views that a recording has of a site's cameras."""
-
 from __future__ import annotations
 
 from pathlib import Path

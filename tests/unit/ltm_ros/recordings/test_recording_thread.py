@@ -1,5 +1,3 @@
-"""What waits for a recorder's disk is bounded, by bytes and by messages; what is over is dropped and counted."""
-
 from __future__ import annotations
 
 import threading
@@ -80,17 +78,6 @@ def test_what_is_over_either_bound_is_dropped_and_counted(
         ("/ridge/info", b"later", 99),
     ]
     assert health.dropped == {"overload": 50 - kept}
-
-
-def test_a_flush_that_waits_stands_for_all_that_follow(recorder: Any) -> None:
-    thread, disk, _ = recorder(1000, 40)
-    for _ in range(5):
-        thread.flush()
-    disk.goes.set()
-    wait_for(lambda: disk.flushed > 0, "a flush")
-    thread.flush()
-    assert thread.close()
-    assert disk.flushed == 2
 
 
 def test_what_still_waits_at_the_end_is_given_up_and_counted(recorder: Any, monkeypatch: pytest.MonkeyPatch) -> None:

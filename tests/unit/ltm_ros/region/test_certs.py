@@ -1,16 +1,9 @@
-"""`ltm certs`: what it makes, who may read it, and that it adds to what is there; and a region's start."""
-
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives import serialization
-from scenes.region_scene import write_region_scene
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError
@@ -57,17 +50,6 @@ def test_a_key_that_has_no_certificate_gets_one_and_is_not_overwritten(tmp_path:
     assert (tmp_path / "bear.key").read_text() == "somebody's"
 
 
-def test_without_the_authority_s_key_what_is_there_serves_and_nothing_new_is_made(tmp_path: Path) -> None:
-    made(tmp_path, "--tower", "alta")
-    (tmp_path / "ca.key").rename(tmp_path.parent / "away.key")
-    assert made(tmp_path, "--tower", "alta") == set()
-    with pytest.raises(ConfigError, match=r"the authority's key is missing.* put it back"):
-        TrialAuthority(tmp_path, 2).make("kern", ["bear"], [], "127.0.0.1", 8883)
-    assert not (tmp_path / "ca.key").exists()
-    (tmp_path.parent / "away.key").rename(tmp_path / "ca.key")
-    assert made(tmp_path, "--tower", "bear") == {"bear.crt", "bear.key"}
-
-
 @pytest.mark.parametrize("name", ["aggregator", "ca", "broker", "#", "+", "Alta", "a/b", "x" * 64, ""])
 def test_names_that_would_be_another_or_a_pattern_are_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="a name consists of a-z"):
@@ -80,17 +62,3 @@ def test_another_authority_in_the_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "ca.key").write_text("not ours")
     with pytest.raises(ConfigError, match="contains no authority"):
         TrialAuthority(tmp_path, 2).make("kern", ["alta"], [], "127.0.0.1", 8883)
-
-
-def test_nothing_is_compiled_or_imported_after_the_start(tmp_path: Path) -> None:
-    """In a process of its own: in this one other tests have done both."""
-    scene = write_region_scene(tmp_path)
-    (tmp_path / "frame").write_bytes(scene.sealed("alta", 1))
-    code = Path(__file__).with_name("frames_after_start.py")
-    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    before, after, imported = json.loads(run.stdout)
-    assert before["ltm_core.fuel.evidence_kernel.accumulate"] == 1
-    assert after == before
-    assert imported == []

@@ -1,5 +1,3 @@
-"""Admission: which frames are let in, which wait and which are turned away, whatever becomes of those who work."""
-
 from __future__ import annotations
 
 from collections import Counter
@@ -7,7 +5,6 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -67,21 +64,6 @@ def test_the_newest_waits_until_all_have_finished_a_frame() -> None:
     assert door.stated("in_flight", "waiting", "finished") == [2, 0, 1]
 
 
-def test_a_late_one_does_not_replace_a_newer_one() -> None:
-    door = Door()
-    door.offer(1, 2, 8, 5)
-    door.finished(1, "fuse", "vote")
-    assert door.admitted == [1, 2, 8]
-
-
-def test_nobody_who_works_nothing_limits() -> None:
-    door = Door(workers=set())
-    door.offer(*range(50))
-    assert door.admitted == [*range(50)]
-    assert door.health.dropped == {}
-    assert door.stated("in_flight", "waiting") == [0, 0]
-
-
 def test_a_recording_waits_in_order_and_comes_through_whole() -> None:
     door = Door(shed=False)
     door.offer(1, 2, 3, 5, 4)
@@ -98,17 +80,6 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     assert door.stated("waiting", "dropped.shed") == [5, 2]
     door.finished(1, "fuse", "vote")
     assert door.admitted == [1, 2, 5], "the oldest went"
-
-
-def test_a_worker_that_finishes_a_later_frame_has_done_with_those_before() -> None:
-    """It gave one up, or never got its parts."""
-    door = Door()
-    door.offer(1, 2, 3)
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2]
-    door.finished(2, "vote")
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("finished", "noted.unfinished", "in_flight") == [1, 1, 1]
 
 
 def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_when_it_is_back() -> None:
@@ -138,91 +109,6 @@ def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_wh
     assert door.admitted[-1] == 32
 
 
-def test_a_worker_that_has_just_come_may_not_hear_yet() -> None:
-    """Frames that it never got do not hold the camera up for as long as a hung worker would."""
-    door = Door(heard=False)
-    door.offer(1, 2, 3)
-    door.finished(1, "vote")
-    door.finished(2, "vote")
-    door.admission.tick(4.0)
-    assert door.admitted == [1, 2]
-    door.admission.tick(0.5)
-    assert door.admitted == [1, 2, 3]
-    assert door.stated("noted.unfinished", "dropped") == [2, 0]
-    # From its first frame on it is waited for; when it has gone and another comes, that one is new.
-    door.finished(3, "fuse", "vote")
-    door.offer(4, 5, 6)
-    door.finished(5, "vote")
-    door.admission.tick(5.0)
-    assert door.admitted == [1, 2, 3, 4, 5]
-    door.workers.remove("fuse")
-    door.admission.tick(0.5)
-    assert door.admitted[-1] == 6
-    door.workers.add("fuse")
-    door.offer(7, 8, 9)
-    door.finished(7, "vote")
-    door.admission.tick(4.5)
-    assert door.admitted[-1] == 9
-
-
-def test_a_slow_worker_is_waited_for_as_long_as_it_goes_on() -> None:
-    """Two frames of six seconds each."""
-    door = Door(workers={"fuse"})
-    door.offer(1, 2, 3)
-    door.admission.tick(6.0)
-    door.finished(1, "fuse")
-    assert door.admitted == [1, 2, 3]
-    door.offer(4)
-    door.admission.tick(6.0)
-    assert door.admitted == [1, 2, 3]
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2, 3, 4]
-    assert door.stated("finished", "noted.unfinished") == [2, 0]
-
-
-def test_one_that_comes_counts_from_the_next_frame_on() -> None:
-    door = Door(workers={"vote"})
-    door.offer(1)
-    door.workers.add("fuse")
-    door.offer(2, 3)
-    door.finished(1, "vote")
-    assert door.admitted == [1, 2, 3]
-    door.offer(4)
-    door.finished(2, "vote")
-    assert door.admitted == [1, 2, 3]
-    door.finished(2, "fuse")
-    assert door.admitted == [1, 2, 3, 4]
-
-
-def test_strangers_change_nothing() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.finished(1, "stranger")
-    door.finished(99, "fuse", "vote", "stranger")
-    assert door.admitted == [1, 2]
-
-
-def test_a_broken_frame_takes_no_room_and_is_named() -> None:
-    door = Door(broken={1, 3, 4}, shed=False)
-    with pytest.raises(ImageError, match="frame 1"):
-        door.offer(1)
-    door.offer(2)
-    door.offer(5)
-    door.offer(3, 4, 6)
-    with pytest.raises(ImageError, match="frame 4"):
-        door.finished(2, "fuse", "vote")
-    assert door.admitted == [2, 5, 6]
-    assert door.health.dropped == {"image": 1}, "the last is counted by who called"
-
-
-def test_the_end_turns_away_what_waits() -> None:
-    door = Door()
-    door.offer(1, 2, 3)
-    door.admission.finish()
-    assert door.health.dropped == {"shed": 1}
-    assert "the node ended" in door.health.last_error
-
-
 def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
     """Four views in turn, of which every second finds room: the newest alone would always be of the same two."""
     door = Door(workers={"fuse"}, view_of=lambda stamp: stamp % 4)
@@ -234,15 +120,6 @@ def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
     counts = Counter(stamp % 4 for stamp in door.admitted)
     assert min(counts.values()) >= 10
     assert all(new > old for old, new in pairwise(door.admitted[::4]))
-
-
-def test_of_one_view_the_newest_waits() -> None:
-    door = Door(view_of=lambda stamp: stamp % 2)
-    door.offer(2, 4, 5, 7, 8)
-    said = "frame of stamp 8 ns: an older one is queued, of a view that was admitted longer ago"
-    assert said in door.health.summary()["last_error"]
-    door.finished(2, "fuse", "vote")
-    assert door.admitted == [2, 4, 7]
 
 
 STEPS = st.lists(

@@ -1,5 +1,3 @@
-"""A camera's jobs in one process: the newest frame runs straight through them, and what goes wrong stays a frame's."""
-
 from __future__ import annotations
 
 import queue
@@ -227,17 +225,6 @@ def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFi
     assert camera.jobs["fuse"].health.dropped == {}
 
 
-def test_a_job_that_is_made_anew_knows_the_states_that_others_have_told() -> None:
-    camera = Camera()
-    for stamp in (11, 12, BUG):
-        camera.offer(stamp)
-        camera.turn()
-    assert camera.made["label"] == 2
-    label = camera.jobs["label"].handler
-    assert isinstance(label, Label)
-    assert label.state == 12
-
-
 def test_a_job_that_cannot_be_made_anew_is_left_out_and_tried_again() -> None:
     camera = Camera()
     camera.unmakeable = {"label"}
@@ -287,18 +274,3 @@ def test_what_waits_for_a_turn_is_bounded() -> None:
     camera.offer(2000, size=INBOX_BYTES + 1)
     with pytest.raises(queue.Full):
         camera.offer(2001)
-
-
-def test_at_the_end_what_waits_is_counted() -> None:
-    camera = Camera()
-    camera.offer(11)
-    camera.turn()
-    camera.offer(12)
-    camera.pipeline.stop_admitting()
-    assert not camera.turn()
-    camera.offer(13)
-    camera.pipeline.finish()
-    assert camera.fused == [11]
-    assert camera.count("door", "finished") == 1
-    assert camera.jobs["door"].health.dropped == {"shed": 2}
-    assert not camera.said

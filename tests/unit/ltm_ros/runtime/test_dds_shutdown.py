@@ -1,12 +1,9 @@
-"""Leaving the middleware: a participant that hangs with the interpreter's lock in its hand does not hold a process."""
-
 from __future__ import annotations
 
 import itertools
 import signal
 import subprocess
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -56,10 +53,3 @@ def test_waits_until_nobody_comes_or_goes() -> None:
     graph = Graph(3, 4, 4, 5, 4, 2)
     assert quiet(graph, patience_s=30.0)
     assert graph.count_publishers("/diagnostics") == 2
-
-
-def test_does_not_wait_for_ever() -> None:
-    restless = Graph(*itertools.islice(itertools.cycle((1, 2)), 100_000))
-    begun = time.monotonic()
-    assert not quiet(restless, patience_s=0.5)
-    assert time.monotonic() - begun >= 0.5

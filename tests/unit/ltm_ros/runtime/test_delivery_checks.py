@@ -1,5 +1,3 @@
-"""Whether a node hears all that publish for it, and what the numbers of messages tell of those that never came."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -9,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the ROS extra is not installed")
 
-from ltm_ros.runtime.delivery_checks import NUMBER, UNKNOWN, LossCounter, unheard, unmatched
+from ltm_ros.runtime.delivery_checks import NUMBER, LossCounter, unheard, unmatched
 
 
 @dataclass
@@ -56,11 +54,6 @@ def test_a_publisher_that_is_known_and_not_matched_is_not_heard() -> None:
     assert "1 of 2 publishers" in unheard(node)["/pose"]
 
 
-def test_one_that_the_graph_has_forgotten_first_is_no_trouble() -> None:
-    node: Any = Graph({"/image": 0}, image=1)
-    assert unheard(node) == {}
-
-
 def test_a_publisher_s_own_word_is_compared_with_the_graph() -> None:
     node: Any = Heard(pose=["/ridge/x", "/ridge/north/depth", "/ridge/y"], map=["/ridge/x"])
     summaries = {
@@ -79,11 +72,6 @@ def test_who_is_no_node_of_the_site_is_not_waited_for(matched: str, loose: bool)
         node: Any = Heard(pose=["/ridge/y", second, "/ros2cli_echo"])
         summaries = {"/ridge/capture": {"listeners.pose": matched}, "/ridge/x": {}, "/ridge/y": {}}
         assert bool(unmatched(node, summaries)) == loose
-
-
-def test_more_than_listen_are_as_wrong_as_fewer() -> None:
-    node: Any = Heard(pose=["/ridge/y"])
-    assert unmatched(node, {"/ridge/capture": {"listeners.pose": "2"}, "/ridge/y": {}}) == ["/ridge/pose"]
 
 
 class Topic:
@@ -112,12 +100,3 @@ def test_a_writer_that_comes_back_counts_anew(first_of_the_next: int) -> None:
     topic.writers = frozenset([b"b"])
     second = first_of_the_next + 1
     assert topic.lost(first_of_the_next, second, second + 3) == [0, 0, 2]
-
-
-def test_several_writers_are_not_told_apart() -> None:
-    assert Topic(b"a", b"b").lost(1, 50, 2, 51, 9) == [0] * 5
-
-
-@pytest.mark.parametrize("number", [None, UNKNOWN])
-def test_a_middleware_that_does_not_number_loses_nothing(number: int | None) -> None:
-    assert Topic(b"a").lost(number, number) == [0, 0]

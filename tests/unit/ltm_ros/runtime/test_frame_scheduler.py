@@ -1,5 +1,3 @@
-"""Turns of cameras on a process's threads: all get equally many, none is forgotten, none has two at once."""
-
 from __future__ import annotations
 
 import threading
@@ -70,15 +68,3 @@ def test_who_is_woken_during_its_turn_gets_another_and_never_two_at_once() -> No
     assert scheduler.close(30.0)
     assert begun == ["slow", "other", "slow"]
     assert slow.most_at_once == 1
-
-
-def test_a_turn_that_does_not_end_is_seen() -> None:
-    begun: list[str] = []
-    slow = Slow(begun)
-    scheduler = FrameScheduler(1, Heartbeat())
-    scheduler.start()
-    scheduler.wake(slow)
-    wait_for(lambda: begun == ["slow"], "its turn")
-    assert not scheduler.close(0.0)
-    slow.go_on.set()
-    assert scheduler.close(30.0)

@@ -1,12 +1,7 @@
-"""What a process tells its runner: the turns of its activities and how long they have lasted."""
-
 from __future__ import annotations
 
-import array
-import fcntl
 import json
 import os
-import termios
 import threading
 
 from scenes.waiting import wait_for
@@ -84,29 +79,3 @@ def test_tells_what_was_sent_and_heard() -> None:
             assert line
     wait_for(gone.is_set, "the end of the reader")
     os.close(told)
-
-
-def test_a_line_that_had_no_room_is_ended_before_the_next() -> None:
-    traffic, gone = Traffic(), threading.Event()
-    for number in range(400):  # more than a pipe takes in one piece
-        traffic.listener(f"/ridge/camera_{number}/posed/camera_info")
-    heart = Heartbeat(traffic)
-    heard, told = os.pipe()
-    os.set_blocking(told, False)
-    filled = os.write(told, bytes(1 << 16)) - 4096 - 100
-    os.read(heard, 4096 + 100)  # room for a part
-    heart.start(told, reader_gone=gone.set)
-    wait_for(lambda: waiting_bytes(heard) > filled, "the first part of a line")
-    with os.fdopen(heard, "rb") as reader:
-        reader.read(filled)
-        for _ in range(3):
-            assert len(json.loads(reader.readline())["heard"]) == 400
-    wait_for(gone.is_set, "the end of the reader")
-    os.close(told)
-
-
-def waiting_bytes(pipe: int) -> int:
-    """That a pipe holds."""
-    found = array.array("i", [0])
-    fcntl.ioctl(pipe, termios.FIONREAD, found)
-    return found[0]

@@ -1,8 +1,5 @@
-"""What cannot be made at the start is made later, without anybody waiting for it; and how tries grow rare."""
-
 from __future__ import annotations
 
-import random
 import threading
 from collections.abc import Callable
 
@@ -51,17 +48,14 @@ def test_each_is_made_once_its_files_are_there() -> None:
     assert disk.tries == tries
 
 
-def test_attempts_become_rare_and_a_reason_is_said_once() -> None:
-    disk, lines = Disk(), list[str]()
-    late = LateStart({"north": disk.make("north")}, {"north": "north: no such file"}, lines.append, _at_once)
-    for _ in range(3600):
-        assert late.tick(1.0) == []
-    assert 30 <= disk.tries["north"] <= 40
-    assert lines == []
-    disk.why = "not a DEM"
-    for _ in range(int(2 * LONGEST_PAUSE_S)):
-        late.tick(1.0)
-    assert lines == ["north: cannot start: north: not a DEM; retrying later"]
+def test_the_pause_doubles_up_to_its_limit_and_begins_anew_after_a_success() -> None:
+    backoff = Backoff(1.0, 60.0)
+    assert [backoff.failed() for _ in range(8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
+    for _ in range(2000):
+        backoff.failed()
+    assert backoff.pause_s == 60.0
+    backoff.succeeded()
+    assert backoff.failed() == 1.0
 
 
 def test_a_bug_is_no_end_and_what_nobody_took_is_given_back_at_the_close() -> None:
@@ -86,35 +80,3 @@ def test_a_bug_is_no_end_and_what_nobody_took_is_given_back_at_the_close() -> No
     go_on.set()
     assert late.close(30.0) == ["made"]
     assert late.tick(LONGEST_PAUSE_S) == []
-
-
-def test_the_pause_doubles_up_to_its_limit_and_begins_anew_after_a_success() -> None:
-    backoff = Backoff(1.0, 60.0)
-    assert [backoff.failed() for _ in range(8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
-    for _ in range(2000):
-        backoff.failed()
-    assert backoff.pause_s == 60.0
-    backoff.succeeded()
-    assert backoff.failed() == 1.0
-
-
-def test_jitter_shortens_pauses_by_up_to_half() -> None:
-    backoff = Backoff(1.0, 60.0, random.Random(1))
-    pauses = [backoff.failed() for _ in range(12)]
-    assert all(max(1.0, 2.0**i / 2) <= pause <= 2.0**i for i, pause in enumerate(pauses[:6]))
-    assert all(30.0 <= pause <= 60.0 for pause in pauses[6:])
-    assert len(set(pauses[6:])) == 6
-
-
-def test_it_is_due_once_the_pause_has_passed() -> None:
-    backoff = Backoff(2.0, 15.0)
-    assert backoff.due
-    for pause in (2.0, 4.0):
-        assert backoff.failed() == pause
-        backoff.passed(pause - 0.5)
-        assert not backoff.due
-        backoff.passed(0.5)
-        assert backoff.due
-    backoff.failed()
-    backoff.succeeded()
-    assert backoff.due

@@ -1,5 +1,3 @@
-"""A node's process that is told to stop while it starts."""
-
 from __future__ import annotations
 
 import subprocess

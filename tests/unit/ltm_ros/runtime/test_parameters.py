@@ -1,5 +1,3 @@
-"""Parameters of nodes as `ros2 param` sees them: described, with limits, and read-only."""
-
 from __future__ import annotations
 
 import importlib

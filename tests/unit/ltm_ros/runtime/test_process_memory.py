@@ -1,17 +1,13 @@
-"""What a process's allocators do once it is at work; in processes of their own, whose heaps nobody else has used."""
-
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import ltm_ros
-from ltm_ros.runtime.process_memory import TIDY_EVERY_S, TRIM_EVERY_S, Trimming
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
 
@@ -113,46 +109,6 @@ for _ in range(200):
 print((resident() - before) / (400 * MAPPED_FROM))
 """
 
-_OBJECTS = """
-from ltm_ros.runtime.process_memory import memory_in_use
-before = memory_in_use()
-large, small = bytearray(5_200_000), [(n / 3,) for n in range(50_000)]  # in a list of 400 kB
-both = memory_in_use()
-del large, small
-without = memory_in_use()
-for one in (both, without):
-    print(one.heap_bytes - before.heap_bytes, (one.python_blocks - before.python_blocks) // 2)
-"""
-
-_ASKED_OFTEN = """
-import gc, sys
-from ltm_ros.runtime.process_memory import memory_in_use
-gc.disable()  # it looks at what is old hours later
-for number in range(300):
-    now = memory_in_use()
-    if number == 50:
-        before = now
-print(now.python_blocks - before.python_blocks)
-"""
-
-_TIDIED = """
-import gc, sys
-from ltm_ros.runtime.process_memory import tidy
-gc.disable()
-class Node:
-    def __init__(self):
-        self.itself = self
-def leave():
-    for _ in range(2_000):
-        Node()
-    many = [[(n,) * size for n in range(2_000)] for size in range(1, 20)]  # tuples, which Python keeps to use again
-before = sys.getallocatedblocks()
-leave()
-left = sys.getallocatedblocks() - before
-tidy()
-print(left, sys.getallocatedblocks() - before)
-"""
-
 
 def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
@@ -185,27 +141,10 @@ def test_supervised_process_gets_no_huge_pages(tmp_path: Path) -> None:
     assert _run(_HUGE_PAGES, tmp_path, NUMPY_MADVISE_HUGEPAGE="1").strip() == "1"
 
 
-def test_users_choice_of_heaps_wins(tmp_path: Path) -> None:
-    assert int(_run(_HEAPS, tmp_path, MALLOC_ARENA_MAX="3")) == 3
-
-
 def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() -> None:
     before, after, looks = _run(_CYCLES).splitlines()
     assert (before, after) == ("1000 True", "0 False")
     assert looks == "True"
-
-
-def test_heaps_are_trimmed_now_and_then_and_tidied_more_seldom() -> None:
-    done: list[tuple[float, str]] = []
-    trimming = Trimming(70.0, lambda: done.append((second, "trim")), lambda: done.append((second, "tidy")))
-    for second in range(70, 70 + round(2.5 * TIDY_EVERY_S), 7):
-        trimming.look(second)
-    tidied = [moment for moment, what in done if what == "tidy"]
-    assert len(tidied) == 2
-    assert all(TIDY_EVERY_S <= later - former < TIDY_EVERY_S + 7 for former, later in pairwise([70.0, *tidied]))
-    moments = [70.0, *(moment for moment, _ in done)]
-    assert all(later - former < TRIM_EVERY_S + 7 for former, later in pairwise(moments))
-    assert len(done) <= 2.5 * TIDY_EVERY_S / TRIM_EVERY_S
 
 
 def test_a_trim_gives_back_what_lies_free_between_others() -> None:
@@ -217,22 +156,3 @@ def test_large_blocks_that_pass_through_leave_no_holes() -> None:
     assert float(_run(_PASSING)) > 0.8
     assert float(_run(_PASSING, None, "map")) < 0.1
     assert float(_run(_PASSING, None, "map", MALLOC_MMAP_THRESHOLD_=str(1 << 25))) > 0.8
-
-
-def test_what_objects_lie_in_is_counted() -> None:
-    heap, blocks, heap_after, blocks_after = map(int, _run(_OBJECTS).split())
-    assert 5_200_000 < heap < 6_500_000
-    assert abs(blocks - 50_000) < 2_000  # Python keeps some to use again
-    assert abs(heap_after) < 100_000
-    assert abs(blocks_after) < 2_000
-
-
-def test_asking_for_it_leaves_nothing_behind() -> None:
-    """A report a second, between two of Python's looks for cycles."""
-    assert abs(int(_run(_ASKED_OFTEN))) < 100
-
-
-def test_cycles_and_tuples_to_use_again_are_given_up_when_a_process_is_tidied() -> None:
-    left, after = map(int, _run(_TIDIED).split())
-    assert left > 4_000
-    assert after < 500

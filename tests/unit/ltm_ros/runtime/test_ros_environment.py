@@ -1,5 +1,3 @@
-"""The environment of ROS processes: completed, never overruled."""
-
 from __future__ import annotations
 
 import os
@@ -11,7 +9,7 @@ import pytest
 import ltm_ros
 from ltm_core.base.errors import ConfigError
 from ltm_ros.runtime import ros_environment as module
-from ltm_ros.runtime.ros_environment import apply_to_process, ros_environment, thread_limits
+from ltm_ros.runtime.ros_environment import ros_environment
 
 
 def test_completes_an_empty_environment() -> None:
@@ -63,15 +61,3 @@ def test_bootstrap_of_another_venv_is_done_again() -> None:
     ours = {mark: "1", "LD_LIBRARY_PATH": f"/x:{sys.prefix}/lib"}
     assert ros_environment(ours)[mark] == "1"
     assert mark not in ros_environment({mark: "1", "LD_LIBRARY_PATH": "/other/venv/lib"})
-
-
-def test_applies_to_this_process() -> None:
-    environ = {"ROS_DOMAIN_ID": "4", "HOME": "/h"}
-    apply_to_process(5, environ)
-    assert (environ["ROS_DOMAIN_ID"], environ["HOME"]) == ("5", "/h")
-    assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-
-
-def test_thread_limits_leave_what_is_set() -> None:
-    assert "OMP_NUM_THREADS" not in thread_limits(False, {"OMP_NUM_THREADS": "6"})
-    assert set(thread_limits(False, {}).values()) == {"1"}

@@ -1,16 +1,10 @@
-"""StampCheck: which stamps the graph's time contradicts; which were seen of late, and clocks that jump."""
-
 from __future__ import annotations
 
-from collections import deque
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import CLOCKS_SET_NS, MAX_AHEAD_S, MAX_BEHIND_S, RecentStamps, StampCheck
+from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 
 NOW = 1_800_000_000 * 10**9
 S = 10**9
@@ -65,28 +59,6 @@ def test_a_jump_of_a_source_is_noted_once_and_is_its_own() -> None:
     assert jumps() == "1"
 
 
-def test_what_may_be_old_is_only_asked_whether_it_has_come() -> None:
-    check, health = check_at(NOW)
-    assert not check.ahead("a map", CLOCKS_SET_NS - 1)
-    assert not check.ahead("a map", NOW - 400 * DAY)
-    assert check.ahead("a map", NOW + 11 * S)
-    assert health.dropped == {"future": 1}
-
-
-STAMPS = st.one_of(st.integers(-3, 9), st.just(0), st.just(2**63 - 1))
-
-
-@given(st.integers(1, 7), st.lists(STAMPS, max_size=40))
-def test_it_knows_the_last_ones_alone(count: int, stamps: list[int]) -> None:
-    recent, model = RecentStamps(count), deque[int](maxlen=count)
-    for stamp in stamps:
-        recent.add(stamp)
-        model.append(stamp)
-        assert {other: other in recent for other in (*range(-4, 11), 2**63 - 1)} == {
-            other: other in model for other in (*range(-4, 11), 2**63 - 1)
-        }
-
-
 class Clocks:
     def __init__(self) -> None:
         self.wall, self.elapsed, self.pause = 1_800_000_000 * S, 5 * S, 0
@@ -110,31 +82,3 @@ def test_steps_are_told_once_with_their_sign() -> None:
         clocks.go_on(0.5)
         clocks.wall += round(step * S)
         assert watch.step_s() == step
-
-
-def test_slewing_is_no_step_but_many_small_ones_are() -> None:
-    clocks = Clocks()
-    watch = clocks.watch()
-    told = []
-    for _ in range(15):
-        clocks.go_on(0.5)
-        clocks.wall += S // 10
-        told.append(watch.step_s())
-    assert sum(told) == 1.0
-    assert sum(step != 0 for step in told) == 1
-
-
-def test_a_process_that_lay_still_sees_no_step() -> None:
-    """Between the looks at the two clocks it got no core for a while."""
-    clocks = Clocks()
-    watch = clocks.watch()
-    clocks.go_on(0.5)
-    clocks.pause = 3 * S
-    assert watch.step_s() == 0.0
-    clocks.pause = 0
-    clocks.wall += 3 * S
-    assert watch.step_s() == 0.0
-
-
-def test_this_machine_has_both_clocks() -> None:
-    assert ClockWatch().step_s() == 0.0

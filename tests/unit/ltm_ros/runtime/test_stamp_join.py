@@ -1,5 +1,3 @@
-"""StampJoin: complete sets once each, and every message that finds no partners is counted."""
-
 from __future__ import annotations
 
 from itertools import permutations
@@ -7,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from ltm_core.base.errors import ImageError
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import REMEMBERED, Match, Part, StampJoin
+from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
 
 
 @pytest.fixture
@@ -33,27 +30,6 @@ def test_any_order_of_parts_makes_a_set(health: Health) -> None:
     assert health.dropped == {}
 
 
-def test_interleaved_stamps_stay_apart(health: Health) -> None:
-    join, done = join_of(health)
-    for name in "abc":
-        for stamp in (20, 10):
-            join.add(name, stamp, (name, stamp))
-    assert done == [{name: (name, stamp) for name in "abc"} for stamp in (20, 10)]
-
-
-def test_second_message_of_a_part_is_a_duplicate_before_and_after_the_set_is_whole(health: Health) -> None:
-    join, done = join_of(health)
-    join.add("a", 5, "first")
-    join.add("a", 5, "second")
-    assert health.dropped == {"duplicate": 1}
-    assert "a second a of stamp 5 ns" in health.last_error
-    join.add("b", 5, "b")
-    join.add("c", 5, "c")
-    join.add("b", 5, "late")
-    assert done == [{"a": "first", "b": "b", "c": "c"}]
-    assert health.dropped == {"duplicate": 2}
-
-
 def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
     join, done = join_of(health, capacity=3)
     for stamp in (1, 2, 3):
@@ -67,16 +43,6 @@ def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
     assert done == [{"a": 2, "b": "b", "c": "c"}]
     join.finish()
     assert health.dropped == {"unjoined": 3}
-
-
-def test_stamps_that_are_done_are_forgotten_one_day(health: Health) -> None:
-    join, done = join_of(health, ("a",), capacity=2)
-    for stamp in range(REMEMBERED + 2):
-        join.add("a", stamp, stamp)
-    join.add("a", REMEMBERED, "again")
-    assert health.dropped == {"duplicate": 1}
-    join.add("a", 0, "forgotten")
-    assert len(done) == REMEMBERED + 3
 
 
 def test_frames_go_on_without_what_they_can_do_without_when_they_have_waited(health: Health) -> None:
@@ -99,23 +65,6 @@ def test_frames_go_on_without_what_they_can_do_without_when_they_have_waited(hea
     assert done.pop() == {"a": "a4", "labels": None}
     join.finish()
     assert [found["a"] for found in done] == ["a5", "a6"]
-    assert health.dropped == {}
-
-
-def test_frames_wait_no_longer_than_they_are_told(health: Health) -> None:
-    told: list[Any] = []
-    join = StampJoin(
-        ("a", "b"),
-        lambda **_: None,
-        health,
-        max_wait=3.0,
-        give_up=lambda stamp, lacking, why: told.append((stamp, lacking, why)),
-    )
-    join.add("b", 7, "b")
-    join.tick(3.0)
-    assert not told
-    join.tick(0.1)
-    assert told == [(7, ["a"], "waited 3 s")]
     assert health.dropped == {}
 
 
@@ -148,18 +97,6 @@ def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:
     assert health.last_error == "unjoined: stamp 120 ns is incomplete, without pose (the recording or the node ended)"
 
 
-def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Health) -> None:
-    def fail(**parts: Any) -> None:
-        raise ImageError(f"no good: {parts}")
-
-    join = StampJoin(("a", "b"), fail, health)
-    join.add("a", 1, "x")
-    with pytest.raises(ImageError, match="no good"):
-        join.add("b", 1, "y")
-    join.add("a", 1, "x")
-    assert health.dropped == {"duplicate": 1}
-
-
 class Heavy:
     """A message with so many bytes."""
 
@@ -185,15 +122,3 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     assert [stamp for stamp, *_ in given_up] == [1, 2, 3], "one alone has room, whatever it holds"
     join.add("pose", 4, Heavy(0))
     assert len(done) == 1
-
-
-def test_what_is_remembered_is_bounded_in_bytes() -> None:
-    health = Health()
-    done: list[dict[str, Any]] = []
-    parts = (Part("depth"), Part("labels", wait_s=0.0))
-    join = StampJoin(parts, lambda **found: done.append(found), health, capacity_bytes=10 << 20)
-    for stamp in range(5):
-        join.add("labels", stamp, Heavy(4 << 20))
-    for stamp in range(5):
-        join.add("depth", stamp, Heavy(0))
-    assert [found["labels"] is not None for found in done] == [False, False, False, True, True]

@@ -1,5 +1,3 @@
-"""Site files: a new one, and changes that keep what the user wrote."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -11,7 +9,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_ros.site_setup.layers import Layer
-from ltm_ros.site_setup.site_writer import change_site, changed, free_name, site_text
+from ltm_ros.site_setup.site_writer import change_site, changed, site_text
 from ltm_ros.site_setup.vertical import NAVD88
 
 GRID = GridGeometry(0, 0, 30, 10, 12, "EPSG:32611")
@@ -54,14 +52,6 @@ def test_a_new_site_file_is_a_site_with_its_provenance(tmp_path: Path) -> None:
     assert "EPSG:5703" in text
 
 
-def test_a_site_without_a_camera_has_one_to_fill_in(tmp_path: Path) -> None:
-    text = site_text("getty", "EPSG:32611", (0, 0), None, {"dem": layer("dem.tif")}, {})
-    (tmp_path / "site.yaml").write_text(text)
-    assert load_site(tmp_path / "site.yaml").cameras
-    filled = changed(text, {}, {"north": CAMERA}, "site.yaml")
-    assert yaml.safe_load(filled)["cameras"] == {"north": CAMERA}
-
-
 @pytest.mark.parametrize("key", ["dem", "coarser", "surface", "fuel"])
 def test_a_change_keeps_all_other_keys_and_comments(key: str, tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
@@ -100,10 +90,6 @@ def test_a_newer_fuel_map_keeps_the_rules_for_codes(prior: str, expected: object
     assert yaml.safe_load(text)["fuel"] == {"prior": expected, "climate": "humid"}
 
 
-def test_a_camera_without_settings_is_completed() -> None:
-    assert yaml.safe_load(changed(OWN, {}, {"west": CAMERA}, "site.yaml"))["cameras"]["west"] == CAMERA
-
-
 def test_a_change_that_is_no_site_leaves_the_file(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
     path.write_text(OWN)
@@ -111,12 +97,3 @@ def test_a_change_that_is_no_site_leaves_the_file(tmp_path: Path) -> None:
         change_site(path, {}, {"health": CAMERA})  # the name of a node
     assert path.read_text() == OWN
     assert sorted(tmp_path.iterdir()) == [path]
-
-
-def test_new_files_get_names_of_their_own(tmp_path: Path) -> None:
-    assert free_name(tmp_path, "dem.tif") == "dem.tif"
-    (tmp_path / "dem.tif").touch()
-    (tmp_path / "fuel").mkdir()
-    (tmp_path / "fuel_2").mkdir()
-    assert free_name(tmp_path, "dem.tif") == "dem_2.tif"
-    assert free_name(tmp_path, "fuel") == "fuel_3"

@@ -1,18 +1,10 @@
-"""A tower's live view on another machine: what is streamed, at which rate, and what is accepted."""
-
 from __future__ import annotations
 
 import json
-import os
-import signal
-import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
@@ -21,7 +13,7 @@ import numpy as np
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_core.base.errors import ConfigError, ImageError, LtmError
+from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import RgbImage
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -86,46 +78,6 @@ def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
     ((record, content),) = take(1)
     assert (record.camera, record.stamp_s) == ("east", 2.0)
     assert content[: record.sizes[0]].startswith(b"\xff\xd8"), "the photo is first"
-
-
-def test_more_cameras_get_smaller_images() -> None:
-    def size(cameras: int) -> int:
-        scene = Scene(*(f"c{number}" for number in range(cameras)))
-        records = LiveStream(scene.page, scene, pytest.fail, rate=50_000.0)._records()
-        *_, (record, content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
-        photo = cv2.imdecode(np.frombuffer(content[: record.sizes[0]], np.uint8), cv2.IMREAD_COLOR)
-        return int(photo.shape[1])
-
-    one, many = size(1), size(12)
-    assert 160 <= many < one == 480
-
-
-def test_all_streams_together_keep_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock of the test's own."""
-    now = 0.0
-
-    def sleep(seconds: float) -> None:
-        nonlocal now
-        now += seconds
-
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    monkeypatch.setattr(time, "sleep", sleep)
-    scene = Scene("north")
-    live = LiveStream(scene.page, scene, pytest.fail, rate=10_000.0)
-    streams, sent = [live.stream(), live.stream()], 0
-    for _ in range(60):
-        for stream in streams:
-            sent += len(next(stream))
-    assert sent <= 10_000.0 * now + 4096
-
-
-def test_a_frame_without_an_image_is_told_of_and_the_next_is_sent() -> None:
-    scene, told = Scene("north", "east"), list[LtmError]()
-    scene.frames["north"] = replace(scene.frames["north"], photo=np.zeros((7, 9), np.uint8))
-    records = LiveStream(scene.page, scene, told.append, rate=1e9)._records()
-    *_, (record, _content) = _records(BytesIO(b"".join(next(records) for _ in range(3))))
-    assert record.camera == "east"
-    assert [type(error) for error in told] == [ImageError]
 
 
 @pytest.fixture
@@ -214,49 +166,4 @@ def test_what_is_no_stream_is_an_error(content: bytes) -> None:
 @pytest.mark.parametrize("tower", ["-oProxyCommand=x", "a b", "host:ssh", "host;ls", "ftp://host", "http://192.0.2.7"])
 def test_an_address_that_is_none_is_an_error(tower: str) -> None:
     with pytest.raises(ConfigError), reached(tower, None, None):
-        pass
-
-
-SSH = """#!{python}
-import os, pathlib, socket, sys, threading
-pathlib.Path(__file__).with_name("pid").write_text(str(os.getpid()))
-here, there = (int(port) for port in sys.argv[sys.argv.index("-L") + 1].split(":")[1::2])
-assert sys.argv[-2:] == ["--", "me@tower"]
-listener = socket.create_server(("127.0.0.1", here), reuse_port=False)
-def copy(one, other):
-    while data := one.recv(4096):
-        other.sendall(data)
-    other.shutdown(1)
-while True:
-    mine, theirs = listener.accept()[0], socket.create_connection(("127.0.0.1", there))
-    for pair in ((mine, theirs), (theirs, mine)):
-        threading.Thread(target=copy, args=pair, daemon=True).start()
-"""
-
-
-def test_an_ssh_tunnel_lasts_as_long_as_the_view(
-    tower: tuple[Scene, WebServer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By a program `ssh` that forwards as the real one does."""
-    program, token = tmp_path / "ssh", tmp_path / "token"
-    program.write_text(SSH.format(python=sys.executable))
-    program.chmod(0o755)
-    token.write_text(TOKEN)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with reached(f"me@tower:{tower[1].port}", token, None) as reach, closing(TowerMirror(reach)) as mirror:
-        wait_for(lambda: mirror.stamps_s() == {"north": 1.0}, "a frame through the tunnel")
-        os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
-        tower[0].frames["north"] = picture("north", 7)
-        wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "a frame through the next tunnel")
-        port = reach()
-    with pytest.raises(ConfigError):
-        port.request("GET", "/live")
-
-
-def test_an_ssh_that_fails_is_reported_with_its_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "ssh"
-    program.write_text("#!/bin/sh\nexit 255\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with pytest.raises(ConfigError, match="255"), reached("tower", None, None):
         pass

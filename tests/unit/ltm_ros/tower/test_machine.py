@@ -1,5 +1,3 @@
-"""What a tower's machine says of itself."""
-
 from __future__ import annotations
 
 import os

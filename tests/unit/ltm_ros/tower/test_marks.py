@@ -1,5 +1,3 @@
-"""What somebody clicks on in a picture of the status page: which pixel of which picture it is, and what is refused."""
-
 from __future__ import annotations
 
 import json
@@ -84,24 +82,6 @@ def test_a_click_is_a_pixel_of_the_cameras_own_picture(graph: Graph, marks: Mark
     assert json.loads(answer.body) == {"u": 958.5, "v": 268.5}
 
 
-def test_each_shown_pixels_middle_is_the_one_it_was_taken_from() -> None:
-    for width, height in ((1920, 1080), (1601, 1203), (640, 480)):
-        whole = picture(width, height)
-        whole.photo[..., 0] = np.arange(width) % 251
-        small = whole.small()
-        rows, columns = small.photo.shape[:2]
-        for row, column in ((0, 0), (rows // 3, columns // 2), (rows - 1, columns - 1)):
-            u, v = small.pixel((column + 0.5) / columns, (row + 0.5) / rows)
-            assert whole.photo[round(v), round(u), 0] == small.photo[row, column, 0]
-            assert abs(v - round(v)) < 1e-6
-
-
-def test_the_border_is_within_the_picture() -> None:
-    small = picture().small()
-    assert small.pixel(0.0, 0.0) == (0.0, 0.0)
-    assert small.pixel(1.0, 1.0) == (1918.5, 1078.5)
-
-
 @pytest.mark.parametrize(
     ("sent", "status", "said"),
     [
@@ -132,7 +112,7 @@ def tracks(*last_ns: int, lon: float = -117.2, disagrees: object = None) -> Stri
         ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
         about |= {
-            "marks": [MARK, MARK | {"azimuth_deg": 7.0}, MARK | {"camera": "east"}],
+            "marks": [MARK, *(MARK | {"azimuth_deg": off} for off in (7.0, 9.0)), MARK | {"camera": "east"}],
             "seen_by": ["north"],
             "sources": ["person"],
             "disagrees": disagrees,
@@ -144,17 +124,7 @@ def tracks(*last_ns: int, lon: float = -117.2, disagrees: object = None) -> Stri
     return String(data=json.dumps({"version": 1, "stamp_ns": 5, "features": features}))
 
 
-def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
-    assert marks.places() == []
-    graph.heard["/ridge/locate/tracks"](tracks(5, 9))
-    newest, oldest = marks.places()
-    assert (newest["track"], oldest["track"]) == (2, 1)
-    assert newest["mark_count"] == 3
-    assert newest["marks"] == [{"camera": "north", "across": 0.5, "down": 0.25}], "in the direction that is shown"
-    assert marks.on_map() == [(2, -117.2, 37.5), (1, -117.2, 37.5)]
-
-
-def test_cameras_that_disagree_are_told_until_they_agree(graph: Graph, marks: Marks) -> None:
+def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: Graph, marks: Marks) -> None:
     hear = graph.heard["/ridge/locate/tracks"]
     assert marks.wrong() == []
     hear(tracks(5, disagrees="east, north"))
@@ -184,3 +154,9 @@ def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
     graph.heard["/ridge/locate/tracks"](message)
     assert health.dropped == {"message": 1}
     assert marks.places() == before
+
+
+def test_a_mark_is_drawn_while_its_camera_looks_where_it_did(graph: Graph, marks: Marks) -> None:
+    graph.heard["/ridge/locate/tracks"](tracks(5))
+    (place,) = marks.places()
+    assert (place["mark_count"], [mark["camera"] for mark in place["marks"]]) == (4, ["north"])

@@ -1,5 +1,3 @@
-"""A port that somebody else holds: said with its remedy, tried again, and nothing else depends on it."""
-
 from __future__ import annotations
 
 import http.client
@@ -11,7 +9,6 @@ import pytest
 from scenes.free_port import free_port
 from scenes.waiting import wait_for
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.web_server import WebResponse
@@ -61,9 +58,3 @@ def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
     assert server.url is None
     assert "this machine has no such address now" in health.last_error
     server.close()
-
-
-def test_what_time_does_not_mend_is_an_error(tmp_path: Path) -> None:
-    config = HealthConfig(port=0, token=tmp_path / "none")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        PatientServer(config, ROUTES, Health(), pytest.fail, pytest.fail)

@@ -1,5 +1,3 @@
-"""`ltm doctor` of a tower's port: free, its own, or somebody else's."""
-
 from __future__ import annotations
 
 from contextlib import closing
@@ -25,11 +23,6 @@ def port_site(tmp_path: Path) -> tuple[Path, HealthConfig]:
     return site, HealthConfig(port=port)
 
 
-def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> None:
-    (port,) = port_check.check_health_port(port_site[0])
-    assert (port.state, port.detail) == (DoctorState.OK, f"127.0.0.1:{port_site[1].port} is free: no tower is running")
-
-
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
@@ -52,10 +45,3 @@ def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer
     assert port.state is DoctorState.WARNING
     assert f"127.0.0.1:{config.port} cannot be opened (Address already in use)" in port.remedy
     assert f"of {site}; the tower runs without it, and retries" in port.remedy
-
-
-def test_a_site_without_a_port_and_one_that_cannot_be_read(tmp_path: Path) -> None:
-    assert list(port_check.check_health_port(write_small_site(tmp_path, recording=False).path)) == []
-    (tmp_path / "broken.yaml").write_text("nonsense: 1")
-    (broken,) = port_check.check_health_port(tmp_path / "broken.yaml")
-    assert (broken.state, broken.remedy) == (DoctorState.WARNING, f"ltm check {tmp_path / 'broken.yaml'}")

@@ -1,5 +1,3 @@
-"""What a tower's state is, and which words are found for what is wrong."""
-
 from __future__ import annotations
 
 import pytest
@@ -42,27 +40,6 @@ def test_an_outbox_that_nobody_empties_is_said_in_words() -> None:
     made["/ridge/uplink"].gauge("link_up", 1)
     assert not any("region" in line for line in status_of(watch_of(made)).wrong)
     assert status_of(TowerWatch("ridge", NODES, 120.0)).outbox is None
-
-
-def test_a_doubted_pose_is_said_where_frames_come() -> None:
-    made = healths()
-    made["/ridge/east/capture"].gauge("newest_stamp", "1749999999.0")
-    (said,) = [c.wrong for c in status_of(watch_of(made)).cameras if c.name == "east"]
-    assert said == (
-        "east: the pose is uncertain (pose_suspected: the skyline is 2.1 degrees off); "
-        "check whether the mount has moved"
-    )
-
-
-@pytest.mark.parametrize("why", ["80% of the skyline contradict the terrain", ""])
-def test_a_pose_that_images_contradict_is_said_of_its_camera(why: str) -> None:
-    watch = TowerWatch("ridge", (*NODES, "/ridge/north/fuel_votes"), 120.0)
-    votes = Health()
-    votes.doubt("pose_contradicted", why)
-    for name, health in (healths() | {"/ridge/north/fuel_votes": votes}).items():
-        watch.hear(name, False, "ok", health.summary(), now_s=50.0)
-    (said,) = [c.wrong for c in status_of(watch).cameras if c.name == "north"]
-    assert said == (f"north: {why}" if why else "")
 
 
 @pytest.mark.parametrize(("now_s", "alive"), [(59.9, True), (60.1, False)])
@@ -144,33 +121,8 @@ def test_a_camera_has_the_state_of_its_source(age_s: float, said: dict[str, obje
     assert status_of(watch).as_dict()["cameras"][0]["state"] == state
 
 
-def test_a_state_keeps_its_beginning_until_it_changes() -> None:
-    watch = watch_of(healths())
-    east = {now: watch.cameras(51.0 + now, NOW_S + now)[1] for now in (0.0, 7.0)}
-    assert [one.since_s for one in east.values()] == [NOW_S, NOW_S]
-    watch.hear("/ridge/east/capture", False, "ok", {"newest_stamp": str(NOW_S + 8)}, 60.0)
-    assert [watch.cameras(60.0, NOW_S + now)[1].since_s for now in (9.0, 12.0)] == [NOW_S + 9] * 2
-
-
 @pytest.mark.parametrize("since", ["-1e300", "1e300", "nan", "noon"])
 def test_a_beginning_that_is_no_time_is_not_believed(since: str) -> None:
     _, camera = of_source(4.5, state="alive", state_since=since)
     assert camera.since_s == NOW_S
     assert camera_diagnostic("ridge", camera).message.startswith("alive since")
-
-
-def test_a_source_that_falls_silent_is_a_camera_that_fails() -> None:
-    watch, _ = of_source(4.5, state="alive")
-    assert watch.cameras(60.1, NOW_S)[0].state == "stalled"
-
-
-def test_what_a_source_says_is_listed_once() -> None:
-    made = healths()
-    made["/ridge/north/source"] = Health()
-    made["/ridge/north/source"].lasting(f"unauthorised: {REFUSED}")
-    watch, _ = of_source(4.5, state="unauthorised", state_why=REFUSED)
-    source = made["/ridge/north/source"]
-    watch.hear(
-        "/ridge/north/source", source.troubled, source.message, {"state": "unauthorised", "state_why": REFUSED}, 50.0
-    )
-    assert [line for line in status_of(watch).wrong if "192.0.2.20" in line] == [f"north: {REFUSED}"]

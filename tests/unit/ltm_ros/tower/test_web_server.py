@@ -1,5 +1,3 @@
-"""Who may ask a tower how it is, and what a server does with those who mean harm."""
-
 from __future__ import annotations
 
 import base64
@@ -127,17 +125,6 @@ def test_a_token_is_asked_for_where_there_is_one(start: Start, token: Path) -> N
     assert ask(config_for(server, token=token), "/status.json") == {"ready": True}
 
 
-def test_the_credential_of_the_service_goes_before_the_file(
-    start: Start, token: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "given").mkdir()
-    (tmp_path / "given/ltm_health-token").write_text("another-token-of-systemd")
-    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "given"))
-    server = start(token=token)
-    assert get(server, "/healthz", {"Authorization": f"Bearer {TOKEN}"})[0] == 401
-    assert get(server, "/healthz", {"Authorization": "Bearer another-token-of-systemd"})[0] == 200
-
-
 def test_tls(start: Start, certificate: tuple[Path, Path], token: Path) -> None:
     server = start(certificate=certificate[0], key=certificate[1], token=token)
     with pytest.raises((OSError, http.client.HTTPException)):
@@ -260,14 +247,6 @@ def test_a_token_that_is_none_is_refused_and_never_repeated(start: Start, tmp_pa
     assert "short-secret" not in str(error.value)
     with pytest.raises(ConfigError, match="cannot be read"):
         start(token=tmp_path / "none")
-
-
-def test_a_port_that_is_taken_is_named(start: Start) -> None:
-    server = start()
-    with pytest.raises(ConfigError, match=f"127.0.0.1:{port_of(server)} cannot be opened"):
-        start(port=port_of(server))
-    with pytest.raises(ConfigError, match="no tower answers"):
-        ask(HealthConfig(port=1), "/status.json")
 
 
 JSON = {"Content-Type": "application/json; charset=utf-8"}

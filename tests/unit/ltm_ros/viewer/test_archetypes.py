@@ -1,5 +1,3 @@
-"""What a camera's frame becomes in the Rerun view."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,14 +1,10 @@
-"""The layouts for Foxglove and RViz: every topic is one of the graph, with the type that the panel shows."""
-
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from ltm_core.base.resources import config_path, project_path
 from ltm_core.geometry.grid import GridGeometry
@@ -21,14 +17,6 @@ from ltm_ros.runtime.handler import Topic
 
 SITE = load_site(project_path("bags/demo/site.yaml"))
 FOXGLOVE: dict[str, Any] = json.loads(config_path("foxglove/ltm.json").read_text())
-RVIZ: dict[str, Any] = yaml.safe_load(config_path("rviz/ltm.rviz").read_text())
-SHOWS = {
-    "Map": "nav_msgs/msg/OccupancyGrid",
-    "PointCloud2": "sensor_msgs/msg/PointCloud2",
-    "PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "Image": "sensor_msgs/msg/Image",
-}
-"""Message types of RViz's displays."""
 
 
 def known() -> dict[str, Topic]:
@@ -39,23 +27,6 @@ def known() -> dict[str, Topic]:
 
 
 KNOWN = known()
-
-
-def leaves(layout: Any) -> Iterator[str]:
-    if isinstance(layout, str):
-        yield layout
-        return
-    assert layout["direction"] in ("row", "column")
-    assert 0 < layout["splitPercentage"] < 100
-    yield from leaves(layout["first"])
-    yield from leaves(layout["second"])
-
-
-def test_every_panel_of_foxglove_is_placed_once_and_described() -> None:
-    placed = list(leaves(FOXGLOVE["layout"]))
-    assert sorted(placed) == sorted(FOXGLOVE["configById"])
-    kinds = {panel.partition("!")[0] for panel in placed}
-    assert kinds == {"Image", "3D", "map", "DiagnosticSummary"}
 
 
 @pytest.mark.parametrize("panel", [panel for panel in FOXGLOVE["configById"] if panel.startswith("Image!")])
@@ -82,16 +53,3 @@ def test_the_scene_and_the_map_of_foxglove_show_topics_of_the_graph() -> None:
     sent = changed_to_msg(changed, np.zeros(0, np.float32), GridGeometry(0.0, 60.0, 30.0, 3, 2), 0)
     shown = scene["topics"][topics.site_topic(SITE.name, topics.TERRAIN_UPDATE)]["colorField"]
     assert shown in [field.name for field in sent.fields]
-
-
-def test_displays_of_rviz_show_topics_of_their_type() -> None:
-    manager = RVIZ["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == "map"
-    shown = [display for display in manager["Displays"] if "Topic" in display]
-    for display in shown:
-        topic, given = KNOWN[display["Topic"]["Value"]], display["Topic"]
-        assert type_name_of(topic.type()) == SHOWS[display["Class"].partition("/")[2]]
-        assert given["Durability Policy"] == ("Transient Local" if topic.latched else "Volatile")
-    assert all(any(camera in display["Name"] for display in shown) for camera in SITE.cameras)
-    (tool,) = (tool for tool in manager["Tools"] if "Topic" in tool)
-    assert KNOWN[tool["Topic"]["Value"]] == topics.FUEL_MAP_QUERY

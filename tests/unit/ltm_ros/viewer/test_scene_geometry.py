@@ -1,5 +1,3 @@
-"""Geometry of the Rerun view's scene: terrain, fuel layer, points, the eye."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -41,14 +39,6 @@ def test_terrain_mesh_faces_up_and_skips_what_is_unknown() -> None:
     np.testing.assert_allclose(mesh.texcoords[north_west], (0.5 / 110, 0.5 / 70), rtol=1e-4)
 
 
-def test_large_terrain_stays_within_its_budget() -> None:
-    rng = np.random.default_rng(1)
-    dem = Dem(rng.normal(500, 20, (900, 2500)).astype(np.float32), GridGeometry(0.0, 0.0, 3.0, 2500, 900))
-    mesh = scene_geometry.terrain_mesh(dem, 50_000)
-    assert len(mesh.triangles) <= 50_000
-    assert max(mesh.texture.shape[:2]) <= scene_geometry.MAX_TEXTURE
-
-
 def test_fuel_cells_lie_just_above_the_drawn_terrain() -> None:
     dem = hills()
     geometry = GridGeometry(-600.0, 900.0, 30.0, 50, 40)
@@ -85,27 +75,3 @@ def test_fuel_layer_gives_only_what_has_changed() -> None:
     assert len(emptied.triangles) == len(emptied.vertices) == 0
     with pytest.raises(RasterError, match=r"\(40, 49\)"):
         list(layer.changed(classes[:, 1:]))
-
-
-def test_eye_starts_behind_the_cameras_and_above_the_ground() -> None:
-    dem = hills()
-    eye = scene_geometry.overview_eye(
-        dem, np.array([[0.0, 300.0, 500.0], [200.0, 300.0, 520.0]]), np.array([170.0, 190.0]), 900
-    )
-    assert eye.position[1] > 300, "both look south, so the eye is north of them"
-    assert eye.target[1] < 300
-    assert eye.position[2] > dem.elevation_at(*eye.position[:2]) or np.isnan(dem.elevation_at(*eye.position[:2]))
-    alone = scene_geometry.overview_eye(dem, np.empty((0, 3)), np.empty(0), 900)
-    assert alone.position[1] < alone.target[1]
-    opposed = scene_geometry.overview_eye(dem, np.zeros((2, 3)), np.array([0.0, 180.0]), 900)
-    assert np.isfinite([*opposed.position, *opposed.target]).all()
-
-
-def test_points_are_thinned_and_finite() -> None:
-    points = np.arange(3000, dtype=np.float64).reshape(1000, 3)
-    points[::10] = np.nan
-    kept = scene_geometry.thinned(points, 200)
-    assert 100 < len(kept) <= 200
-    assert np.isfinite(points[kept]).all()
-    assert len(scene_geometry.thinned(points, 10_000)) == 900
-    assert len(scene_geometry.thinned(np.empty((0, 3)), 5)) == 0

@@ -1,10 +1,7 @@
-"""The Rerun server: where it listens, and when it ends."""
-
 from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -22,7 +19,7 @@ from ltm_core.base.errors import ConfigError
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from ltm_ros.viewer import RerunView
-from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, rerun_binary, web_url
+from ltm_ros.viewer.server import RerunProcess, listens, rerun_binary, web_url
 
 
 @pytest.fixture
@@ -113,27 +110,3 @@ def test_the_processes_have_statistics_switched_off(monkeypatch: pytest.MonkeyPa
     process.stop()
     assert json.loads(told.stdout)["analytics_enabled"] is False
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace: apt install strace")
-def test_a_window_connects_to_no_other_host(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ports: tuple[int, int]
-) -> None:
-    """Not even to a name server, which the search for new releases would need."""
-    calls, wrapper = tmp_path / "calls.txt", tmp_path / "rerun"
-    wrapper.write_text(f'#!/bin/sh\nexec strace -f -e trace=connect -o {calls} {rerun_binary()} "$@"\n')
-    wrapper.chmod(0o755)
-    monkeypatch.setattr("ltm_ros.viewer.server.rerun_binary", lambda: wrapper)
-    process = RerunProcess(["--headless", "--port", str(ports[0])])
-    try:
-        process.wait_until_listening(ports[0], timeout=60)
-        wait_for(lambda: "htons(9)" in calls.read_text(), "the search for releases, which ends at our proxy")
-    finally:
-        process.stop()
-    reached = re.findall(r"sin_addr=inet_addr\(\"([\d.]+)\"\)", calls.read_text())
-    assert set(reached) == {"127.0.0.1"}
-
-
-def test_urls_name_the_loopback() -> None:
-    assert grpc_url(9876) == "rerun+http://127.0.0.1:9876/proxy"
-    assert web_url(9090, 9876) == "http://127.0.0.1:9090/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"

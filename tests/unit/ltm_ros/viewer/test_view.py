@@ -1,9 +1,5 @@
-"""What a recording of the Rerun view holds."""
-
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,15 +7,8 @@ import numpy as np
 import pytest
 from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
 
-from ltm_core.fuel.codes import FuelSystem, fuel_models
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer import RerunView
-from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer.fuel_maps import FuelMaps
 
 
@@ -60,25 +49,6 @@ def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
     assert names[255] == "unlabelled"
 
 
-def test_pictures_of_the_fuel_layers_keep_their_size(tmp_path: Path) -> None:
-    """A row of JPEGs is a video to the viewer, and it refuses one whose frames differ in size."""
-    where, dem = site(north={}), hills()
-    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
-    shape = where.fuel_geometry(dem).shape
-    every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
-    for moment, codes in enumerate((every[:1], every[10:30], every)):
-        rasters = {name: np.ones(shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
-        view.log_fuel_layers(STAMP + moment, {**rasters, "code": np.resize(codes, shape)})
-    view.close()
-    rows = chunks(tmp_path / "a.rrd")
-    sizes = {
-        cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR).shape[0]
-        for name in ("code", "life_form", "entropy", "seen_by")
-        for row in rows[f"/fuel_layers/{name}"]
-    }
-    assert len(sizes) == 1
-
-
 def test_fuel_maps_show_all_before_anything_is_seen_and_then_the_part_that_is(tmp_path: Path) -> None:
     """What is seen fills the picture, and its size stays when another window is drawn."""
     where, dem = site(north={}), hills()
@@ -116,87 +86,8 @@ def test_fuel_maps_show_all_before_anything_is_seen_and_then_the_part_that_is(tm
     assert size == same == larger
 
 
-def test_a_node_has_one_colour_in_all_plots(recording: Path) -> None:
-    rows = chunks(recording)
-    colors = {
-        tuple(row["SeriesLines:colors"])
-        for name in ("rate_hz", "latency_p95_ms", "dropped")
-        for row in rows[f"/health/{name}/ridge/north/depth"]
-        if row.get("SeriesLines:colors")
-    }
-    assert len(colors) == 1
-    assert len({archetypes.distinct_color(k) for k in range(40)}) == 40
-
-
 def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: Path) -> None:
     rows = chunks(recording)
     first, second = sorted(rows["/map/change"], key=lambda row: row["stamp"])
     assert len(first["Points3D:positions"]) == 3
     np.testing.assert_allclose(second["Points3D:positions"], [[100.5, 219.5, 480.0], [3.5, 292.5, 470.0]])
-
-
-def test_recording_is_small(recording: Path) -> None:
-    assert recording.stat().st_size < 4e6
-
-
-def test_layout_is_explicit_and_fetches_no_map(recording: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    blueprints = RrdReader(str(recording)).blueprints()
-    assert blueprints
-    text = recording.read_bytes()
-    assert b"3D" in text
-    listing = subprocess.run(
-        [sys.executable, "-m", "rerun_cli", "rrd", "print", "-vv", str(recording)], capture_output=True, text=True
-    )
-    assert "ViewBlueprint" in listing.stdout, listing.stderr[-500:]
-    assert "MapBackground" not in listing.stdout
-    assert "MapZoom" not in listing.stdout
-
-
-def test_a_grid_with_other_edges_replaces_the_layer(tmp_path: Path) -> None:
-    dem = hills()
-    view = RerunView("ltm ridge", site(north={}), dem, LABELS, save=tmp_path / "a.rrd")
-    for left in (-600.0, -300.0):
-        classes = np.full((30, 40), 255, np.uint8)
-        classes[3, 4] = 1
-        view.log_fuel_map(STAMP + int(left), classes, GridGeometry(left, 900.0, 30.0, 40, 30))
-    view.close()
-    rows = chunks(tmp_path / "a.rrd")
-    west = [min(v[0] for v in row["Mesh3D:vertex_positions"]) for row in rows["/map/fuel/r000_c000"]]
-    assert west == [-480.0, -180.0]
-
-
-def test_the_time_line_begins_with_the_first_frame_and_the_map_of_then(tmp_path: Path) -> None:
-    """The map without evidence and the diagnostics of a graph without time have stamp 0, which is 1970."""
-    where, dem = site(north={}), hills()
-    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
-    grid = where.fuel_geometry(dem)
-    view.log_fuel_map(0, np.ones(grid.shape, np.uint8), grid)
-    rasters = {name: np.ones(grid.shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
-    view.log_fuel_layers(0, {**rasters, "code": np.full(grid.shape, 102, np.int16)})
-    for stamp in (0, STAMP - 9):
-        view.log_diagnostics(stamp, "/ridge/north/depth", {"rate_hz": 2.0})
-    view.log_pose("north", STAMP, Pose.from_angles((300.0, 400.0, 600.0), 10.0, 0.0), Camera.from_fov(64, 36, 50.0))
-    view.log_diagnostics(STAMP + 5, "/ridge/north/depth", {"rate_hz": 3.0})
-    view.close()
-    rows = chunks(tmp_path / "a.rrd")
-    first = {name: min(row["stamp"] for row in found if "stamp" in row) for name, found in rows.items()
-             if any("stamp" in row for row in found)}  # fmt: skip
-    assert min(first.values()) == STAMP
-    for name in ("/fuel_map/classes", "/map/fuel/r000_c000", "/fuel_layers/code", "/map/cameras/north"):
-        assert first[name] == STAMP, name
-    assert first["/health/rate_hz/ridge/north/depth"] == STAMP + 5
-
-
-def test_an_unchanged_fuel_map_is_not_written_again(tmp_path: Path) -> None:
-    view = RerunView("ltm ridge", site(north={}), hills(), LABELS, save=tmp_path / "a.rrd")
-    geometry = GridGeometry(-600.0, 900.0, 30.0, 40, 30)
-    classes = np.full((30, 40), 255, np.uint8)
-    for moment in range(6):
-        classes[3, 4] = 1 + moment // 3
-        view.log_fuel_map(STAMP + moment, classes, geometry)
-    view.close()
-    rows = chunks(tmp_path / "a.rrd")
-    assert [row["stamp"] - STAMP for row in rows["/fuel_map/classes"]] == [0, 3]
-    assert [row["stamp"] - STAMP for row in rows["/map/fuel/r000_c000"]] == [0, 3]

@@ -1,5 +1,3 @@
-"""A camera of a network's list."""
-
 from __future__ import annotations
 
 import json
@@ -11,8 +9,7 @@ import pytest
 from scenes.http_camera import HttpCamera, Request, running
 from scenes.source_under_test import Sourced, settings
 
-from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cameras.protocols.files import CameraListReader, entry_of, time_of
+from ltm_ros.cameras.protocols.files import CameraListReader, time_of
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 from ltm_ros.runtime.clocks import SystemClock
 
@@ -76,13 +73,6 @@ def test_a_direction_that_changes_meanwhile_refuses_the_picture(listed: tuple[Ht
     sourced = sourced_from(camera)
     sourced.steps(1)
     assert (sourced.state, sourced.frames, sourced.health.dropped) == ("moved", [], {"moved": 1})
-
-
-@pytest.mark.parametrize("body", [b"", b"[", b"[]", b'{"cameras": [{"id": "south"}]}', b"[1, null]"])
-def test_a_list_without_the_camera_is_told(body: bytes) -> None:
-    config = settings(kind="camera_list", url="http://127.0.0.1/", image="http://127.0.0.1/{id}.jpg", id="north")
-    with pytest.raises(SourceError, match="list of cameras"):
-        entry_of(body, config)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""A camera whose answer comes letter by letter: it holds up nobody for longer than a whole answer may take."""
-
 from __future__ import annotations
 
 import socket

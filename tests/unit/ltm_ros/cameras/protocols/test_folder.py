@@ -1,5 +1,3 @@
-"""A folder that a camera writes into: whole files, once each, in order, and nothing from elsewhere."""
-
 from __future__ import annotations
 
 import os
@@ -10,8 +8,8 @@ from pydantic import ValidationError
 from scenes.source_under_test import MOST_BYTES, Sourced, TurnedClock, settings
 from scenes.timed_picture import exif_of, jpeg, scene
 
-from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
-from ltm_ros.cameras.protocols.files import MOST_FILES, FolderReader
+from ltm_ros.cameras.protocols.credentials import PictureError
+from ltm_ros.cameras.protocols.files import FolderReader
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 
 NOW = 1_790_000_000.0
@@ -41,17 +39,6 @@ def test_files_come_once_in_the_order_in_which_they_were_written(tmp_path: Path)
     assert given_by(asking) == [sooner, later]
     again = write(tmp_path / "a.jpg", jpeg(scene()), 1.0)
     assert given_by(asking) == [again]
-
-
-def test_a_folder_that_nobody_clears_goes_on_giving_new_pictures(tmp_path: Path) -> None:
-    for number in range(MOST_FILES + 5):
-        path = tmp_path / f"old{number}.jpg"
-        path.touch()
-        os.utime(path, (NOW - 5000.0, NOW - 5000.0))
-    asking = reader(tmp_path)
-    for name in ("zz.jpg", "aa.jpg", "old0.jpg"):
-        new = write(tmp_path / name, jpeg(scene()))
-        assert given_by(asking, looks=2) == [new]
 
 
 def test_a_file_that_is_being_written_is_waited_for(tmp_path: Path) -> None:
@@ -116,19 +103,3 @@ def test_the_time_is_that_of_a_trusted_cameras_name_or_exif(tmp_path: Path, wher
     (frame,) = sourced.frames
     assert (frame.told_by, frame.uncertainty) == (where, pytest.approx(0.52))
     assert frame.stamp_ns / 1e9 == pytest.approx(1_789_997_600.5, abs=1e-3)
-
-
-def test_a_folder_that_is_gone_and_one_in_which_nothing_new_comes_are_stalled(tmp_path: Path) -> None:
-    clock, folder = TurnedClock(NOW), tmp_path / "drop"
-    sourced = Sourced(settings(kind="folder", path=str(folder), stalled_after=40), clock)
-    sourced.steps(1)
-    assert sourced.state == "stalled"
-    assert "is not a readable folder" in sourced.why
-    write(folder / "a.jpg", jpeg(scene()))
-    sourced.steps(3)
-    assert (sourced.state, len(sourced.frames)) == ("alive", 1)
-    clock.turn(41.0)
-    sourced.steps(1)
-    assert (sourced.state, sourced.why) == ("stalled", "no new image")
-    with pytest.raises(SourceError, match="zone"):
-        reader(folder, zone="Middle/Earth")

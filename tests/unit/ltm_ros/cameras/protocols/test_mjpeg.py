@@ -1,8 +1,5 @@
-"""MJPEG of a real server."""
-
 from __future__ import annotations
 
-import itertools
 import time
 from typing import Any
 
@@ -34,18 +31,6 @@ def test_pictures_come_as_they_are_sent_with_their_times() -> None:
         # No earlier than it was taken; no later than it came, which on a busy machine is later than it was sent.
         assert time_in(decode_rgb(frame.jpeg or b"")) - frame.uncertainty - 0.05 <= frame.stamp_ns / 1e9 <= read
         assert frame.uncertainty < 0.5
-
-
-def test_one_each_so_many_seconds() -> None:
-    with running(HttpCamera(Behaviour(**FAST))) as camera:
-        sourced = sourced_from(camera, every=0.3)
-        began = time.monotonic()
-        while len(sourced.frames) < 3:
-            sourced.steps(1)
-        sourced.source.close()
-    stamps = [frame.stamp_ns / 1e9 for frame in sourced.frames]
-    assert time.monotonic() - began >= 0.6
-    assert min(b - a for a, b in itertools.pairwise(stamps)) >= 0.29
 
 
 FAULTS: dict[str, tuple[dict[str, Any], str]] = {
@@ -94,11 +79,3 @@ def test_a_count_that_is_no_number_is_none(stamp: str) -> None:
         sourced.steps(2)
         sourced.source.close()
     assert (sourced.state, len(sourced.frames)) == ("alive", 2), sourced.why
-
-
-def test_a_page_is_no_stream() -> None:
-    with running() as camera:
-        sourced = Sourced(settings(kind="mjpeg", url=camera.url()), SystemClock())
-        sourced.steps(1)
-    assert sourced.state == "stalled"
-    assert "not a stream of JPEGs" in sourced.why

@@ -1,5 +1,3 @@
-"""RTSP from a real server: stamps against what the pictures show, and what goes wrong."""
-
 from __future__ import annotations
 
 import time
@@ -57,18 +55,6 @@ def test_stamps_of_a_camera_whose_clock_is_wrong_by_37_seconds(monkeypatch: pyte
     assert np.median(taken) == pytest.approx(0.1 if frames == "all" else 0.5, abs=0.03)
 
 
-@pytest.mark.parametrize(("frames", "every", "apart"), [("all", 0.35, 0.4), ("key", 0.7, 1.0)])
-def test_one_picture_each_so_many_seconds(frames: str, every: float, apart: float) -> None:
-    """Of ten a second, of which every fifth is a key frame: the first one that is so much later than the last."""
-    with running(RtspCamera()) as camera:
-        sourced = sourced_from(camera, frames=frames, every=every)
-        until(sourced, 6)
-        sourced.source.close()
-    taken = np.diff([time_in(frame.rgb) for frame in sourced.frames if frame.rgb is not None])
-    assert np.median(taken) == pytest.approx(apart, abs=0.06)
-    assert taken.min() > every - 0.06
-
-
 @pytest.mark.parametrize("authentication", ["basic", "digest"])
 def test_a_wrong_password_is_refused_and_not_told(monkeypatch: pytest.MonkeyPatch, authentication: str) -> None:
     monkeypatch.setenv("NORTH", "wrong-%7 guess")
@@ -80,15 +66,6 @@ def test_a_wrong_password_is_refused_and_not_told(monkeypatch: pytest.MonkeyPatc
             open_reader(sourced.config, 1 << 20, sourced.clock)
         said = "".join(traceback.format_exception(caught.value)) + str(sourced.health.summary()) + sourced.why
         assert "guess" not in said
-
-
-def test_a_closed_port_and_another_path_are_told() -> None:
-    with running(RtspCamera()) as camera:
-        for url in (camera.url.replace(str(camera.port), "1"), camera.url + "/else"):
-            sourced = Sourced(settings(kind="rtsp", url=url, timeout=2.0), SystemClock(), CALIBRATION)
-            sourced.steps(1)
-            assert sourced.state == "stalled"
-            assert "no stream" in sourced.why
 
 
 @pytest.mark.slow

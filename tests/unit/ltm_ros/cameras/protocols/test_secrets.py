@@ -1,5 +1,3 @@
-"""No password is seen anywhere: not in the configuration's errors, an exception, a log, diagnostics or a message."""
-
 from __future__ import annotations
 
 import io

@@ -1,17 +1,13 @@
-"""Snapshots of a real server: what is asked, what is believed, and what is never said."""
-
 from __future__ import annotations
 
 import datetime
-import time
 from pathlib import Path
 
 import pytest
 from scenes.http_camera import Behaviour, HttpCamera, certificate, running
 from scenes.source_under_test import Sourced, settings
-from scenes.timed_picture import exif_of, jpeg, scene, time_in, with_time
+from scenes.timed_picture import exif_of, jpeg, scene
 
-from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.protocols.http_pictures import SnapshotReader
 from ltm_ros.cameras.protocols.picture import Nothing
 from ltm_ros.runtime.clocks import SystemClock
@@ -49,18 +45,6 @@ def test_bytes_pass_untouched_and_unchanged_ones_are_not_sent_again() -> None:
         asking.close()
 
 
-def test_a_last_modified_that_stands_beside_new_pictures_is_not_believed() -> None:
-    with running() as camera:
-        camera.behaviour.last_modified = False
-        camera.routes["/started.jpg"] = lambda request: request.answer(
-            200, camera.picture()[1], "image/jpeg", [("Last-Modified", "Thu, 01 Jan 2026 00:00:00 GMT")]
-        )
-        asking = SnapshotReader(settings(kind="snapshot", url=camera.url("/started.jpg")), 4 << 20)
-        first, second = asking.read(), asking.read()
-        assert first.timing.taken.told_by == "last-modified"  # type: ignore[union-attr]
-        assert second.timing.taken is None  # type: ignore[union-attr]
-
-
 @pytest.mark.parametrize(
     ("fraction", "zone", "resolution"), [("", "", 1.0), ("250", "-07:00", 0.001)], ids=["seconds", "fraction and zone"]
 )
@@ -72,17 +56,6 @@ def test_exif_tells_the_time_of_exposure(fraction: str, zone: str, resolution: f
     expected = datetime.datetime(2026, 8, 1, 12, 0, 5, 250_000 if fraction else 0, datetime.timezone(hours))
     assert (taken.told_by, taken.resolution) == ("exif", resolution)
     assert taken.epoch == pytest.approx(expected.timestamp(), abs=1e-3)
-
-
-def test_cmyk_comes_through_with_its_colours() -> None:
-    image = with_time(scene(), time.time())
-    with running(HttpCamera(Behaviour(render=lambda _: jpeg(image, "CMYK")))) as camera:
-        sourced = Sourced(settings(kind="snapshot", url=camera.url(), every=1), SystemClock())
-        sourced.steps(1)
-    assert sourced.state == "alive", sourced.why
-    shown = decode_rgb(sourced.frames[0].jpeg or b"")
-    assert abs(shown.astype(int) - image).mean() < 6
-    assert time_in(shown) == pytest.approx(time_in(image), abs=1e-3)
 
 
 def test_a_certificate_is_checked_against_what_the_site_file_names(tmp_path: Path) -> None:

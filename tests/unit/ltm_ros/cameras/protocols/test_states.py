@@ -1,9 +1,6 @@
-"""What a picture shows (night, the same again), how long to wait, and what this computer's clock says of itself."""
-
 from __future__ import annotations
 
 import ctypes
-import math
 import time
 
 import numpy as np
@@ -11,37 +8,18 @@ import pytest
 from scenes.source_under_test import Sourced, TurnedClock, settings
 from scenes.timed_picture import jpeg, scene
 
-from ltm_ros.cameras.protocols.credentials import PictureError
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
-    CameraTime,
     Nothing,
     PtzReading,
     StuckPicture,
     Timing,
     Tolerance,
     at_rest,
-    difference_hash,
     is_night,
-    same_share,
     thumbnail_of_bytes,
-    thumbnail_of_rgb,
 )
 from ltm_ros.runtime.clocks import SystemClock
-
-
-def test_thumbnails_of_bytes_and_of_pixels_show_the_same() -> None:
-    image = scene(640, 360)
-    small, picked = thumbnail_of_bytes(jpeg(image)), thumbnail_of_rgb(image)
-    assert small.shape == picked.shape == (45, 80, 3)
-    assert np.abs(small.astype(int) - picked).mean() < 8
-    assert (difference_hash(small) ^ difference_hash(picked)).bit_count() <= 2
-
-
-def test_an_image_with_missing_rows_is_an_error() -> None:
-    data = jpeg(scene(640, 360))
-    with pytest.raises(PictureError, match=r"\d %|\d% of the image are missing"):
-        thumbnail_of_bytes(data[: len(data) // 2] + b"\xff\xd9")
 
 
 def test_night_is_dark_but_for_lamps_or_without_colour() -> None:
@@ -55,13 +33,6 @@ def test_night_is_dark_but_for_lamps_or_without_colour() -> None:
     assert not is_night(thumbnail_of_bytes(jpeg(fog)))
 
 
-def test_two_exposures_are_never_equal_and_a_frozen_one_is() -> None:
-    first, second = (thumbnail_of_bytes(jpeg(scene(640, 360))) for _ in range(2))
-    assert same_share(first, second) < 0.8
-    assert same_share(first, first) == 1.0
-    assert same_share(first, first[:, :-1]) == 0.0
-
-
 def test_stuck_after_so_long_and_well_again_at_the_first_change() -> None:
     stuck, same = StuckPicture(60.0), thumbnail_of_bytes(jpeg(scene(640, 360)))
     for now in (0.0, 30.0, 59.0):
@@ -71,13 +42,6 @@ def test_stuck_after_so_long_and_well_again_at_the_first_change() -> None:
     assert stuck.said(61.0) == "the same image for 61 s"
     stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360))), None, 70.0)
     assert not stuck.said(70.0)
-
-
-def test_fog_that_stays_the_same_is_not_stuck() -> None:
-    stuck = StuckPicture(60.0)
-    for now in range(0, 600, 10):
-        stuck.look(np.full((45, 80, 3), (200, 205, 210), np.uint8), None, float(now))
-        assert not stuck.said(float(now))
 
 
 def test_a_turn_that_the_picture_does_not_show() -> None:
@@ -159,25 +123,3 @@ def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is
     assert fourth == third + 1, "a little back is no other time"
     assert fifth - first == pytest.approx(-3601e9, abs=1e4), "frames of the right time, not of one hours ahead"
     assert sixth == fifth + 1
-
-
-def test_a_stamp_that_keeps_its_order_says_what_that_costs() -> None:
-    clock, reader = TurnedClock(wall=1_790_000_000.95), Pictures()
-    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
-    # Asked just before and just after the camera's second turned: its clock is known by the second picture, of which
-    # the first was put half a second behind where it belongs.
-    taken = []
-    for pause in (0.0, 0.1, 0.2, 2.0):
-        clock.turn(pause)
-        now, wall = clock.monotonic(), clock.wall()
-        taken.append(wall - 20.0)
-        stated, answered = CameraTime(taken[-1], 0.0, "list"), CameraTime(math.floor(wall), 1.0, "date")
-        reader.next = CameraImage(Timing(now, now, 30.0, stated, answered), jpeg=jpeg(scene()))
-        sourced.steps(1)
-    stamps = np.array([frame.stamp_ns for frame in sourced.frames])
-    late = stamps / 1e9 - taken
-    assert (np.diff(stamps) > 0).all()
-    assert late == pytest.approx([0.45, 0.35, 0.15, 0.0], abs=0.06)
-    told = np.array([frame.uncertainty for frame in sourced.frames])
-    assert (np.abs(late) <= told + 1e-3).all(), (late, told)
-    assert told[-1] < 0.1

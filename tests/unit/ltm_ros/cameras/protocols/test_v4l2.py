@@ -1,5 +1,3 @@
-"""A USB camera. None is at hand: its packets come from a file of motion JPEGs, put in where PyAV opens a device."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,7 +8,6 @@ from pydantic import ValidationError
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import scene, time_in, with_time
 
-from ltm_core.geometry.camera import Camera
 from ltm_ros.cameras.opening import doubts_of
 from ltm_ros.runtime.clocks import SystemClock
 
@@ -64,14 +61,6 @@ def test_a_cameras_pictures_with_its_own_times(asked: list[tuple[Any, dict[str, 
     )
 
 
-def test_one_picture_each_so_many_seconds(asked: list[tuple[Any, dict[str, Any]]]) -> None:
-    sourced = Sourced(camera(every=3600), SystemClock())
-    while sourced.state in ("connecting", "alive"):
-        sourced.source.step()
-    assert asked[0][1]["options"] == {}
-    assert len(sourced.frames) == 1
-
-
 def test_a_camera_that_is_not_there_or_belongs_to_others_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     sourced = Sourced(camera(size=[320, 180]), SystemClock())
     sourced.steps(1)
@@ -91,11 +80,3 @@ def test_a_camera_that_is_not_there_or_belongs_to_others_is_told(monkeypatch: py
 def test_only_devices_are_read(device: str) -> None:
     with pytest.raises(ValidationError, match="below /dev"):
         settings(kind="v4l2", device=device)
-
-
-def test_a_picture_of_another_size_is_refused(asked: list[tuple[Any, dict[str, Any]]]) -> None:
-    sourced = Sourced(camera(every=0), SystemClock(), Camera.from_fov(640, 360, 62.0))
-    sourced.steps(1)
-    assert not sourced.frames
-    assert "320 x 180 pixels" in str(sourced.health.summary())
-    assert sourced.health.dropped == {"picture": 1}

@@ -1,5 +1,3 @@
-"""Pictures of PTZ heads that move, are stuck, or patrol: what is published is what was seen, and the rest is told."""
-
 from __future__ import annotations
 
 import io
@@ -19,10 +17,9 @@ from scenes.timed_picture import jpeg, scene
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
-from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig, VapixConfig
+from ltm_core.site.source_config import PatrolConfig, VapixConfig
 from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
-from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.picture import CameraImage, PtzReading, Timing, Tolerance
 from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
@@ -101,28 +98,6 @@ def test_while_the_head_slews_every_picture_is_refused(camera: HttpCamera, head:
     assert tested.state == "moved"
 
 
-@pytest.mark.slow
-def test_after_a_slew_pictures_come_again_by_themselves(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera)
-    head.rate = 40.0
-    head.go_to("north")
-    for _ in range(60):
-        tested.steps(1)
-        if len(tested.frames) >= 3 and abs(seen(tested.frames[-1])[0] - 10.0) < 0.01:
-            break
-    assert tested.state == "alive"
-    assert max(off_deg(frame) for frame in tested.frames) < 0.1
-
-
-def test_a_flicker_of_the_encoders_is_no_motion(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera)
-    head.rate, head.starts_after_s = 1e9, 0.0
-    for k in range(6):
-        head.send((123.4 + 0.02 * (k % 2), -7.2, 1.0))
-        tested.steps(1)
-    assert len(tested.frames) == 6
-
-
 def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera, lens=True)
     tested.steps(1)
@@ -135,15 +110,6 @@ def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> No
     assert long.camera.fx > 5 * wide.camera.fx
 
 
-def test_a_zoom_that_the_lens_has_no_row_for_is_refused(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, lens=True)
-    head.rate, head.starts_after_s = 1e9, 0.0
-    head.send((0.0, 0.0, 12000.0))
-    tested.steps(1)
-    assert not tested.frames
-    assert tested.health.dropped == {"zoom": 1}
-
-
 def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) -> None:
     head.rate = 600.0
     tested = sourced(camera, ("north", "south ridge"))
@@ -153,19 +119,6 @@ def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) 
     assert head.commands == ["north", "south ridge"] * 2 + ["north"]
     assert max(off_deg(frame) for frame in tested.frames) < 0.02
     assert not tested.health.dropped
-
-
-def test_without_a_patrol_nothing_is_driven(camera: HttpCamera, head: FakeHead) -> None:
-    sourced(camera).steps(3)
-    assert not head.commands
-
-
-@pytest.mark.slow
-def test_a_head_that_starts_late_is_waited_for(camera: HttpCamera, head: FakeHead) -> None:
-    head.starts_after_s = 0.8
-    tested = sourced(camera, ("east", "north"))
-    tested.steps(2)
-    assert [seen(frame)[0] for frame in tested.frames] == pytest.approx([95.0, 10.0], abs=0.02)
 
 
 @pytest.mark.slow
@@ -185,29 +138,6 @@ def test_a_head_that_does_not_go_is_told_and_no_picture_is_published(camera: Htt
 
 
 @pytest.mark.slow
-def test_a_head_dead_from_the_start_is_told_at_its_second_preset(camera: HttpCamera, head: FakeHead) -> None:
-    head.dead = True
-    tested = sourced(camera, ("north", "east"))
-    tested.steps(2)
-    assert tested.state == "stuck"
-    assert "from preset 'north' to 'east', the PTZ head reads the same direction" in tested.why
-
-
-def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
-    """Its encoders say that it turned; only the pictures show that it did not."""
-    tested = sourced(camera, ("north", "east", "south ridge"))
-    tested.steps(3)
-    assert tested.state == "alive"
-    head.place, head.turret_stuck = head.encoders(), True
-    before = len(tested.frames)
-    tested.steps(4)
-    assert tested.state == "stuck"
-    assert "the image stays the same" in tested.why
-    assert len(tested.frames) <= before + 1, "one turn alone may show the same: two say it"
-    assert tested.health.dropped["stuck"] >= 2
-
-
-@pytest.mark.slow
 def test_a_preset_that_was_changed_is_told_once_and_then_taken(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera, ("north", "east"))
     tested.steps(2)
@@ -217,35 +147,6 @@ def test_a_preset_that_was_changed_is_told_once_and_then_taken(camera: HttpCamer
     assert "preset 'north' was at pan 10.00" in tested.why
     tested.steps(1)
     assert seen(tested.frames[-1])[0] == pytest.approx(14.0, abs=0.02)
-
-
-@pytest.mark.slow
-def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, ("north",))
-    head.presets["north"] = (5000.0, 0.0, 1.0)  # it never arrives
-    head.rate = 30.0
-    tested.steps(1)
-    assert not tested.frames
-    assert "did not come to rest within 3 s" in tested.why
-
-
-def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
-    head: FakeHead, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HEAD_PASSWORD", "not-the-one")
-    with running(ptz_camera(head)) as camera:
-        head.user, head.password = "viewer", "the-one"
-        source = settings(kind="snapshot", url=camera.url(), every=0.01)
-        config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
-        direction = PtzDirection(lambda: open_ptz(config, source))
-        gaze = CameraDirection(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
-        tested = Sourced(source, SystemClock(), gaze=gaze)
-        (pause,) = tested.steps(1)
-    assert tested.state == "unauthorised"
-    assert "rejected user viewer (ONVIF" in tested.why
-    assert "the-one" not in tested.why
-    assert pause >= 599.0
-    assert not tested.frames
 
 
 def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
@@ -281,28 +182,3 @@ def test_a_head_that_cannot_be_asked_ends_in_no_picture(camera: HttpCamera) -> N
     camera.routes["/axis-cgi/com/ptz.cgi"] = page
     tested.steps(1)
     assert len(tested.frames) == 2
-
-
-def test_a_preset_that_is_not_there_is_told_with_those_that_are(camera: HttpCamera) -> None:
-    tested = sourced(camera, ("west",))
-    tested.steps(1)
-    assert "no preset 'west'; it has north, east, south ridge" in tested.why
-
-
-def test_a_direction_connects_again_after_it_was_closed(camera: HttpCamera) -> None:
-    source = settings(kind="snapshot", url=camera.url())
-    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
-    first = direction.read()
-    direction.close()
-    assert direction.read().pan_deg == first.pan_deg
-    direction.close()
-    direction.close()
-
-
-def test_two_readings_are_never_too_near_to_show_motion(camera: HttpCamera) -> None:
-    source = settings(kind="snapshot", url=camera.url())
-    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
-    at = [direction.read().at for _ in range(4)]
-    assert min(np.diff(at)) >= 0.09
-    with pytest.raises(SourceError, match="no preset"):
-        direction.ptz().go_to("elsewhere")

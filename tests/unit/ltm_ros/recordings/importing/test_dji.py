@@ -11,7 +11,7 @@ from PIL import Image
 from scenes.movie_file import movie
 from scenes.phone_site import FRAME, FX, GROUND, LAT, LON, imported, phone_site, picture
 
-from ltm_core.base.errors import LtmError, PoseError, RecordingError
+from ltm_core.base.errors import PoseError, RecordingError
 from ltm_core.geometry.pose import pose_covariance
 from ltm_core.site.site import Site
 from ltm_ros.recordings.importing.assumptions import Assumptions
@@ -88,28 +88,11 @@ def test_a_height_above_the_take_off_needs_its_height(tmp_path: Path, site: Site
     assert pose.position[2] == pytest.approx(GROUND - 7.0 + 60.0)
 
 
-def test_a_calibration_in_millimetres_is_left_to_exif(tmp_path: Path, site: Site) -> None:
-    import_photos([photo(tmp_path / "DJI_0001.JPG", CalibratedFocalLength="8.6")], tmp_path / "bag", site=site)
-    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 27 * FX)
-
-
-def test_a_drone_that_looks_straight_down(tmp_path: Path, site: Site) -> None:
-    path = photo(tmp_path / "DJI_0001.JPG", GimbalPitchDegree="-90.00", GimbalRollDegree="+0.00")
-    import_photos([path], tmp_path / "bag", site=site)
-    ((_, _, pose, _),) = imported(tmp_path / "bag")
-    np.testing.assert_allclose(pose.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-9)
-    assert (pose.angles_deg[0] + FRAME.grid_convergence_deg(*pose.position[:2])) % 360 == pytest.approx(231.7, abs=1e-4)
-
-
 NEW = (
     '{n}\n00:00:0{s},000 --> 00:00:0{s},033\n<font size="28">FrameCnt: {n}, DiffTime: 33ms\n2024-07-04 18:30:1{t}.500\n'
     "[iso: 100] [shutter: 1/944.10] [fnum: 3.7] [ev: 0] [color_md : default] [focal_len: 27.00] [dzoom_ratio: 1.00], "
     "[latitude: {lat:.6f}] [longitude: {lon:.6f}] [rel_alt: {climb:.3f} abs_alt: {alt:.3f}] "
     "[gb_yaw: {yaw:.1f} gb_pitch: -12.0 gb_roll: 0.5] </font>\n\n"
-)
-OLD = (
-    "{n}\n00:00:0{s},000 --> 00:00:0{s},033\nHOME(-118.0600,34.2250) 2024.07.04 18:30:1{t}\n"
-    "GPS({lon:.6f},{lat:.6f},19) BAROMETER:{climb:.1f}\nISO:100 Shutter:60 EV: Fnum:F2.8\n\n"
 )
 
 
@@ -136,16 +119,6 @@ def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, sit
         np.testing.assert_allclose(pose.position, [x, y, GROUND + 50 + s], atol=0.06)
         azimuth = FRAME.true_to_grid_deg(350.0 + 10 * s, x, y)
         np.testing.assert_allclose(pose.angles_deg, [azimuth, -12.0, 0.5], atol=1e-6)
-
-
-def test_older_subtitles_have_a_place_and_a_height_alone(tmp_path: Path) -> None:
-    (tmp_path / "a.SRT").write_text(flight(OLD))
-    found = read_subtitles(tmp_path / "a.SRT")
-    assert found.begins == datetime(2024, 7, 4, 18, 30, 15)
-    assert found.lens_at(1.0) is None
-    sensed = found.track.at(1 + 1_500_000_000, np.eye(3))
-    assert sensed.lat == pytest.approx(LAT + 1.5e-5)
-    assert (sensed.lon, sensed.climb, sensed.azimuth_deg) == (LON, 41.5, None)
 
 
 @pytest.mark.parametrize(
@@ -188,19 +161,6 @@ def test_an_order_that_nothing_decides_is_an_error(tmp_path: Path) -> None:
         read_subtitles(tmp_path / "a.SRT")
 
 
-def test_a_pose_file_places_frames_whose_subtitles_do_not(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
-    (tmp_path / "DJI_0002.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nGPS (36.6146, -6.1120)\n")
-    with pytest.raises(LtmError, match=r"36\.6146"):
-        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
-    with pytest.raises(RecordingError, match=r"36\.6146"):
-        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag")
-    row = f"DJI_0002.MP4,{LON},{LAT},{GROUND + 60},10,-5,0,50\n"
-    (tmp_path / "poses.csv").write_text(f"name,lon,lat,z,azimuth_deg,pitch_deg,roll_deg,fx\n{row}")
-    import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", tmp_path / "poses.csv", site)
-    assert imported(tmp_path / "bag")[0][2].position[2] == GROUND + 60
-
-
 def test_a_lens_that_zooms_during_the_video(tmp_path: Path) -> None:
     text = flight(NEW)
     (tmp_path / "a.SRT").write_text(text[: text.index("3\n00")] + text[text.index("3\n00") :].replace("27.00", "48.00"))
@@ -231,55 +191,3 @@ def test_a_height_of_unknown_origin_needs_the_take_offs(
     else:
         import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
         assert imported(tmp_path / "bag")[0][2].position[2] == pytest.approx(z)
-
-
-def test_a_date_without_a_zone_is_reported(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
-    (tmp_path / "DJI_0002.SRT").write_text(flight(NEW))
-    report = import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
-    assert any("--time-zone" in note for _, note in report.notes)
-    assert imported(tmp_path / "bag")[0][0] == 1_720_117_815_500_000_000  # 18:30:15.5 UTC
-
-
-def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
-    (tmp_path / "a.SRT").write_text(flight(NEW))
-    track = read_subtitles(tmp_path / "a.SRT").track
-    sensed = track.at(1 + 500_000_000, np.eye(3))
-    assert sensed.azimuth_deg == pytest.approx(355.0, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("", "no position in its 0 blocks: enable `Video Captions`"),
-        ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no position in its 1 blocks"),
-        (flight(NEW).replace("34.2", "94.2"), "no position in its 3 blocks"),
-        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no position in its 0 blocks"),
-        (re.sub(r"itude: [-.0-9]+", "itude: 0.000000", flight(NEW)), "--poses"),
-    ],
-)
-def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint: str) -> None:
-    (tmp_path / "a.SRT").write_text(text)
-    with pytest.raises(RecordingError, match=rf"a\.SRT.*{complaint}"):
-        read_subtitles(tmp_path / "a.SRT")
-
-
-def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:
-    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude="-24.13")
-    with pytest.raises(PoseError, match=r"DJI altitude -24\.1 m is 1524\.1 m under the terrain.*--start-height"):
-        import_photos([path], tmp_path / "bag", site=site)
-    assert not (tmp_path / "bag").exists()
-
-
-def test_a_drone_that_tells_its_climb_alone_is_never_at_eye_height(tmp_path: Path, site: Site) -> None:
-    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude=None)
-    with pytest.raises(
-        PoseError, match=r"its altitude is not known, and DJI only gives 60\.0 m above the take-off place"
-    ):
-        import_photos([path], tmp_path / "bag", site=site)
-
-
-@pytest.mark.parametrize("changes", [{"GimbalYawDegree": "nan"}, {"GimbalYawDegree": None}])
-def test_a_gimbal_without_a_heading_is_unknown(tmp_path: Path, site: Site, changes: dict[str, str | None]) -> None:
-    with pytest.raises(LtmError, match="has no direction in DJI"):
-        import_photos([photo(tmp_path / "DJI_0001.JPG", **changes)], tmp_path / "bag", site=site)

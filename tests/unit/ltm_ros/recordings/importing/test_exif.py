@@ -7,7 +7,6 @@ import pytest
 from PIL.Image import Exif
 from PIL.TiffImagePlugin import IFDRational
 
-from ltm_core.base.errors import ImageError
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
 
 PHOTO, GPS = 0x8769, 0x8825
@@ -48,10 +47,6 @@ def test_south_west_below_the_sea_and_magnetic() -> None:
     assert (found.direction_deg, found.direction_ref) == (359.5, "M")
 
 
-def test_no_exif_is_no_facts() -> None:
-    assert facts() == ExifFacts()
-
-
 @pytest.mark.parametrize(
     ("gps", "known"),
     [
@@ -64,19 +59,6 @@ def test_a_fix_that_is_none_is_left_out(gps: dict[int, Any], known: float | None
     assert facts(gps=gps).lat == known
 
 
-def test_fractions_over_zero_are_left_out() -> None:
-    found = facts(gps={6: IFDRational(1, 0), 17: IFDRational(0, 0), 16: "T"})
-    assert (found.altitude, found.direction_deg) == (None, None)
-
-
-@pytest.mark.parametrize(
-    "gps", [{1: "N", 2: (91, 0, 0), 3: "E", 4: (0, 0, 0)}, {1: "N", 2: (1, 0, 0), 3: "E", 4: (181, 0, 0)}]
-)
-def test_a_position_off_the_globe_is_refused(gps: dict[int, Any]) -> None:
-    with pytest.raises(ImageError, match=r"a\.jpg: invalid EXIF position"):
-        facts(gps=gps)
-
-
 def test_the_camera_clock_and_the_gps_stamp_are_two_things() -> None:
     photo = {0x9003: "2024:07:04 18:30:15"}
     gps = {7: (1.0, 30.0, 16.5), 29: "2024:07:05"}
@@ -85,22 +67,6 @@ def test_the_camera_clock_and_the_gps_stamp_are_two_things() -> None:
     assert found.gps_time == datetime(2024, 7, 5, 1, 30, 16, 500_000, UTC)
     assert facts(photo=photo).gps_time is None
     assert facts(main={0x0132: "2013:08:25 11:04:17"}).taken == datetime(2013, 8, 25, 11, 4, 17)
-
-
-@pytest.mark.parametrize(("value", "known"), [(4.75, 4.75), (0, None), (IFDRational(0, 0), None)])
-def test_the_horizontal_positioning_error(value: Any, known: float | None) -> None:
-    assert facts(gps={31: value}).position_error == known
-
-
-@pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "yesterday", ""])
-def test_dates_that_are_none_are_left_out(text: str) -> None:
-    assert facts(photo={0x9003: text}).taken is None
-    assert facts(photo={0x9003: text}, gps={7: (1, 2, 3), 29: "2024:13:40"}).gps_time is None
-
-
-@pytest.mark.parametrize("orientation", [0, 9, 65535])
-def test_an_orientation_that_is_none_is_upright(orientation: int) -> None:
-    assert facts(main={0x0112: orientation}).orientation == 1
 
 
 ORIGINAL, DIGITIZED, CHANGED = "2024:07:04 18:30:15", "2024:07:05 09:00:00", "2025:01:02 03:04:05"
@@ -130,27 +96,6 @@ def test_the_date_of_the_exposure_precedes_those_of_later_steps(
     assert not found.changed
 
 
-def test_a_date_of_the_last_change_is_marked() -> None:
-    assert facts(main={0x0132: CHANGED}).changed
-
-
-@pytest.mark.parametrize(
-    ("date", "clock", "stamp"),
-    [
-        ("1980:01:06", ORIGINAL, None),
-        ("1970:01:01", "", None),
-        ("2004:11:18", ORIGINAL, "2024-07-04T01:30:15+00:00"),  # 1024 weeks early
-        ("1985:01:01", ORIGINAL, None),
-        ("9999:12:31", "", None),
-        ("2024:07:05", ORIGINAL, "2024-07-05T01:30:15+00:00"),
-        ("2024-07-05", "", "2024-07-05T01:30:15+00:00"),
-    ],
-)
-def test_gps_dates_are_checked_against_the_clock(date: str, clock: str, stamp: str | None) -> None:
-    found = facts(photo={0x9003: clock}, gps={7: (1.0, 30.0, 15.0), 29: date})
-    assert found.gps_time == (None if stamp is None else datetime.fromisoformat(stamp))
-
-
 @pytest.mark.parametrize(
     ("version", "reference", "altitude", "above_sea"),
     [
@@ -167,37 +112,6 @@ def test_gps_dates_are_checked_against_the_clock(date: str, clock: str, stamp: s
 def test_altitude_references(version: bytes, reference: Any, altitude: float, above_sea: bool) -> None:
     found = facts(photo={0x9000: version}, gps={5: reference, 6: 250.0})
     assert (found.altitude, found.above_sea) == (altitude, above_sea)
-
-
-NORTH_WEST = {1: "N", 2: (34.5, 0, 0), 3: "W", 4: (118.25, 0, 0)}
-
-
-@pytest.mark.parametrize(
-    ("changes", "position"),
-    [
-        ({}, (34.5, -118.25)),
-        ({3: None}, None),  # Los Angeles would be in China
-        ({1: ""}, None),
-        ({3: "w\0"}, (34.5, -118.25)),
-        ({3: "West"}, (34.5, -118.25)),
-        ({4: (118.0, 15.0, 3050.0)}, None),  # hundredths of a second
-        ({18: "TOKYO"}, None),
-        ({18: "WGS-84"}, (34.5, -118.25)),
-    ],
-)
-def test_positions_that_are_not_certain_are_left_out(
-    changes: dict[int, Any], position: tuple[float, float] | None
-) -> None:
-    found = facts(gps={tag: value for tag, value in (NORTH_WEST | changes).items() if value is not None})
-    assert (found.lat, found.lon) == (position or (found.lat, None))
-    assert position is not None or found.lat is None or found.lon is None
-
-
-@pytest.mark.parametrize(("letter", "lon"), [("W", -118.25), ("E", None), ("", None)])
-def test_a_longitude_with_a_sign_and_a_letter(letter: str, lon: float | None) -> None:
-    written = Exif()
-    written.get_ifd(GPS).update(NORTH_WEST | {3: letter, 4: (-118.25, 0, 0)})
-    assert exif_facts(written, "a.jpg").lon == lon
 
 
 @pytest.mark.parametrize(("value", "known"), [(360.0, 0.0), (359.99, 359.99), (655.35, None)])

@@ -17,7 +17,6 @@ import pytest
 from pyproj import Transformer
 from scenes.rasters import rough_terrain
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
@@ -25,10 +24,8 @@ from ltm_core.cameras.foreign_camera import UPWARD, ForeignPose, closest_camera,
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
-from ltm_core.tracing.trace_io import load_picture_config
-from ltm_ros.cli.main import cli
 from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
-from ltm_ros.recordings.importing.pose_check import Placement, Reading, chosen_reading, readings
+from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
 from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
 FRAME = SiteFrame("EPSG:32632", 419_000.0, 6_718_000.0)
@@ -264,30 +261,3 @@ def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
     below = ForeignPose("a", "a", np.array([x, y, ground - 5.0]), TRUE.rotation, LENS)
     with pytest.raises(PoseError, match=r"5\.0 m|below|under"):
         chosen_reading(readings([below], placement, {}))
-
-
-@pytest.mark.parametrize(("stated", "other", "taken"), [(-7.2, -52.0, "gon"), (-50.0, -52.0, "as stated")])
-def test_another_reading_is_used_only_if_it_fits_clearly_better(stated: float, other: float, taken: str) -> None:
-    found = [Reading("as stated", None, stated, 0.5), Reading("gon", None, other, 0.9)]
-    assert chosen_reading(found).how == taken
-
-
-def test_the_command_writes_pose_files(tmp_path: Path) -> None:
-    row = "\t".join(map(repr, map(float, (*AT, *angles_of(math.pi / 180)))))
-    (tmp_path / "opk.txt").write_text(f"# label X Y Z omega phi kappa\nIMG_1.JPG\t{row}\n")
-    options = ["--out", str(tmp_path / "poses"), "--crs", "EPSG:32632", "--size", "1600x1200", "--focal", "24/36"]
-    result = CliRunner().invoke(cli, ["pose", "import", str(tmp_path / "opk.txt"), *options])
-    assert result.exception is None, result.output
-    config = load_picture_config(tmp_path / "poses/IMG_1.yaml")
-    assert config.calibration.fx == pytest.approx(24 / 36 * 1600)
-    assert (config.pose.x, config.pose.y, config.pose.z) == pytest.approx(tuple(AT), abs=1e-3)
-    assert config.pose.azimuth_deg == pytest.approx(62.0, abs=1e-5)
-    assert config.pose.pitch_deg == pytest.approx(-7.0, abs=1e-5)
-
-
-def test_a_list_of_angles_without_a_focal_length_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "opk.txt").write_text("IMG_1.JPG\t" + "\t".join(map(repr, map(float, (*AT, *angles_of(1.0))))) + "\n")
-    options = ["--out", str(tmp_path / "poses"), "--crs", "EPSG:32632", "--size", "1600x1200"]
-    with pytest.raises(PoseError, match="--focal"):
-        CliRunner().invoke(cli, ["pose", "import", str(tmp_path / "opk.txt"), *options], catch_exceptions=False)
-    assert not (tmp_path / "poses").exists()

@@ -1,9 +1,6 @@
-"""Focal lengths of real cameras' files (public EXIF collections), and of files that were changed after the exposure."""
-
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import pytest
@@ -11,7 +8,6 @@ from PIL.Image import Exif
 from PIL.TiffImagePlugin import IFDRational
 
 from ltm_core.base.errors import CameraError
-from ltm_core.base.resources import project_path
 from ltm_ros.recordings.importing.exif import xmp_values
 from ltm_ros.recordings.importing.intrinsics import intrinsics, lens_of_photo, lens_of_subtitle
 
@@ -136,20 +132,6 @@ def test_digital_zoom(facts: dict[int, Any], main: dict[int, Any], fov: float) -
     assert fov_deg(4032, 3024, facts, main) == pytest.approx(fov, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("xmp", "values"),
-    [
-        ('xmlns:GPano="http://ns.google.com" GPano:ProjectionType="equirectangular"', "equirectangular"),
-        ('GPano:FullPanoWidthPixels="8000"', "panorama"),
-        ('Camera:ModelType="fisheye"', "fisheye"),
-        ('drone-dji:CalibratedFocalLength="5000.0"', "43.6 deg.*71.6 deg"),
-    ],
-)
-def test_xmp_that_contradicts_a_pinhole_camera(xmp: str, values: str) -> None:
-    with pytest.raises(CameraError, match=values):
-        read(4000, 3000, {0xA405: 24}, xmp=f"<rdf:Description {xmp}/>")
-
-
 def test_the_calibration_of_a_drone_follows_the_size() -> None:
     """Phantom 4 RTK: offsets of the principal point are from the middle."""
     data = "2018-09-04;3666.6,3664.4,-8.5,12.0,-0.27,0.11,0.0008,-0.0002,-0.03"
@@ -161,16 +143,6 @@ def test_the_calibration_of_a_drone_follows_the_size() -> None:
     assert (half.fx, half.cx, half.cy) == (1833.3, (2727.5 / 2) - 0.5, 1836.0 / 2 - 0.5)
     assert read(5472, 3648, facts, xmp=xmp.replace('Flag="0"', 'Flag="1"')).k1 == 0
     assert read(1824, 2736, facts, xmp=xmp).cx is None
-
-
-def test_parrot_states_millimetres_on_the_focal_plane() -> None:
-    xmp = (
-        '<rdf:Description Camera:PerspectiveFocalLength="4.88" Camera:PerspectiveFocalLengthUnits="mm" '
-        'Camera:PrincipalPoint="3.1,2.3" Camera:PerspectiveDistortion="0.01,0.02,0.03,0.04,0.05"/>'
-    )
-    found = read(4608, 3456, {0x920A: 4.88, 0xA20E: 750.0, 0xA210: 4, **size(4608, 3456)}, xmp=xmp)
-    assert (found.fx, found.cx, found.cy) == pytest.approx((3660.0, 2325.0, 1725.0))
-    assert found.distortion == (0.01, 0.02, 0.04, 0.05, 0.03)
 
 
 def test_what_the_user_states_replaces_what_is_unknown() -> None:
@@ -194,14 +166,3 @@ def test_subtitles_state_a_35_mm_equivalent(block: str, focal_35mm: float, zoom:
     assert lens is not None
     assert (lens.focal_35mm, lens.zoom) == (focal_35mm, zoom)
     assert lens_of_subtitle("ISO:100 Shutter:60 EV: Fnum:F2.8") is None
-
-
-def test_nothing_else_interprets_focal_tags() -> None:
-    names = re.compile(
-        r"0x(A405|920A|A20[EF]|A404|A434)\b|41989|37386|FocalLengthIn35|FocalPlane[XY]|focal_len\b|dzoom_ratio|"
-        r"35mm_equivalent|Calibrated(FocalLength|OpticalCenter)|DewarpData|PerspectiveFocalLength|GPano",
-        re.IGNORECASE,
-    )
-    product = [p for part in ("ltm_core", "ltm_ros", "ltm_msgs_py") for p in project_path(part).rglob("*.py")]
-    assert len(product) > 100
-    assert [p.name for p in product if names.search(p.read_text())] == ["intrinsics.py"]

@@ -1,5 +1,3 @@
-"""The walk in bags/phone: what its photos and its recording say, against where they were taken."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,15 +7,8 @@ import pytest
 from scenes.phone_site import imported
 
 from ltm_core.base.resources import project_path
-from ltm_core.cameras.sensor_pose import SensorsConfig, sensed_pose
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.image import compressed_to_rgb
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.sensors import msg_to_attitude, msg_to_fix
-from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.demo.score import recorded_pose_errors
-from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 
 WALK = project_path("bags/phone")
@@ -42,48 +33,3 @@ def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
     for (_, camera, _, _), (_, same, _, _) in zip(told, true, strict=True):
         assert (camera.width, camera.height) == (same.width, same.height)
         assert camera.fx == pytest.approx(same.fx, rel=2e-3)
-
-
-def test_the_recording_is_what_the_photos_and_the_sensors_give(tmp_path: Path) -> None:
-    """`ltm import bags/phone/photos bags/phone/sensor_logger.zip --height-above-ground 1.6` makes it again."""
-    parts = [WALK / "photos", WALK / "sensor_logger.zip"]
-    assumed = Assumptions(height_above_ground=1.6)
-    report = import_photos(parts, tmp_path / "again", site=load_site(WALK / "site.yaml"), assumed=assumed)
-    assert report.cameras == {"phone": 24}
-    ours, again = (BagReader(bag, allow_damaged=False) for bag in (WALK / "recording", tmp_path / "again"))
-    assert ours.topic_infos() == again.topic_infos()
-    counts = {
-        topic.removeprefix("/phone_walk/phone/"): info.message_count for topic, info in ours.topic_infos().items()
-    }
-    photos = dict.fromkeys(("image_raw/compressed", "camera_info", "pose", "/tf"), 24)
-    assert counts == photos | {"fix": 504, "imu": 2516, "/tf_static": 1}
-    for one, other in zip(ours.messages(), again.messages(), strict=True):
-        messages = [ours.decode(message) for message in (one, other)]
-        if one.topic.endswith("compressed"):  # libjpeg's rounding differs between processors
-            pictures = [compressed_to_rgb(message).astype(int) for message in messages]
-            assert np.abs(pictures[0] - pictures[1]).max() <= 2
-        else:
-            assert messages[0] == messages[1], one.topic
-
-
-def test_the_phones_fix_and_attitude_give_the_imported_pose() -> None:
-    """The live way, by `sensors` of the site file, on the same recording."""
-    site = load_site(WALK / "site.yaml")
-    reader = BagReader(WALK / "recording")
-    topics = {name: f"/phone_walk/phone/{name}" for name in ("fix", "imu", "pose")}
-    fixes, attitudes, poses = (
-        [take(reader.decode(m)) for m in reader.messages([topics[name]])]
-        for name, take in (("fix", msg_to_fix), ("imu", msg_to_attitude), ("pose", lambda m: m))
-    )
-    dem, config = site.open_dem(), SensorsConfig(north="true")
-    for message, size in zip(poses[:2], ((1024, 768), (768, 1024)), strict=True):
-        stamp, pose = stamp_of(message), msg_to_pose(message)
-        fix, attitude = (min(some, key=lambda one: abs(one.stamp_ns - stamp)) for some in (fixes, attitudes))
-        sensed, covariance = sensed_pose(fix, attitude, stamp, size, site.frame, dem, config)
-        np.testing.assert_allclose(sensed.position, pose.position, atol=0.6)
-        np.testing.assert_allclose(sensed.angles_deg, pose.angles_deg, atol=0.01)
-        assert covariance[0, 0] == pytest.approx(msg_to_covariance(message)[0, 0], rel=0.01)
-
-
-def test_it_stays_small() -> None:
-    assert sum(path.stat().st_size for path in WALK.rglob("*") if path.is_file()) < 8_000_000

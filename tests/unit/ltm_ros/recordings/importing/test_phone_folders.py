@@ -1,5 +1,3 @@
-"""Folders as phones leave them: every file is imported, rejected or listed as skipped."""
-
 from __future__ import annotations
 
 import re
@@ -8,17 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from PIL import Image
 from typer.testing import CliRunner
 from unit.ltm_ros.recordings.importing.test_photos import GROUND, LEVEL, contents, phone, picture, save, site
 
-from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_ros.cli.record import import_
 from ltm_ros.recordings.importing.build import import_photos
-from ltm_ros.recordings.importing.photo import read_photo
 from ltm_ros.recordings.importing.pictures import find_pictures
 
 __all__ = ["site"]
@@ -73,12 +68,6 @@ def test_photos_of_one_name_stay_apart(tmp_path: Path, site: Site) -> None:
     assert names == {"IMG_0001.jpg", "100APPLE_IMG_0002.jpg", "101APPLE_IMG_0002.jpg"}
 
 
-def test_one_photo_in_two_formats_is_written_twice(tmp_path: Path, site: Site) -> None:
-    files = [save(tmp_path / name, phone()) for name in ("a.jpg", "a.heic", "a.webp")]
-    import_photos(files, tmp_path / "bag", site=site, assumed=LEVEL, photos_out=tmp_path / "written")
-    assert len(list((tmp_path / "written").glob("a*.jpg"))) == 3
-
-
 def test_a_motion_photos_video_is_cut_off(tmp_path: Path, site: Site) -> None:
     path = save(tmp_path / "PXL_1.MP.jpg", phone())
     photo = path.read_bytes()
@@ -95,23 +84,6 @@ def test_other_formats_are_imported_as_jpeg(tmp_path: Path, site: Site, name: st
     assert (report.cameras, image.format, camera.width) == ({"phone": 1}, "jpeg", picture().shape[1])
     assert pose.position[2] == pytest.approx(GROUND + 12.0)
     assert np.abs(compressed_to_rgb(image).astype(int) - picture()).mean() < 8
-
-
-def test_a_damaged_video_is_rejected_like_a_damaged_photo(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "photos").mkdir()
-    save(tmp_path / "photos/a.jpg", phone())
-    (tmp_path / "photos/b.mp4").write_bytes(VIDEO)
-    with pytest.raises(RecordingError, match=r"b\.mp4"):
-        import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=LEVEL)
-    report = import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
-    assert [path.name for path, _ in report.rejected] == ["b.mp4"]
-    assert report.cameras == {"phone": 1}
-
-
-def test_a_raw_photo_with_a_preview_is_no_photo(tmp_path: Path) -> None:
-    Image.fromarray(picture()).save(tmp_path / "a.tif", tiffinfo={50706: b"\1\4\0\0"})
-    with pytest.raises(ImageError, match="raw photo"):
-        read_photo(tmp_path / "a.tif")
 
 
 def test_the_command_ends_with_a_table_of_all_files(tmp_path: Path) -> None:

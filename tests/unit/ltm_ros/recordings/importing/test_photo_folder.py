@@ -7,9 +7,8 @@ import pytest
 import yaml
 from scenes.phone_site import FRAME, imported, phone_site, taken
 
-from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
-from ltm_lab.simulator.phone_photo_io import write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
@@ -43,29 +42,6 @@ def test_the_list_of_an_import_makes_the_same_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.position, pose.position, atol=1e-3)
         np.testing.assert_allclose(found.rotation, pose.rotation, atol=2e-6)
         np.testing.assert_allclose(sigmas, covariance, rtol=2e-3, atol=1e-6)
-
-
-def test_what_is_unknown_stays_empty(tmp_path: Path) -> None:
-    site = phone_site(tmp_path)
-    (tmp_path / "exif").mkdir()
-    for photo in WALK:
-        write_phone_photo(tmp_path / "exif" / photo.name, photo, FRAME, 90)
-    import_photos([tmp_path / "exif"], tmp_path / "bag", site=site, assumed=LENS, photos_out=tmp_path / "photos")
-    rows = read_pose_file(tmp_path / "photos/poses.csv")
-    assert [row.pose.pitch_deg for row in rows.values()] == [None, None]
-    assert [row.pose.azimuth_sigma_deg for row in rows.values()] == [8.2, 8.2]
-
-
-def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
-    site = phone_site(tmp_path)
-    write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos/kept").touch()
-    with pytest.raises(RecordingError, match="is not an empty folder"):
-        import_photos(
-            [tmp_path / "walk.zip"], tmp_path / "bag", site=site, assumed=LENS, photos_out=tmp_path / "photos"
-        )
-    assert not (tmp_path / "bag").exists()
 
 
 def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-"""When a photo was taken: zones, GPS stamps, and where they contradict each other."""
-
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta, timezone
@@ -7,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_ros.recordings.importing.assumptions import photo_time, time_zone
 from ltm_ros.recordings.importing.exif import ExifFacts
 from ltm_ros.recordings.importing.photo import Photo
@@ -29,13 +26,6 @@ def test_exifs_own_offset_goes_before_everything_but_a_row() -> None:
     assert when(SUMMER.replace(tzinfo=WEST), zone="Europe/Oslo") == (datetime(2024, 7, 5, 1, 30, 15, tzinfo=UTC), [])
     stated = datetime(2020, 1, 1, 12)
     assert when(SUMMER.replace(tzinfo=WEST), stated=stated) == (stated.replace(tzinfo=UTC), [])
-
-
-def test_a_date_of_the_last_change_is_reported() -> None:
-    photo = Photo(Path("a.jpg"), b"", "jpeg", 4, 3, ExifFacts(taken=SUMMER, changed=True), Sensed(), False)
-    notes: list[str] = []
-    assert photo_time(photo, None, WEST, notes) == SUMMER.replace(tzinfo=WEST)
-    assert len(notes) == 1
 
 
 def test_a_zone_knows_its_summer_time() -> None:
@@ -72,16 +62,3 @@ def test_without_a_zone_the_gps_stamp_counts() -> None:
 def test_a_gps_stamp_that_contradicts_is_told_of(clock: datetime, zone: str | None, said: str) -> None:
     _, (note,) = when(clock, datetime(2024, 7, 5, 1, 30, 15, tzinfo=UTC), zone)
     assert said in note
-
-
-def test_a_fix_of_some_minutes_ago_is_no_contradiction() -> None:
-    gps = datetime(2024, 7, 5, 1, 24, tzinfo=UTC)
-    assert when(SUMMER.replace(tzinfo=WEST), gps) == (SUMMER.replace(tzinfo=WEST), [])
-
-
-def test_no_date_and_no_zone_of_that_name() -> None:
-    with pytest.raises(RecordingError, match=r"a\.jpg has no date: give it a `stamp`"):
-        when(None)
-    for name in ("Oslo", "Europe/Nowhere", "../etc/passwd", "", "Europe"):
-        with pytest.raises(ConfigError, match=r"unknown time zone .* Europe/Oslo"):
-            time_zone(name)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -12,9 +11,8 @@ import pytest
 import yaml
 from PIL import Image
 from scenes.phone_site import FX
-from typer.testing import CliRunner
 
-from ltm_core.base.errors import CameraError, ConfigError, ImageError, LtmError, PoseError, RecordingError
+from ltm_core.base.errors import CameraError, ImageError, LtmError, PoseError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
@@ -31,7 +29,6 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.photo import read_photo
-from ltm_ros.recordings.importing.pictures import find_pictures
 
 LEVEL = Assumptions(pitch_deg=0.0)
 W, H = 64, 40
@@ -136,19 +133,7 @@ def test_a_compass_direction_is_turned_by_the_declination_of_its_day(tmp_path: P
     assert 11.0 < turned < 12.0  # Los Angeles in 2024, by NOAA's chart
 
 
-def test_png_stays_and_heic_becomes_jpeg(tmp_path: Path, site: Site) -> None:
-    png = save(tmp_path / "a.png", phone())
-    heic = save(tmp_path / "b.heic", phone(**{"photo_0x9003": "2024:07:04 18:30:16"}))
-    import_photos([png, heic], tmp_path / "bag", site=site, assumed=LEVEL)
-    (_, _, _, first), (_, camera, _, second) = contents(tmp_path / "bag")
-    assert bytes(first.data) == png.read_bytes()
-    assert (first.format, second.format) == ("png", "jpeg")
-    assert (camera.width, camera.height) == (W, H)
-    assert np.abs(compressed_to_rgb(second).astype(int) - picture()).mean() < 6
-
-
-@pytest.mark.parametrize(("orientation", "turns"), [(3, 2), (6, 3), (8, 1)])
-@pytest.mark.parametrize("suffix", ["jpg", "png", "heic"])
+@pytest.mark.parametrize(("suffix", "orientation", "turns"), [("jpg", 6, 3), ("png", 3, 2), ("heic", 8, 1)])
 def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str, orientation: int, turns: int) -> None:
     """Orientation 6: the 0th row is the right-hand side, so the pixels turn clockwise to stand upright."""
     file = save(tmp_path / f"a.{suffix}", phone(**{"main_0x0112": orientation}))
@@ -181,23 +166,6 @@ def test_heights(tmp_path: Path, site: Site, altitude: float | None, expected: f
     assert pose.position[2] == pytest.approx(expected, abs=0.01)
     notes = [text for _, text in report.notes if not text.startswith(("pitch", "roll"))]
     assert (len(notes) == 1 and note in notes[0]) if note else not notes
-
-
-def test_ellipsoidal_altitudes_lose_the_geoid_undulation(tmp_path: Path, site: Site) -> None:
-    save(tmp_path / "a.jpg", phone(gps_6=GROUND + 12.0 - 35.4))
-    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
-    ((_, _, pose, _),) = contents(tmp_path / "bag")
-    assert pose.position[2] == pytest.approx(GROUND + 12.0, abs=1e-3)
-
-
-@pytest.mark.parametrize(("reference", "removed"), [(b"\0", -35.4), (b"\2", 0.0)])
-def test_an_altitude_certainly_above_sea_level_keeps_the_undulation(
-    tmp_path: Path, site: Site, reference: bytes, removed: float
-) -> None:
-    save(tmp_path / "a.jpg", phone(gps_5=reference))
-    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
-    ((_, _, pose, _),) = contents(tmp_path / "bag")
-    assert pose.position[2] == pytest.approx(GROUND + 12.0 - removed, abs=1e-3)
 
 
 def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, site: Site) -> None:
@@ -280,12 +248,6 @@ def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
     assert len(contents(tmp_path / "bag")) == 1
 
 
-def test_nothing_left_is_an_error(tmp_path: Path, site: Site) -> None:
-    save(tmp_path / "bad.jpg")
-    with pytest.raises(RecordingError, match="none of 1 photos"):
-        import_photos([tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
-
-
 def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
 
@@ -308,78 +270,6 @@ def test_files_that_are_no_whole_photo_are_refused(
     spoil(path)
     with pytest.raises(ImageError, match=f"{name}.*({complaint})"):
         read_photo(path)
-
-
-def test_finding_photos(tmp_path: Path) -> None:
-    for name in ("b.JPG", "a.png", "c.heic", ".hidden.jpg", "d.txt"):
-        (tmp_path / name).touch()
-    (tmp_path / "below.jpg").mkdir()
-    found, skipped = find_pictures([tmp_path], LEVEL)
-    assert [p.name for p in found] == ["a.png", "b.JPG", "c.heic"]
-    assert [file.path.name for file in skipped] == ["d.txt"]
-    ((named,), _) = find_pictures([tmp_path / "d.txt"], LEVEL)
-    assert named.name == "d.txt"  # named, so its content decides
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other/a.png").touch()
-    for paths, complaint in (
-        ([tmp_path / "absent"], "no photo, folder or recording at"),
-        ([tmp_path / "below.jpg"], "no photos in"),
-        ([tmp_path, tmp_path / "other"], r"two photos have the name a\.png"),
-    ):
-        with pytest.raises(RecordingError, match=complaint):
-            find_pictures(paths, LEVEL)
-
-
-def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None:
-    file = save(tmp_path / "a.jpg", phone())
-    rows = tmp_path / "poses.csv"
-    rows.write_text(f"name,x,y\na.jpg,{X0},{Y0}\n")
-    with pytest.raises(ConfigError, match="no camera 'tower'; it has phone"):
-        import_photos([file], tmp_path / "bag", site=site, camera="tower")
-    with pytest.raises(ConfigError, match="--camera"):
-        import_photos([file], tmp_path / "bag", camera="My Camera")
-    with pytest.raises(ConfigError, match="--site"):
-        import_photos([file], tmp_path / "bag", rows)
-    two = site.model_copy(update={"cameras": {**site.cameras, "tower": site.cameras["phone"]}})
-    with pytest.raises(ConfigError, match="phone, tower: name the photos' camera"):
-        import_photos([file], tmp_path / "bag", site=two)
-    rows.write_text("name,z\nabsent.jpg,3\n")
-    with pytest.raises(RecordingError, match=r"1 missing photos: absent\.jpg"):
-        import_photos([file], tmp_path / "bag", rows, site)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full/kept").touch()
-    with pytest.raises(RecordingError, match="exists already"):
-        import_photos([file], tmp_path / "full", site=site, assumed=LEVEL)
-    assert not (tmp_path / "bag").exists()
-
-
-def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site) -> None:
-    import typer
-
-    from ltm_ros.cli.record import import_
-
-    app = typer.Typer()
-    app.command()(import_)
-    save(tmp_path / "a.jpg", phone())
-    save(tmp_path / "b.jpg", phone(gps_17=None))
-    arguments = [str(tmp_path / "a.jpg"), str(tmp_path / "b.jpg"), "--skip-bad"]
-    arguments += [
-        "--site",
-        str(tmp_path / "site.yaml"),
-        "--out",
-        str(tmp_path / "bag"),
-        "--pitch-deg",
-        "-4.5",
-        "--time-zone",
-        "Europe/Oslo",
-    ]
-    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"}, catch_exceptions=False)
-    assert result.exit_code == 0
-    assert "pitch is unknown" in result.output
-    assert re.search(r"imported.* 1 .*rejected.* 1 .*b\.jpg", result.output, re.DOTALL)
-    assert "/ridge/phone/" in result.output
-    ((_, _, pose, _),) = contents(tmp_path / "bag")
-    assert pose.angles_deg[1] == pytest.approx(-4.5)
 
 
 def covariance_of(bag: Path) -> Float64Array | None:
@@ -465,12 +355,6 @@ def test_a_fixed_cameras_pose_and_calibration_come_from_the_site_file(tmp_path: 
     np.testing.assert_allclose(pose.position, [110.0, 720.0, 1600.0], atol=1e-9)
 
 
-def test_a_calibration_of_another_size_is_refused(tmp_path: Path, site: Site) -> None:
-    tower = fixed(tmp_path, width=2 * W)
-    with pytest.raises(ImageError, match=r"a\.jpg has 64 x 40 pixels but camera .* 128 x 40"):
-        import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=tower)
-
-
 def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_data: Path) -> None:
     """Through the bag and back, the stated camera puts 14 surveyed points on their pixels (fit: median 2.8 px)."""
     folder = shared_data / "engabreen"
@@ -492,43 +376,6 @@ def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_
     assert off.max() < 7
 
 
-def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
-    file = save(tmp_path / "portrait.jpg", phone(main_0x0112=6))
-    report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
-    ((_, camera, _, image),) = contents(tmp_path / "bag")
-    assert (camera.width, camera.height) == (H, W)
-    assert compressed_to_rgb(image).shape == (W, H, 3)
-    assert ("portrait.jpg", f"EXIF turns it by 90 degrees clockwise: the upright image of {H} x {W} pixels") in [
-        (name, note.partition(" is used")[0]) for name, note in report.notes
-    ]
-    poses = tmp_path / "poses.csv"
-    poses.write_text(f"name,cx,cy\nportrait.jpg,{W - 5},{H / 2}\n")
-    with pytest.raises(
-        CameraError,
-        match=r"portrait.jpg: principal point .* outside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
-    ):
-        import_photos([file], tmp_path / "beside", poses, site=site, assumed=LEVEL)
-    assert not (tmp_path / "beside").exists()
-
-
-def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path, site: Site) -> None:
-    """The graph would drop it: image and calibration contradict each other."""
-    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
-    document["cameras"]["phone"] = {"calibration": {"width": W, "height": H, "hfov_deg": 60}}
-    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
-    fixed = load_site(tmp_path / "site.yaml")
-    import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed, assumed=LEVEL)
-    with pytest.raises(
-        ImageError, match=r"portrait.jpg has 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
-    ):
-        import_photos(
-            [save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed, assumed=LEVEL
-        )
-    small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
-    with pytest.raises(ImageError, match=r"small.jpg has 64 x 30 pixels but camera phone .* 64 x 40: use a photo"):
-        import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
-
-
 def test_a_photo_above_the_sites_limit_is_rejected_at_import(tmp_path: Path, site: Site) -> None:
     """Replay would reject it, and leave an empty bag."""
     document = yaml.safe_load((tmp_path / "site.yaml").read_text()) | {"expert": {"limits": {"pixels": W * H - 1}}}
@@ -538,15 +385,3 @@ def test_a_photo_above_the_sites_limit_is_rejected_at_import(tmp_path: Path, sit
             [save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=load_site(tmp_path / "site.yaml"), assumed=LEVEL
         )
     assert not (tmp_path / "bag").exists()
-
-
-def test_angles_and_heights_in_another_unit_are_noted(tmp_path: Path, site: Site) -> None:
-    files = [save(tmp_path / f"{name}.jpg", phone()) for name in "ab"]
-    poses = tmp_path / "poses.csv"
-    poses.write_text(f"name,azimuth_deg,z\na.jpg,0.7,{(GROUND + 8) / 0.3048}\nb.jpg,5.9,{GROUND + 8}\n")
-    notes = import_photos(files, tmp_path / "bag", poses, site=site, assumed=LEVEL).notes
-    assert any(name == str(poses) and "all azimuths, 0.7 to 5.9, lie within 2 pi" in note for name, note in notes)
-    assert any(name == "a.jpg" and "as feet it would be 1508 m" in note for name, note in notes)
-    poses.write_text(f"name,z\na.jpg,{GROUND - 30}\n")
-    with pytest.raises(PoseError, match=r"a.jpg: z = 1470 m is 30.00 m under the ground"):
-        import_photos(files, tmp_path / "other", poses, site=site, assumed=LEVEL)

@@ -75,24 +75,3 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
 def test_rows_that_cannot_be_taken_are_named(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         read_pose_file(csv_file(tmp_path, text))
-
-
-@pytest.mark.parametrize("text", ["name: a.jpg\n", "- a.jpg\n", "", "[", "- {name: a.jpg, x: 3}\n", "- {1: 2}\n"])
-def test_yaml_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "poses.yml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=r"poses\.yml"):
-        read_pose_file(path)
-
-
-@pytest.mark.parametrize("name", ["absent.csv", "poses.txt", "."])
-def test_files_that_are_not_there_or_of_another_kind_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.csv: cannot be read|pose file"):
-        read_pose_file(tmp_path / name)
-
-
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "poses.csv"
-    path.write_bytes(b"\xff\xfe\x00\xd8")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        read_pose_file(path)

@@ -1,5 +1,3 @@
-"""Photos whose poses are found in their pictures while they are imported."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -11,9 +9,7 @@ import yaml
 from PIL import Image
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from scenes.phone_site import imported
-from typer.testing import CliRunner
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -21,9 +17,6 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
-from ltm_core.vision.segmenter import Segmentation
-from ltm_ros.cli.main import cli
-from ltm_ros.recordings.importing import refinement
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.refinement import CompassError, PoseRefinement
@@ -84,15 +77,6 @@ def test_the_picture_s_pose_is_written_with_its_covariance(
     assert np.degrees(np.sqrt(covariance[5, 5])) < 0.5
 
 
-def test_a_tilt_that_nobody_measured_is_found(
-    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array]
-) -> None:
-    photo, labels = photo_and_labels
-    pose, _, verdict = imported_photo(site, tmp_path, photo, lambda _: labels, azimuth_deg=61.0, azimuth_sigma_deg=3.0)
-    assert verdict == "accepted"
-    assert np.degrees(np.abs(angles_between(TRUE, pose))).max() < 0.15
-
-
 @pytest.mark.parametrize("shown", ["fog", "upside down"])
 def test_what_shows_no_pose_stays_as_given(
     site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array], shown: str
@@ -108,68 +92,6 @@ def test_what_shows_no_pose_stays_as_given(
     assert np.degrees(np.sqrt(covariance[5, 5])) == pytest.approx(3.0, rel=0.01)
 
 
-def test_a_photo_that_others_cannot_help_is_labelled_once(
-    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array]
-) -> None:
-    """Whether its pose was rejected, or found without a heading: a search from the same prior tells nothing new."""
-    photo, labels = photo_and_labels
-    fog = np.full_like(labels, np.uint8(Label.BARE))
-    tilt = {"pitch_deg": 1.9, "roll_deg": 0.4}
-    for shown, stated, expected in ((fog, {"azimuth_deg": 66.0} | tilt, None), (labels, tilt, "accepted")):
-        asked: list[int] = []
-        folder = tmp_path / str(expected)
-        folder.mkdir()
-
-        def segment(seen: UInt8Array, shown: UInt8Array = shown, asked: list[int] = asked) -> UInt8Array:
-            asked.append(len(seen))
-            return shown
-
-        _, _, verdict = imported_photo(site, folder, photo, segment, **stated)
-        assert (verdict == "accepted") == (expected == "accepted")
-        assert asked == [CAMERA.height]
-
-
-def test_network_and_mask_are_the_camera_s_own(
-    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    photo, labels = photo_and_labels
-    roof = slice(CAMERA.height // 8, CAMERA.height * 3 // 4), slice(CAMERA.width // 8, CAMERA.width * 7 // 10)
-    photo, labels = photo.copy(), labels.copy()
-    photo[roof], labels[roof] = (0, 140, 0), np.uint8(Label.BUILT)
-    asked: list[tuple[str, str]] = []
-
-    class Network:
-        def segment(self, photo: UInt8Array) -> Segmentation:
-            return Segmentation(labels, np.full_like(labels, 255))
-
-    def of(site: Site, camera: str) -> Network:
-        asked.append((site.name, camera))
-        return Network()
-
-    monkeypatch.setattr(refinement, "site_segmenter", of)
-    rows, columns = ((part.start - 0.5, part.stop - 0.5) for part in roof)
-    corners = [[columns[0], rows[0]], [columns[1], rows[0]], [columns[1], rows[1]], [columns[0], rows[1]]]
-    content = yaml.safe_load((tmp_path / "site.yaml").read_text())
-    stated = {"azimuth_deg": 66.0, "pitch_deg": 1.9, "roll_deg": 0.4, "azimuth_sigma_deg": 3.0}
-    verdicts = []
-    for name, mask in (("bare", None), ("masked", [{"class": "roof", "polygon": corners}])):
-        content["cameras"] = {"phone": {"mask": mask}}
-        (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-        (tmp_path / name).mkdir()
-        pose, _, verdict = imported_photo(load_site(tmp_path / "site.yaml"), tmp_path / name, photo, None, **stated)
-        verdicts.append(verdict)
-    assert verdicts[0] != "accepted"
-    assert verdicts[1] == "accepted"
-    assert np.degrees(np.abs(angles_between(TRUE, pose))).max() < 0.2
-    assert set(asked) == {("walk", "phone")}
-
-
-def test_it_needs_a_site(tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["import", str(tmp_path), "--out", str(tmp_path / "bag"), "--refine"])
-    assert isinstance(result.exception, ConfigError)
-    assert "--site" in str(result.exception)
-
-
 def test_found_poses_that_agree_say_how_far_off_a_compass_is() -> None:
     error = CompassError.of([-11.0, -12.5, -10.0, -11.5, -80.0])
     assert error is not None
@@ -179,36 +101,3 @@ def test_found_poses_that_agree_say_how_far_off_a_compass_is() -> None:
     np.testing.assert_allclose(corrected.pose.angles_deg, (353.5, 1.0, -2.0), atol=1e-9)
     assert corrected.azimuth_sigma_deg == pytest.approx(1.2 * 1.4826)
     assert (corrected.pitch_sigma_deg, corrected.position_sigma) == (1.0, 5.0)
-
-
-@pytest.mark.parametrize("turned", [[-11.0, -12.5, -10.0], [-11.0, 4.0, 15.0, -3.0, 9.0]], ids=["few", "apart"])
-def test_few_poses_or_such_that_disagree_say_nothing_of_a_compass(turned: list[float]) -> None:
-    assert CompassError.of(turned) is None
-
-
-def test_a_photo_in_fog_is_turned_as_those_that_show_their_pose(
-    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array]
-) -> None:
-    photo, labels = photo_and_labels
-    clear, grey = tmp_path / "clear.png", tmp_path / "grey.png"
-    Image.fromarray(photo).save(clear)
-    Image.fromarray(np.full_like(photo, 190)).save(grey)
-    x, y, z = TRUE.position
-    rows = ["name,camera,x,y,z,azimuth_deg,azimuth_sigma_deg,pitch_deg,roll_deg,stamp,width,height,fx"]
-    for k, off in enumerate((2.0, 2.6, 3.0, 3.4, 3.0)):
-        name = f"{k}.png"
-        (tmp_path / name).write_bytes((grey if k == 4 else clear).read_bytes())
-        place = f"phone,{x + ORIGIN[0]},{y + ORIGIN[1]},{z}"
-        stamp, size = f"2031-05-03T10:00:0{k}Z", f"{CAMERA.width},{CAMERA.height},{CAMERA.fx}"
-        rows.append(f"{name},{place},{TRUE.angles_deg[0] + off},6,2.5,1.2,{stamp},{size}")
-    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
-    seen = {photo.tobytes(): labels}
-    fog = np.full_like(labels, np.uint8(Label.BARE))
-    refinement = PoseRefinement(site, lambda shown: seen.get(shown.tobytes(), fog))
-    files = [tmp_path / f"{k}.png" for k in range(5)]
-    report = import_photos(files, tmp_path / "bag", tmp_path / "poses.csv", site, refinement=refinement)
-    assert [found.verdict for _, found in report.refined] == ["accepted"] * 4 + ["as_others"]
-    *_, (_, _, pose, covariance) = imported(tmp_path / "bag", site="walk")
-    assert np.degrees(angles_between(TRUE, pose))[0] == pytest.approx(3.0 - 2.8, abs=0.15)
-    assert covariance is not None
-    assert np.degrees(np.sqrt(covariance[5, 5])) == pytest.approx(1.2, abs=0.01)

@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,18 +10,18 @@ import numpy as np
 import pytest
 from scenes.phone_site import GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
 
-from ltm_core.base.errors import ConfigError, LtmError, PoseError, RecordingError
+from ltm_core.base.errors import LtmError, PoseError, RecordingError
 from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
 from ltm_core.site.site import Site
-from ltm_lab.simulator.phone_photo_io import PhonePhoto, write_phone_photo
+from ltm_lab.simulator.phone_photo_io import PhonePhoto
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_ros.recordings.importing import capture_files
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.capture_files import CaptureFiles
-from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger, read_sensor_logger_json
+from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger
 
 FRAME = SiteFrame("EPSG:32611", 402_000.0, 3_787_000.0)
 LENS = Assumptions(focal_35mm=27.0, height_above_ground=1.6)
@@ -119,79 +117,11 @@ def test_known_attitudes_of_both_platforms(tmp_path: Path) -> None:
         assert sensed.position_sigma == 3.5
 
 
-def test_the_angles_in_the_file_say_whose_axes_they_are(tmp_path: Path, site: Site) -> None:
-    """An iOS recording that the app turned to Android's axes keeps its true north."""
-    path = recorded(tmp_path, "android")
-    standardised = column_set(member(path, "Metadata.csv"), "platform", "ios")
-    track = read_sensor_logger(CaptureFiles(changed(path, {"Metadata.csv": standardised})))
-    plain = read_sensor_logger(CaptureFiles(path))
-    for photo in WALK:
-        mount = phone_camera(0.0 if photo.camera.height > photo.camera.width else 90.0)
-        a, b = track.at(photo.stamp_ns, mount), plain.at(photo.stamp_ns, mount)
-        assert (a.azimuth_deg, a.azimuth_ref, b.azimuth_ref) == (b.azimuth_deg, "T", "M")
-
-
 def test_quaternions_that_contradict_their_angles_are_refused(tmp_path: Path) -> None:
     path = recorded(tmp_path)
     wrong = column_set(member(path, "Orientation.csv"), "pitch", "0.9")
     with pytest.raises(RecordingError, match=r"do not match the yaw, pitch and roll.*--poses"):
         read_sensor_logger(CaptureFiles(changed(path, {"Orientation.csv": wrong})))
-
-
-def test_json_is_the_same_recording(tmp_path: Path, site: Site) -> None:
-    path = recorded(tmp_path)
-    rows: list[dict[str, str]] = []
-    for sensor in ("Metadata", "Location", "Barometer", "Orientation"):
-        header, *lines = member(path, f"{sensor}.csv").strip().split("\n")
-        rows += [{"sensor": sensor, **dict(zip(header.split(","), line.split(","), strict=True))} for line in lines]
-    (tmp_path / "walk.json").write_text(json.dumps(rows))
-    track = read_sensor_logger_json(tmp_path / "walk.json")
-    assert track is not None
-    same = read_sensor_logger(CaptureFiles(path))
-    stamp = STAMP + 4_321_000_000
-    a, b = track.at(stamp, phone_camera()), same.at(stamp, phone_camera())
-    assert (a.lon, a.lat, a.azimuth_deg, a.pitch_deg, a.climb) == (b.lon, b.lat, b.azimuth_deg, b.pitch_deg, b.climb)
-
-
-def test_a_recording_without_frames_tells_of_the_photos_beside_it(tmp_path: Path, site: Site) -> None:
-    """The camera app's photos have no pitch; their direction is that of the recording too."""
-    path = recorded(tmp_path)
-    bare = changed(path, {name: None for name in zipfile.ZipFile(path).namelist() if name.startswith("Camera/")})
-    (tmp_path / "photos").mkdir()
-    for photo in WALK:
-        write_phone_photo(tmp_path / "photos" / photo.name, photo, FRAME, 90)
-    with pytest.raises(RecordingError, match=r"without photos: record the app's sensor `Camera`"):
-        import_photos([bare], tmp_path / "bag", site=site, assumed=LENS)
-    import_photos([tmp_path / "photos", bare], tmp_path / "bag", site=site, assumed=LENS)
-    for photo, (stamp, camera, pose, _) in zip(WALK, imported(tmp_path / "bag"), strict=True):
-        assert (stamp, camera) == (photo.stamp_ns, photo.camera)
-        np.testing.assert_allclose(pose.angles_deg, photo.pose.angles_deg, atol=0.02)
-
-
-def test_the_same_photos_by_exif_alone_have_direction_and_place(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "photos").mkdir()
-    for photo in WALK:
-        write_phone_photo(tmp_path / "photos" / photo.name, photo, FRAME, 90)
-    import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=Assumptions(keep_unknown=True))
-    for photo, (_, camera, pose, covariance) in zip(WALK, imported(tmp_path / "bag"), strict=True):
-        assert camera == photo.camera
-        assert pose.angles_deg[0] == pytest.approx(photo.pose.angles_deg[0], abs=1e-3)
-        np.testing.assert_allclose(pose.position[:2], photo.pose.position[:2], atol=0.1)
-        np.testing.assert_allclose(
-            covariance, pose_covariance(pose, 4.0, 10.0, 8.2, UNKNOWN_PITCH_SIGMA_DEG, 3.0), atol=1e-9
-        )
-
-
-@pytest.mark.parametrize("undulation", [None, -35.4])
-def test_without_a_barometer_altitudes_tell_the_height_with_their_own_sigma(
-    tmp_path: Path, site: Site, undulation: float | None
-) -> None:
-    """They are stated to be above sea level, so that the geoid's height changes nothing."""
-    path = changed(recorded(tmp_path), {"Barometer.csv": None})
-    import_photos([path], tmp_path / "bag", site=site, assumed=replace(LENS, geoid_undulation=undulation))
-    (_, _, pose, covariance), *_ = imported(tmp_path / "bag")
-    assert pose.position[2] == pytest.approx(WALK[0].pose.position[2], abs=0.01)
-    assert math.sqrt(covariance[2, 2]) == pytest.approx(1.6 * 4.0)
 
 
 def test_an_altitude_above_the_ellipsoid_needs_the_geoid(tmp_path: Path, site: Site) -> None:
@@ -205,22 +135,6 @@ def test_an_altitude_above_the_ellipsoid_needs_the_geoid(tmp_path: Path, site: S
     known = Assumptions(focal_35mm=27.0, geoid_undulation=-35.4)
     import_photos([path], tmp_path / "known", site=site, assumed=known)
     assert imported(tmp_path / "known")[1][2].position[2] == pytest.approx(WALK[1].pose.position[2], abs=0.01)
-
-
-def test_a_stated_start_height_goes_before_the_terrain(tmp_path: Path, site: Site) -> None:
-    assumed = Assumptions(focal_35mm=27.0, start_height=GROUND + 40.0)
-    import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=assumed)
-    heights = [pose.position[2] for _, _, pose, _ in imported(tmp_path / "bag")]
-    np.testing.assert_allclose(heights, [GROUND + 40.0, GROUND + 39.1, GROUND + 38.2], atol=0.01)
-
-
-def test_pressure_alone_tells_the_climb(tmp_path: Path, site: Site) -> None:
-    path = recorded(tmp_path)
-    pressure = column_set(member(path, "Barometer.csv"), "relativeAltitude", "")
-    import_photos([changed(path, {"Barometer.csv": pressure})], tmp_path / "bag", site=site, assumed=LENS)
-    heights = [pose.position[2] for _, _, pose, _ in imported(tmp_path / "bag")]
-    # The standard atmosphere from 1013 hPa at sea level: at 1500 m a metre is a seventh more.
-    np.testing.assert_allclose(np.diff(heights), [-0.9, -0.9], atol=0.2)
 
 
 def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, site: Site) -> None:
@@ -269,23 +183,6 @@ def test_recordings_that_tell_nothing_are_told_with_the_remedy(
     assert not (tmp_path / "bag").exists()
 
 
-def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, site: Site) -> None:
-    path = recorded(tmp_path)
-    late = changed(path, {f"Camera/{STAMP // 1_000_000 + 3_600_000}.jpg": _jpeg()})
-    with pytest.raises(
-        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from the nearest"
-    ):
-        import_photos([late], tmp_path / "bag", site=site, assumed=LENS)
-    report = import_photos([late], tmp_path / "bag", site=site, assumed=LENS, skip_bad=True)
-    assert [path.name for path, _ in report.rejected] == [f"{STAMP // 1_000_000 + 3_600_000}.jpg"]
-
-
-def test_a_place_under_the_ground_is_taken_as_above_it_and_told(tmp_path: Path, site: Site) -> None:
-    deep = Assumptions(focal_35mm=27.0, start_height=GROUND - 20.0)
-    report = import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=deep)
-    assert any("barometer's height 1480.0 m is 20.0 m under the terrain: 2 m above" in n for _, n in report.notes)
-
-
 def _jpeg() -> bytes:
     from PIL import Image
 
@@ -326,33 +223,8 @@ class TestArchives:
         with pytest.raises(RecordingError, match=r"is not a complete zip.*export or copy it again"):
             import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
 
-    def test_a_member_that_is_damaged(self, tmp_path: Path, site: Site) -> None:
-        path = recorded(tmp_path)
-        data = bytearray(path.read_bytes())
-        with zipfile.ZipFile(path) as archive:
-            at = archive.getinfo("Location.csv").header_offset + 60
-        data[at : at + 20] = bytes(20)
-        path.write_bytes(data)
-        with pytest.raises(RecordingError, match=r"'Location.csv': cannot be read"):
-            import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
-
-    def test_a_zip_of_something_else(self, tmp_path: Path, site: Site) -> None:
-        with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
-            archive.writestr("IMG_1.jpg", _jpeg())
-        with pytest.raises(RecordingError, match=r"a zip of an unknown app \(it contains IMG_1\.jpg\)"):
-            import_photos([tmp_path / "other.zip"], tmp_path / "bag", site=site, assumed=LENS)
-
     @pytest.mark.parametrize("text", ["{", "[1, 2]", '{"a": 1}', "[" * 100_000])
     def test_json_of_another_kind(self, tmp_path: Path, site: Site, text: str) -> None:
         (tmp_path / "a.json").write_text(text)
         with pytest.raises(LtmError, match=r"a\.json"):
             import_photos([tmp_path / "a.json"], tmp_path / "bag", site=site, assumed=LENS)
-
-
-def test_a_folder_that_was_unpacked(tmp_path: Path, site: Site) -> None:
-    with zipfile.ZipFile(recorded(tmp_path)) as archive:
-        archive.extractall(tmp_path / "walk")
-    report = import_photos([tmp_path / "walk"], tmp_path / "bag", site=site, assumed=LENS)
-    assert report.cameras == {"phone": 3}
-    with pytest.raises(ConfigError):
-        import_photos([tmp_path / "walk"], tmp_path / "other", site=site, assumed=LENS, camera="tower")

@@ -100,18 +100,3 @@ def test_videos_that_tell_too_little_are_told_with_the_remedy(
     with pytest.raises(error, match=rf"clip.*({complaint})"):
         import_photos([tmp_path / "clip.mp4"], tmp_path / "bag", site=site, assumed=assumed)
     assert not (tmp_path / "bag").exists()
-
-
-def test_a_row_named_as_the_video_tells_when_it_began_and_how_it_looked(tmp_path: Path, site: Site) -> None:
-    (tmp_path / "clip.mp4").write_bytes(movie(frames(4), 2))
-    (tmp_path / "poses.csv").write_text(
-        "name,stamp,lon,lat,azimuth_deg,azimuth_ref,pitch_deg,roll_deg\n"
-        f"clip.mp4,2024-07-05T01:30:15Z,{LON},{LAT},90,grid,-4,0\n"
-    )
-    import_photos(
-        [tmp_path / "clip.mp4"], tmp_path / "bag", tmp_path / "poses.csv", site, assumed=Assumptions(focal_35mm=27.0)
-    )
-    assert [(stamp, pose.angles_deg[0]) for stamp, _, pose, _ in imported(tmp_path / "bag")] == [
-        (BEGIN_NS, pytest.approx(90.0)),
-        (BEGIN_NS + 1_000_000_000, pytest.approx(90.0)),
-    ]
