@@ -17,7 +17,7 @@ from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.photo_folder import PHOTOS, photo_picture
+from ltm_ros.archive.scan import PHOTOS, photo_picture
 
 _REDUCED = (8, 4, 2)
 """A JPEG is decoded to an eighth of its size in a fraction of the time."""

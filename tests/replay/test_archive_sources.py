@@ -18,7 +18,7 @@ from ltm_core.base.errors import ArchiveError
 from ltm_msgs_py.bag.cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.archive import photo_folder
+from ltm_ros.archive import scan as photo_folder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.task import serial
 from ltm_ros.recordings.importing.build import import_photos

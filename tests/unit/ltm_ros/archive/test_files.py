@@ -14,8 +14,8 @@ from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import files_below
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.photo_folder import photo_messages, photo_picture
 from ltm_ros.archive.pictures import ArchiveImageReader
+from ltm_ros.archive.scan import photo_messages, photo_picture
 
 
 def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
