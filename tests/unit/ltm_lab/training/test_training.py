@@ -234,6 +234,17 @@ def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path
     assert apart[3.0] < 0.5 * apart[0.0]
 
 
+def test_labels_are_kept_where_nothing_is_known() -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_lab.training.losses import kept_labels_loss
+
+    before = torch.zeros(1, 2, 1, 2)
+    logits = torch.tensor([[[[np.log(3.0), 9.0]], [[0.0, 0.0]]]])  # 3:1 where unknown, another where it is known
+    labels = torch.tensor([[[UNKNOWN, 0]]], dtype=torch.uint8)
+    assert float(kept_labels_loss(logits, before, labels)) == pytest.approx(0.5 * np.log(4 / 3))
+    assert float(kept_labels_loss(logits, before, torch.zeros_like(labels))) == 0.0
+
+
 def test_depth_is_learnt_but_for_its_scale() -> None:
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_lab.training.losses import Batch, depth_loss, order_loss
