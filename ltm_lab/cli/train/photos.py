@@ -98,9 +98,10 @@ def _write_areas(images: Path, out: Path) -> None:
             image = scene_of(photo.read(images))
             scale = min(1.0, _AREAS_WIDTH / image.shape[1])
             image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-            labels = np.full(image.shape[:2], UNKNOWN, np.uint8)
+            height, width = image.shape[:2]
+            labels = np.full((height, width), UNKNOWN, np.uint8)
             for index, (label, _) in enumerate(photo.areas):
-                labels[photo.drawn(index, *labels.shape) > 0] = label
+                labels[photo.drawn(index, height, width) > 0] = label
             _write(out / f"areas_{role}" / photo.name, image, labels)
 
 
