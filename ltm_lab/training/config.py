@@ -65,6 +65,7 @@ class OptimiserConfig(StrictModel):
     order: float = Field(default=0.1, ge=0)  # weight of a teacher's order of near and far
     # Weight of staying, in depth, with the weights that a run starts from; in the place of `depth` and `order`.
     keep_depth: float = Field(default=0.0, ge=0)
+    keep_labels: float = Field(default=0.0, ge=0)  # likewise of staying, in labels, at pixels of unknown class
     validate_every: int = Field(default=200, ge=1)
     # Processes that make batches ahead, 0: none. What is in a batch does not depend on it. A GPU needs eight or more.
     workers: int = Field(default=0, ge=0, le=64)

@@ -22,7 +22,7 @@ from ltm_lab.training.augment import Lent, augmented
 from ltm_lab.training.borrow import with_ground
 from ltm_lab.training.config import OptimiserConfig, TrainingConfig
 from ltm_lab.training.landscape_network import LandscapeNetwork, for_inference
-from ltm_lab.training.losses import Batch, kept_depth_loss, total_loss
+from ltm_lab.training.losses import Batch, kept_depth_loss, kept_labels_loss, total_loss
 from ltm_lab.training.training_frames import Split, TrainingFrame
 
 # ImageNet's, as the encoder's weights expect; the exported manifest states the same.
@@ -51,7 +51,7 @@ class Run:
     best_state: dict[str, Any] | None = None
     losses: list[float] = field(default_factory=list)
     validations: list[tuple[int, float]] = field(default_factory=list)
-    before: LandscapeNetwork | None = None  # as it was at the start, where its depth is to be kept
+    before: LandscapeNetwork | None = None  # as it was at the start, if its depth or labels are to be kept
 
     @classmethod
     def start(cls, config: TrainingConfig, classes: int, weights: dict[str, Any] | None = None) -> Run:
@@ -84,7 +84,8 @@ class Run:
             {"params": list(encoder_parameters(network)), "scale": config.optimiser.encoder_rate},
         ]
         optimiser = torch.optim.AdamW(groups, lr=rate, weight_decay=config.optimiser.weight_decay)
-        before = copy.deepcopy(network).eval() if config.optimiser.keep_depth > 0 else None
+        keeps = config.optimiser.keep_depth > 0 or config.optimiser.keep_labels > 0
+        before = copy.deepcopy(network).eval() if keeps else None
         return cls(network, copy.deepcopy(network).eval(), optimiser, before=before)
 
     def save(self, path: Path, config: TrainingConfig) -> None:
@@ -166,8 +167,11 @@ def train(
         loss = total_loss(logits, log_inverse, batch, weights, settings)
         if run.before is not None:
             with torch.no_grad():
-                _, before = run.before(photos)
-            loss = loss + settings.keep_depth * kept_depth_loss(log_inverse, before)
+                old_logits, before = run.before(photos)
+            if settings.keep_depth > 0:
+                loss = loss + settings.keep_depth * kept_depth_loss(log_inverse, before)
+            if settings.keep_labels > 0:
+                loss = loss + settings.keep_labels * kept_labels_loss(logits, old_logits, batch.labels)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         if not torch.isfinite(

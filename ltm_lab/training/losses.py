@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ltm_core.label_heads.labelled_frames import LAND
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.config import OptimiserConfig
 
@@ -86,6 +86,14 @@ def kept_depth_loss(log_inverse: Tensor, before: Tensor) -> Tensor:
     """Mean |log ratio| of inverse depth to that of an earlier network, after each window's own scale (its mean)."""
     residual = log_inverse - before
     return (residual - residual.mean((1, 2, 3), keepdim=True)).abs().mean()
+
+
+def kept_labels_loss(logits: Tensor, before: Tensor, labels: Tensor) -> Tensor:
+    """Return the mean divergence (nats) from an earlier network's probabilities at pixels of unknown class."""
+    new, old = (functional.log_softmax(values, dim=1) for values in (logits, before))
+    unknown = functional.interpolate((labels == UNKNOWN).float()[:, None], logits.shape[2:])[:, 0]
+    divergence = (old.exp() * (old - new)).sum(dim=1)
+    return (divergence * unknown).sum() / unknown.sum().clamp(min=1.0)
 
 
 def _silhouettes(truth: Tensor) -> Tensor:

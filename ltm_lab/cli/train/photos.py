@@ -15,12 +15,16 @@ if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.training.photo_sets import Opinions
 
+_AREAS_WIDTH = 640
+"""Maximum width in pixels of photos with areas: what the network is given."""
 BY_HAND = "_by_hand"
 """Ends the name of a set whose labels are a person's alone: boxes of held-out photos."""
 
 
 def photos(
-    config: Annotated[Path, typer.Argument(help="Which photos, and what their slopes carry: mountain_photos.yaml.")],
+    config: Annotated[
+        Path, typer.Argument(help="Photos and what their slopes carry (mountain_photos.yaml), or landscape_photos.csv.")
+    ],
     images: Annotated[Path, typer.Option(help="Folder of the photos.")],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the sets of labelled photos.", callback=writable_folder)
@@ -30,7 +34,10 @@ def photos(
     depth_model: Annotated[str, typer.Option(help="Network whose order of near and far is learnt.")] = "tcmonodepth",
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
 ) -> None:
-    """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth."""
+    """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth.
+
+    Of landscape_photos.csv, write the areas that people drew, into the sets `areas_train` and `areas_validate`.
+    """
     import cv2
     import numpy as np
     from rich.progress import track
@@ -43,6 +50,9 @@ def photos(
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.training.photo_sets import PhotoSets, teach
 
+    if config.suffix == ".csv":
+        _write_areas(images, out)
+        return
     sets = load_yaml(config, PhotoSets)
     sky, scene = Segmenter.open(sky_model, threads), Segmenter.open(scene_model, threads)
     depth = DepthNetwork.open(depth_model, threads)
@@ -73,6 +83,26 @@ def _write(base: Path, photo: UInt8Array, labels: UInt8Array) -> None:
     base.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(f"{base}.jpg", photo[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
     cv2.imwrite(f"{base}_labels.png", labels)
+
+
+def _write_areas(images: Path, out: Path) -> None:
+    import cv2
+    import numpy as np
+
+    from ltm_core.label_heads.labelled_frames import UNKNOWN
+    from ltm_core.vision.overlays import scene_of
+    from ltm_lab.evaluation.segmentation.area_score import listed_photos
+
+    for role in ("train", "validate"):
+        for photo in listed_photos(role):
+            image = scene_of(photo.read(images))
+            scale = min(1.0, _AREAS_WIDTH / image.shape[1])
+            image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+            height, width = image.shape[:2]
+            labels = np.full((height, width), UNKNOWN, np.uint8)
+            for index, (label, _) in enumerate(photo.areas):
+                labels[photo.drawn(index, height, width) > 0] = label
+            _write(out / f"areas_{role}" / photo.name, image, labels)
 
 
 def _opinions(sky: Segmenter, scene: Segmenter, photo: UInt8Array, size: tuple[int, int]) -> Opinions:
