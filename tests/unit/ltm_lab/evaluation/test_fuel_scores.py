@@ -9,25 +9,18 @@ from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, grid_of, write_site
 from typer.testing import CliRunner
 
 from ltm_core.fuel.class_map import write_fuel_map
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, stated_errors
-from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.scoring.fuel import score_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
 from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_lab.evaluation.fuel.trial_score import users_accuracy
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
-from ltm_lab.resources import lab_config
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.recordings.recorded_run import Recorded
-
-SIDE = 48
-FORMS = label_forms(LABELS)
-ERRORS = stated_errors(lab_config("assumed_labels.yaml"))
 
 
 def test_what_a_map_found_and_what_it_invented() -> None:
@@ -58,66 +51,6 @@ def test_the_accuracy_of_reported_changes_at_any_prevalence() -> None:
     assert users_accuracy(score, 0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
     silent = score_map("prior", np.full((2, 5), 2, np.uint8), truth, prior, np.ones((2, 5), bool))
     assert np.isnan(users_accuracy(silent, 0.01))
-
-
-def drawn(wrong: np.ndarray, camera: str, second: int) -> CellVotes:
-    """Votes of shrub cells (SIDE, SIDE); `wrong`: their share of pixels that are called tree."""
-    grid = GridGeometry(0.0, 30.0 * SIDE, 30.0, SIDE, SIDE)
-    rows, cols = (index.ravel().astype(np.int32) for index in np.indices(wrong.shape))
-    counts = np.zeros((SIDE * SIDE, len(LABELS)), np.uint32)
-    counts[:, Label.TREE] = np.round(200 * wrong.ravel())
-    counts[:, Label.SHRUB] = 200 - counts[:, Label.TREE]
-    return CellVotes(grid, rows, cols, counts, np.zeros(SIDE * SIDE, np.float32), second * 10**9, camera)
-
-
-def known(wrong: float) -> LabelErrors:
-    shares = np.eye(7)
-    shares[1, 1:3] = 1 - wrong, wrong
-    return LabelErrors(shares, ERRORS.correlation)
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("pixels", {"cell": 0, "stand": 0, "view": 0, "network": 0}),
-        ("frames", {"cell": 1, "stand": 0, "view": 0, "network": 0}),
-        ("views", {"cell": 1, "stand": 0, "view": 1, "network": 0}),
-        ("network", {"cell": 1, "stand": 0, "view": 1, "network": 1}),
-        ("stands", {"cell": 1, "stand": 1, "view": 1, "network": 0}),
-    ],
-)
-def test_correlations_of_errors_that_are_known(kind: str, expected: dict[str, float]) -> None:
-    rng = np.random.default_rng(7)
-    truth = np.full((SIDE, SIDE), 2, np.uint8)
-    shape = (SIDE, SIDE)
-    one = rng.random(shape) < 0.3
-    halves = {"north": np.indices(shape)[0] < 0.3 * SIDE, "south": np.indices(shape)[1] < 0.3 * SIDE}
-    views = {camera: rng.random(shape) < 0.3 for camera in halves}
-    frames = []
-    for second in range(4):
-        for camera in halves:
-            wrong = {
-                "pixels": rng.binomial(200, 0.3, shape) / 200,
-                "frames": rng.random(shape) < 0.3,
-                "views": views[camera],
-                "network": one,
-                "stands": halves[camera],
-            }[kind]
-            frames.append(drawn(np.asarray(wrong, float), camera, second))
-    found, cells = label_correlation(frames, truth, FORMS, known(0.3), 3.0)
-    # Broad stands leave edges, where cells beside each other differ.
-    for name, value in expected.items():
-        assert getattr(found, name) == pytest.approx(value, abs=0.15), name
-    assert cells.sum() == 8 * SIDE * SIDE
-    assert not cells[[0, 2, 3, 4, 5, 6]].any()
-
-
-def test_errors_beyond_what_was_known_are_the_networks() -> None:
-    """A network that is wrong on each fifth pixel here and was known to be right on nine of ten."""
-    frames = [drawn(np.full((SIDE, SIDE), 0.2), camera, second) for camera in ("north", "south") for second in (1, 2)]
-    found, _ = label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.1), 3.0)
-    assert found.network == found.view
-    assert found.network == pytest.approx(2 * 0.1**2 / (1 - 0.9**2 - 0.1**2), abs=0.02)
 
 
 def test_odds_that_a_label_shows_open_ground() -> None:

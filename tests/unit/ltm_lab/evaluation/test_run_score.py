@@ -10,20 +10,17 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.fuel.class_map import write_fuel_map
-from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.scoring.fuel import Share
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.run_score import score_bag
 from ltm_lab.evaluation.score_tables import as_json, tables
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
-from ltm_msgs_py.pointcloud import columns_to_msg, votes_to_msg
+from ltm_msgs_py.pointcloud import columns_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.demo.score import SHARED, TRUTHS
@@ -110,33 +107,6 @@ def test_every_part(recorded: Recorded) -> None:
     assert (score.fuel.seen, score.fuel.right, score.fuel.confusion[1, 3]) == (10, 5, 5)
     assert {(row.topic, row.max_ms) for row in score.latency} == {("depth/image", 200.0), ("fused/depth", 200.0)}
     assert [reason.split(":")[0] for reason in score.lacking] == ["depth, network", "terrain"]
-
-
-def test_changes_of_the_prior_map(tmp_path: Path) -> None:
-    """A prior of shrubs; in truth the west is trees by now. The map has found two of its six cells that frames voted
-    in, and has changed one of the other nine; votes are for all but the last row."""
-    rows, cols = (index.ravel().astype(np.int32) for index in np.indices((3, 5)))
-    counts = np.zeros((15, len(LabelSet.load())), np.uint32)
-    counts[:, 2] = 40
-    votes = CellVotes(GRID, rows, cols, counts, np.zeros(15, np.float32), 5 * SECOND, "north")
-    classes, true = np.full(GRID.shape, 2, np.uint8), np.full(GRID.shape, 2, np.uint8)
-    true[:, :2] = 3
-    classes[:2, 0] = classes[0, 4] = classes[3, :] = 3
-    with BagWriter(tmp_path / "run/recording") as bag:
-        bag.write("/ridge/north/fuel/votes", votes_to_msg(votes, LabelSet.load().names), 5 * SECOND)
-        bag.write("/ridge/fuel_map", classes_to_msg(classes, GRID, 6 * SECOND), 6 * SECOND)
-    grid = GRID.translated(501_000, 2000, "EPSG:32611")
-    write_fuel_map(tmp_path / "run/fuel_truth.tif", true, grid, LabelSet.load())
-    write_geotiff(tmp_path / "run/prior.tif", np.full(GRID.shape, 145, np.int16), grid, nodata=-9999)
-    (tmp_path / "run/site.yaml").write_text(
-        "name: ridge\ncrs: EPSG:32611\norigin: [501000, 2000]\ndem: {path: dem.tif}\nfuel: {prior: prior.tif}\n"
-        "cameras: {north: {}}\n"
-    )
-    score = score_bag(Recorded.find(tmp_path / "run/recording"))
-    assert score.fuel_changes is not None, score.lacking
-    assert (score.fuel_changes.found, score.fuel_changes.false_flips) == (Share(2, 6), Share(1, 9))
-    assert "Of 6 cells whose true life form is not the prior's, the map detected 2" in str(tables(score))
-    assert as_json(score)["fuel"]["changes"]["false_flips"] == {"count": 1, "of": 9}
 
 
 def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded) -> None:

@@ -17,7 +17,6 @@ from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.score_report import sheets_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
@@ -79,25 +78,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
         bag.write("/ridge/fuel_map", classes_to_msg(classes, grid, 3 * SECOND), 3 * SECOND)
     write_fuel_map(folder / "fuel_truth.tif", classes, site.in_crs(grid), labels)
     return Recorded.find(folder / "recording")
-
-
-def test_all_sheets(recorded: Recorded) -> None:
-    sheets = sheets_of(recorded)
-    assert list(sheets) == [
-        "labels",
-        "depth_1_north",
-        "depth_2_north",
-        "depth_3_east",
-        "depth_4_east",
-        "fuel_maps",
-    ]
-    maps = sheets["fuel_maps"].picture
-    assert maps.shape[1] > maps.shape[0]  # the map, and beside it the truth
-    labels = LabelSet.load()
-    for name, class_id in (("grass", 1), ("shrub", 2)):
-        color = np.array(labels.colors[class_id])
-        near = (np.abs(maps.astype(int) - color).max(axis=2) < 12).sum()
-        assert near > 200, f"no {name} in the maps"
 
 
 def test_command_writes_the_page(recorded: Recorded, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.label_heads.labelled_frames import read_frames
 from ltm_core.scoring.labels import CalibrationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.cli import main
@@ -37,7 +36,7 @@ def test_scores_of_two_networks_are_those_of_their_answers(tmp_path: Path) -> No
     right = write_classifier(tmp_path, stride=1)
     blind = changed(right, name="blind", mapping={"blue": "sky"}).rename(tmp_path / "blind.yaml")
     right = write_classifier(tmp_path, stride=1)
-    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--networks", f"{right},{blind}"]
+    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--model", str(right), "--model", str(blind)]
     result = CliRunner().invoke(main.cli, [*arguments, "--json", str(tmp_path / "s.json")], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     assert "skyline, median px of 512" in result.output
@@ -73,31 +72,3 @@ def test_the_temperature_that_was_applied_is_found() -> None:
     edges = np.cumsum(weights / weights.sum(axis=1, keepdims=True), axis=1)
     labels = (rng.random((6000, 1)) > edges).sum(axis=1).astype(np.uint8)
     assert fit_temperature(logits, labels) == pytest.approx(2.5, rel=0.08)
-
-
-def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: Path) -> None:
-    folder, colors = tmp_path / "photos", np.full((40, 60, 3), COLORS["lime"], np.uint8)
-    folder.mkdir()
-    colors[:15] = COLORS["blue"]
-    cv2.imwrite(str(folder / "b.jpg"), colors[..., ::-1])
-    areas = [
-        {"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [59, 0], [59, 14], [0, 14]]},
-        {"image": "b.jpg", "class": "shrub", "polygon": [[10, 20], [29, 20], [29, 34], [10, 34]]},
-        {"image": "b.jpg", "class": "masked", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
-        {"image": "gone.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]},
-    ]
-    (folder / "polygons.json").write_text(json.dumps(areas))
-    (frame,) = read_frames(folder, 7)
-    expected = np.full((40, 60), UNLABELLED, np.uint8)
-    expected[:15] = Label.SKY
-    expected[20:35, 20:30] = Label.SHRUB
-    np.testing.assert_array_equal(frame.labels, expected)
-    arguments = ["eval", "segmentation", str(folder), "--networks", str(write_classifier(tmp_path, stride=1))]
-    options = ["--ignore", "shrub", "--macro", "sky,shrub", "--overlays", str(tmp_path / "drawn")]
-    result = CliRunner().invoke(main.cli, [*arguments, *options, "--json", str(tmp_path / "s.json")])
-    assert result.exit_code == 0, result.output
-    score = json.loads((tmp_path / "s.json").read_text())["photos"]["colors"]
-    assert score["f1"]["shrub"] is None
-    assert score["macro_f1"] == pytest.approx(score["f1"]["sky"])
-    assert score["pixels"] == 15 * 60
-    assert cv2.imread(str(tmp_path / "drawn" / "photos_b_colors.png")).shape[1] == 2 * 60

@@ -1,19 +1,12 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
-from ltm_lab.training.augment import augmented
 from ltm_lab.training.borrow import with_ground
-from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.training_frames import TrainingFrame
 
 SIZE = (64, 96)
-NONE = dict.fromkeys(AugmentConfig.model_fields, 0.0)
 
 
 def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tuple[UInt8Array, UInt8Array]:
@@ -24,25 +17,6 @@ def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tupl
     labels = np.full(SIZE, ground, np.uint8)
     labels[:skyline] = Label.SKY
     return photo.astype(np.uint8), labels
-
-
-def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
-    photo, labels = _scene(Label.GRASS, (200, 180, 90))
-    labels[:, :5] = UNKNOWN
-    frame = TrainingFrame(photo, labels, Path("oak/1.png"), np.full(SIZE, 0.01, np.float32))
-    config = AugmentConfig(**{**NONE, "lake": 1.0})
-    shares = []
-    for seed in range(12):
-        changed, found, inverse = augmented(frame, SIZE, config, np.random.default_rng(seed))
-        water = found == Label.WATER
-        assert not water[labels != Label.GRASS].any()
-        np.testing.assert_array_equal(found[~water], labels[~water])
-        np.testing.assert_array_equal(np.isnan(inverse), water)
-        far = ~np.pad(water, 4, mode="edge")[:-8, 4:-4] & ~np.pad(water, 4, mode="edge")[8:, 4:-4] & ~water
-        np.testing.assert_array_equal(changed[:22][far[:22]], photo[:22][far[:22]])
-        shares.append(water.mean())
-    assert 0.05 < np.mean(shares) < 0.5
-    assert np.ptp(shares) > 0.05
 
 
 def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() -> None:

@@ -114,62 +114,6 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
         Run.resume(checkpoint, config.model_copy(update={"seed": 9}), 7)
 
 
-<<<<<<< HEAD
-=======
-def test_what_is_in_a_batch_does_not_depend_on_who_makes_it(frames: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.loop import train
-
-    weights = []
-    for workers in (0, 2):
-        config = with_steps(TINY, 3)
-        config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"workers": workers})})
-        network, _ = train(config, read_split(frames, config.split, 7), 7, lambda _: None)
-        weights.append(network.state_dict())
-    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
-
-
-def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.loop import Run, train
-
-    apart = {}
-    for keep in (0.0, 3.0):
-        update = {"depth": 0.0, "order": 0.0, "keep_depth": keep, "steps": 12, "validate_every": 6}
-        config = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update=update)})
-        split = read_split(frames, config.split, 7)
-        run = Run.start(config, 7)
-        photo = torch.randn(1, 3, 64, 96, generator=torch.Generator().manual_seed(1))
-        with torch.inference_mode():
-            before = run.average(photo)[1]
-        with pytest.raises(KeyboardInterrupt):
-            train(config, split, 7, break_off_at(6), run, checkpoint=tmp_path / "c.pt")
-        assert run.step == 6
-        if keep:  # a run that goes on keeps what was there at its start, not what it has come to
-            resumed = Run.resume(tmp_path / "c.pt", config, 7)
-            assert resumed.before is not None
-            with torch.inference_mode():
-                torch.testing.assert_close(resumed.before(photo)[1], before)
-            run = resumed
-        _, run = train(config, split, 7, lambda _: None, run)
-        with torch.inference_mode():
-            change = run.network.eval()(photo)[1] - before
-        apart[keep] = float((change - change.mean()).abs().mean())
-    assert apart[3.0] < 0.5 * apart[0.0]
-
-
-def test_labels_are_kept_where_nothing_is_known() -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_lab.training.losses import kept_labels_loss
-
-    before = torch.zeros(1, 2, 1, 2)
-    logits = torch.tensor([[[[np.log(3.0), 9.0]], [[0.0, 0.0]]]])  # 3:1 where unknown, another where it is known
-    labels = torch.tensor([[[UNKNOWN, 0]]], dtype=torch.uint8)
-    assert float(kept_labels_loss(logits, before, labels)) == pytest.approx(0.5 * np.log(4 / 3))
-    assert float(kept_labels_loss(logits, before, torch.zeros_like(labels))) == 0.0
-
-
->>>>>>> w/g52
 def test_depth_is_learnt_but_for_its_scale() -> None:
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_lab.training.losses import Batch, depth_loss, order_loss
@@ -247,3 +191,14 @@ def test_simulated_frames_bring_their_depth(tmp_path: Path) -> None:
     assert not frame.ordinal
     assert np.isnan(frame.inverse[:20]).all()
     np.testing.assert_allclose(frame.inverse[40, 90], 1.0 / (250.0 * camera.rays()[40, 90, 2]), rtol=1e-6)
+
+
+def test_labels_are_kept_where_nothing_is_known() -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_lab.training.losses import kept_labels_loss
+
+    before = torch.zeros(1, 2, 1, 2)
+    logits = torch.tensor([[[[np.log(3.0), 9.0]], [[0.0, 0.0]]]])  # 3:1 where unknown, another where it is known
+    labels = torch.tensor([[[UNKNOWN, 0]]], dtype=torch.uint8)
+    assert float(kept_labels_loss(logits, before, labels)) == pytest.approx(0.5 * np.log(4 / 3))
+    assert float(kept_labels_loss(logits, before, torch.zeros_like(labels))) == 0.0

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from scenes.depth_score import score_depth
 
-from ltm_core.base.number_text import NOTHING
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
@@ -107,29 +106,6 @@ def test_report_is_one_wellformed_file_without_outside_resources(tmp_path: Path)
     for source in page.sources:
         data = np.frombuffer(base64.b64decode(source.split(",")[1]), np.uint8)
         assert cv2.imdecode(data, cv2.IMREAD_COLOR) is not None
-
-
-def test_report_shows_the_figures_it_was_given() -> None:
-    html = render_report(full())
-    rows = {row[0]: row[1:] for row in Page(html).rows if row}
-    assert rows["/ridge/north/depth"] == ["61", "20", "3(pose 1, overload 2)", "64.2", "89.9", "40.0"]
-    assert rows["/ridge/fuel_map"] == ["40", "12,345", "0", NOTHING, NOTHING, NOTHING]
-    assert rows["gcp 1"] == ["3.25"]
-    assert rows["gcp 2"] == [NOTHING]
-    depth = score_depth([np.float32([[52.0]])], [np.float32([[50.0]])])
-    assert [score.pixels for score in depth] == [1, 0, 0, 0, 1]
-    assert [name for name in rows if name.endswith(" m") or name == "all"] == [
-        "0-100 m",
-        "100-300 m",
-        "300-1,000 m",
-        "> 1,000 m",
-        "all",
-    ]
-    assert rows["all"][0] == "14,400"
-    assert rows["all"][1] == "2.00"
-    assert "90.0 %" in html, "correct fuel cells"
-    assert "64.2" in html
-    assert "ltm view --rrd out/demo/demo.rrd" in html
 
 
 def test_text_is_escaped() -> None:

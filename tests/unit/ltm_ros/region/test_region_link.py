@@ -1,5 +1,3 @@
-"""Towers, a real broker and a region's map in one process: what is sent, answered, refused, and followed."""
-
 from __future__ import annotations
 
 import ssl
@@ -21,8 +19,7 @@ from rclpy.serialization import deserialize_message
 from scenes.free_port import free_port
 from scenes.fuel_frames import LABELS
 from scenes.mqtt_broker import Broker
-from scenes.region_days import same_map
-from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+from scenes.region_scene import CAMERA, REGION, RegionScene, same_map, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
 from sensor_msgs.msg import PointCloud2
 
@@ -36,7 +33,6 @@ from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.mqtt_link import (
     LARGEST_PACKET,
-    MqttLink,
     ack_topic,
     hand_over,
     presence_topic,
@@ -148,15 +144,6 @@ def test_after_kills_of_map_and_broker_the_map_is_that_of_all_frames(scene: Regi
     with open_stored_map(scene.folder / "map" / STORE_FILE, scene.site, found) as opened:
         assert opened.sources() == {source: frames}
     assert same_map(found, expected)
-
-
-def test_a_frame_that_is_refused_stays_and_is_told_in_words(scene: RegionScene, broker: Broker) -> None:
-    with mapped(scene) as service, sending(scene, "alta", resolution=10.0) as (alta, said):
-        offer(alta, scene, range(2))
-        wait_for(lambda: said.summary().get("noted.refused") == "2", "a refusal")
-        assert "fuel cells are 10 m wide, the region's 30 m" in said.last_error
-        assert waiting(said) == "2"
-        assert service.frames == 0
 
 
 def test_a_disk_that_does_not_serve_holds_up_no_frame_that_lies_on_it(
@@ -298,24 +285,6 @@ def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broke
             assert other.connected.wait(PATIENCE_S)
             other.publish(votes_topic(REGION, "desk"), bytes(LARGEST_PACKET + 1000), qos=0)
             wait_for(lambda: "oversize packet" in broker.log or "Packet too large" in broker.log, "the broker's word")
-
-
-def test_a_map_that_ends_is_not_thought_to_be_there(scene: RegionScene, broker: Broker) -> None:
-    presence: list[bytes] = []
-    topic, desk = presence_topic(REGION), scene.identity("desk")
-    follower = MqttLink(scene.broker("desk"), desk, "desk", [topic], lambda _, b: presence.append(b), Health())
-    follower.start()
-    life, will = scene.identity("aggregator"), (topic, b"")
-    link = MqttLink(scene.broker("aggregator"), life, "map", [], lambda *_: None, Health(), will)
-    link.start()
-    try:
-        wait_for(lambda: follower.connected.is_set() and link.connected.is_set(), "connections")
-        link.send(topic, b"a life", retain=True)
-        link.stop()
-        wait_for(lambda: presence[-1:] == [b""], "the map's end", lambda: presence)
-        assert b"a life" in presence
-    finally:
-        follower.stop()
 
 
 def test_a_topic_that_is_no_text_is_counted(scene: RegionScene) -> None:
