@@ -261,3 +261,10 @@ def test_an_update_that_fails_leaves_the_site(makers: list[Any], tmp_path: Path)
     assert sorted(str(path) for path in out.rglob("*")) == before
     with pytest.raises(ConfigError, match="exists already"):
         plan_site(wish(out, cameras=[]), makers)
+
+
+def test_a_folder_with_other_things_is_kept(makers: list[Any], tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").touch()
+    with pytest.raises(ConfigError, match="not an empty folder"):
+        made(wish(tmp_path), makers)
+    assert [file.name for file in tmp_path.iterdir()] == ["photo.jpg"]
