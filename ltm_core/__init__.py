@@ -2,8 +2,7 @@
 ROS.
 
 The names below are the public ones: `from ltm_core import Dem, Camera, Pose, SiteFrame, TerrainTracer`. Each is loaded
-when it is first used, so that a program pays only for what it needs.
-"""
+when it is first used, so that a program pays only for what it needs."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING

@@ -3,8 +3,7 @@
 Strata are the map's classes, split into changed and unchanged cells. Within a stratum the cells are ordered along a
 Z-order curve, which is cut into equal segments with a random start; of each segment about SEGMENT random cells are
 drawn. Every cell of a stratum has the same chance. Shorter segments would spread the cells better, but then intervals
-would be too wide, because their standard errors are those of a sample without segments.
-"""
+would be too wide, because their standard errors are those of a sample without segments."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ def allocated(cells: Sequence[int], changed: Sequence[bool], wanted: int) -> lis
     """Return the number of sampled cells of each stratum.
 
     Half of the sample is divided equally between strata, where changed ones count twice; the other half goes by the
-    strata's sizes. A stratum that is smaller than its share is taken whole, and the others get the rest.
-    """
+    strata's sizes. A stratum that is smaller than its share is taken whole, and the others get the rest."""
     sizes = np.asarray(cells, np.int64)
     wanted = min(wanted, int(sizes.sum()))
     equal = np.where(np.asarray(changed, np.bool_), 2.0, 1.0)
@@ -91,8 +89,7 @@ def drawn(
 ) -> Sample:
     """Draw about `wanted` of the `observed` cells of a map (H, W); `names`: of the classes, by id.
 
-    Raises ConfigError if no cell was observed, or the sample has no room for the strata.
-    """
+    Raises ConfigError if no cell was observed, or the sample has no room for the strata."""
     rng = np.random.default_rng(seed)
     keys = classes.astype(np.int64) * 2 + changed
     found, sizes = np.unique(keys[observed], return_counts=True)

@@ -6,8 +6,7 @@ are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to 
 error, so that intervals count one more success and one more failure (as Agresti and Coull 1998, Am. Stat. 52), each in
 the stratum in which a cell weighs most. They are quantiles of the beta distribution (as Korn and Graubard 1998, Surv.
 Methodol. 24) with the mean and variance of the share after all other cells are drawn from Dirichlet distributions.
-`ltm-lab eval assessment` counts how many intervals contain the truth.
-"""
+`ltm-lab eval assessment` counts how many intervals contain the truth."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ class StratifiedSample:
         """Return the share of the cells in `whole` that are in `part` too, (N,) bool each.
 
         `of_map`: "part" or "whole", whichever the map alone decides, so that its value varies only among the values
-        observed in a stratum. The other one is the reference's.
-        """
+        observed in a stratum. The other one is the reference's."""
         shown, inside = np.asarray(part, np.bool_), np.asarray(whole, np.bool_)
         if not inside.any():
             return Estimate(np.nan, np.nan, np.nan, np.nan, 0)

@@ -1,8 +1,7 @@
 """Model the errors of a depth network, and estimate the model from trusted terrain.
 
 The model states what the network answers, and its noise, if the true depth is known: first bias and spread by range
-over the whole photo, then corrections by region if held-out regions confirm them.
-"""
+over the whole photo, then corrections by region if held-out regions confirm them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Compute the depth that the terrain and the network predict for each pixel, with its standard deviation.
 
 The ray that meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels
-further down the image: so the top of vegetation is found in the traced image itself, never across a silhouette.
-"""
+further down the image: so the top of vegetation is found in the traced image itself, never across a silhouette."""
 
 from __future__ import annotations
 
@@ -49,8 +48,7 @@ def expected_surface(
 
     `ground`: traced depth along the optical axis (H, W). `labels`: class ids (H, W); None: bare ground. `cover`: (256,)
     metres above ground by class id; not used if the camera is rolled. `angle_sigma`: of the camera's direction,
-    radians. `dem_sigma`: of the terrain's heights, metres. Sigma follows from the gradient of the traced depth.
-    """
+    radians. `dem_sigma`: of the terrain's heights, metres. Sigma follows from the gradient of the traced depth."""
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
     plumb = math.cos(math.radians(pitch)) if abs(roll) <= config.surface.most_roll_deg else 0.0

@@ -2,8 +2,7 @@
 
 A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes all beside a depth network as
 `<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are
-natural logarithms of p / (1 - p).
-"""
+natural logarithms of p / (1 - p)."""
 
 from __future__ import annotations
 

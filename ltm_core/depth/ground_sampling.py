@@ -22,8 +22,7 @@ class ClassPriors:
 
     `cover`: metres of cover above bare ground. `ground`: whether the terrain shows. `crest`: metres to which an edge
     may be raised. `canopy_log_odds`: of a canopy raster against bare ground. `occluder_log_odds`: of something in front
-    of the ground. `outline`: log odds that a pixel belongs to a crest. `sky`: the id of sky.
-    """
+    of the ground. `outline`: log odds that a pixel belongs to a crest. `sky`: the id of sky."""
 
     cover: Float32Array
     ground: BoolArray

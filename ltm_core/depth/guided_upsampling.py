@@ -1,8 +1,7 @@
 """Upsample a network's fitted depth to the photo's size, with the photo's edges.
 
 Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
-the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size.
-"""
+the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size."""
 
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ class NetworkView(NamedTuple):
     `cells`: (4, h, w) float32 over the photo, edge to edge: gain and offset on the photo's `grey` (H, W), then the
     greatest and the least inverse depth, 1/m, among neighbours. `columns`, `parts`: for each column of the photo the
     cell to its left, and how far it lies towards the next. `tables`: the network's error model. `gross`: see
-    `ScaleFit`. `there`: whether there is a network at all.
-    """
+    `ScaleFit`. `there`: whether there is a network at all."""
 
     cells: Float32Array
     grey: UInt8Array

@@ -28,8 +28,7 @@ class NetworkDepth:
     """Depth of a network over the whole field of view of the photo, edge to edge.
 
     `values`: (h, w) float32 at any size. Of kind `relative_inverse`: inverse depth but for a scale and a shift;
-    `affine_invariant`: depth but for a scale and a shift; `metric`: metres along the optical axis. NaN: no answer.
-    """
+    `affine_invariant`: depth but for a scale and a shift; `metric`: metres along the optical axis. NaN: no answer."""
 
     values: Float32Array
     kind: DepthKind
@@ -137,8 +136,7 @@ def shift_of_points(points: Float32Array, depth: Float32Array, rays: Float64Arra
 
     `depth`: their third plane (h, w), NaN where it does not count. `rays` (2, h, w): x and y at depth 1. The image
     residual of x = ray (z + shift) is minimised, reweighted by the depth (Wang et al., MoGe, CVPR 2025, with a known
-    focal length).
-    """
+    focal length)."""
     known = np.isfinite(depth) & np.isfinite(points).all(axis=0)
     if not known.any():
         return 0.0

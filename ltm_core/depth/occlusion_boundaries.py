@@ -1,8 +1,7 @@
 """Move the edges between ridges to where the photo shows them, which is more accurate than the DEM.
 
 The pixels above a traced silhouette are given to the near or the far side by colour: one cut a column where the
-likelihood is greatest, under a prior that falls with the height of the cover. A fitted network's depth takes part.
-"""
+likelihood is greatest, under a prior that falls with the height of the cover. A fitted network's depth takes part."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class Silhouettes:
     """Traced edges between a near surface and what is behind it, from the lowest in the image up, column by column.
 
     `rows`, `cols`: (N,) int32, the topmost pixel of the near surface. `depth`: (N,) float32 metres of it. `raised`:
-    (N,) int32 pixels by which the photo puts the edge higher.
-    """
+    (N,) int32 pixels by which the photo puts the edge higher."""
 
     rows: Int32Array
     cols: Int32Array

@@ -1,8 +1,7 @@
 """Compute how likely something stands before the ground, and find where traced depth jumps.
 
 Labels are often wrong about single crowns, so all labels about a place count. An object's foot is directly below it in
-the image, where the terrain is as near as the object, and its height is the distance from there up to the pixel.
-"""
+the image, where the terrain is as near as the object, and its height is the distance from there up to the pixel."""
 
 from __future__ import annotations
 
@@ -64,8 +63,7 @@ class OcclusionPrior(NamedTuple):
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
     that has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
     `odds` and every fourth row of the photo; 0 where it is not asked. `focal`: pixels of the photo that a plumb metre
-    spans at a depth of one.
-    """
+    spans at a depth of one."""
 
     odds: Float32Array
     feet: Float32Array

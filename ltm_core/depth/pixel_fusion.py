@@ -2,8 +2,7 @@
 
 Where the network says what it would say if the terrain were right (`error_model`), both are averaged by inverse
 variance, in inverse depth. Where it sees something nearer, the odds of an object (`occlusion_prior`) against an error
-of the network decide; if they are nearly even, depth is the mean of both, and sigma includes their distance.
-"""
+of the network decide; if they are nearly even, depth is the mean of both, and sigma includes their distance."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class FusionRow(NamedTuple):
     `nearest`, `farthest`: inverse depth, 1/m, that the network sees, and its neighbours' extremes. `true`: the
     terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `less`: by how much
     less than `true` it would say; `off`: by how much nearer it sees than it would say, with the variance `joint`.
-    `part`: to work in. `asked`: whether the two disagree or the terrain is unknown. `column`: of the error tables.
-    """
+    `part`: to work in. `asked`: whether the two disagree or the terrain is unknown. `column`: of the error tables."""
 
     depth: Float32Array
     sigma: Float32Array

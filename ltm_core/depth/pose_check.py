@@ -2,8 +2,7 @@
 against that of the labels.
 
 The traced silhouettes are shifted over the photo's vertical gradient. The pose is suspected if only turns beyond the
-tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out.
-"""
+tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out."""
 
 from __future__ import annotations
 

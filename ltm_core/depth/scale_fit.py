@@ -2,8 +2,7 @@
 
 RANSAC (Fischler and Bolles, 1981) with the median as its score (LMedS, Rousseeuw, 1984), so that the noise need not be
 known, and least squares over the inliers; all trials are scored in one array operation. The result is inverse depth,
-1/m, whose noise is about even over the image.
-"""
+1/m, whose noise is about even over the image."""
 
 from __future__ import annotations
 
@@ -110,8 +109,7 @@ class ScaleFit:
     `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
     among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `error_model`: what it says where
     the truth is known. `gross`: share of answers that are no noise but wrong. `line`: scale and shift, in the measure
-    of the network's kind. `trouble`: why the fit cannot be used; empty where it can.
-    """
+    of the network's kind. `trouble`: why the fit cannot be used; empty where it can."""
 
     inverse: Float32Array
     nearest: Float32Array

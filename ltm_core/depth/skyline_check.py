@@ -1,7 +1,6 @@
 """Check that the traced skyline matches the edge of the labels' sky, by shifting one over the other.
 
-Where unknown land may rise behind known ground, only ground that is seen as sky contradicts a place.
-"""
+Where unknown land may rise behind known ground, only ground that is seen as sky contradicts a place."""
 
 from __future__ import annotations
 

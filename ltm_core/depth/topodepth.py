@@ -2,8 +2,7 @@
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
 from pixels whose terrain can be trusted. The terrain's answer is brought to the visible surface, by the height of what
-the labels say grows there or by a canopy raster, and at silhouettes by the photo. Then `pixel_fusion` decides.
-"""
+the labels say grows there or by a canopy raster, and at silhouettes by the photo. Then `pixel_fusion` decides."""
 
 from __future__ import annotations
 
@@ -114,8 +113,7 @@ class FusedDepth(FusionOutcome):
 
     `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
     `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, with sky by the
-    labels where it is unknown.
-    """
+    labels where it is unknown."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -149,8 +147,7 @@ class Fusion:
     `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
     its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
     `config`: constants fitted with the network. `hidden`: (H, W) bool, pixels that show something else than the
-    terrain. `unusable`: why the photo is not used; empty: it is.
-    """
+    terrain. `unusable`: why the photo is not used; empty: it is."""
 
     traced: RangeImage | DepthImage
     network: NetworkDepth | None

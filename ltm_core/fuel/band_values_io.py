@@ -32,8 +32,7 @@ def read_quantity(band: FuelBand, geometry: GridGeometry | None = None, crs: str
     `geometry`. `crs`: of a file that states none.
 
     Nodata is what the file declares or masks, and what common programs write without declaring it: values of -1000 and
-    below, 32767, 65535 and 1e9 and above, and but for elevation and aspect, negative values and 255 of uint8.
-    """
+    below, 32767, 65535 and 1e9 and above, and but for elevation and aspect, negative values and 255 of uint8."""
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
 

@@ -5,8 +5,7 @@ there before) and from labels (`label_cover`). New trees, and trees without cano
 and height from depth against bare earth (`stand_heights`). Other cells keep the canopy of the prior or the climate.
 
 Heights of stands are means weighted by height (Lorey's mean): a terrain cell that shows crowns and gaps has a height
-between both, which counts less so.
-"""
+between both, which counts less so."""
 
 from __future__ import annotations
 
@@ -86,8 +85,7 @@ def measured_canopy(
         new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
         changed: from the confirmed surface.
         labels: cover by labels and its standard error, % (`EvidenceMap.label_cover`).
-        heights: of stands and their standard errors, metres (`stand_heights`).
-    """
+        heights: of stands and their standard errors, metres (`stand_heights`)."""
     unknown = np.full(trees.shape, np.nan, np.float32)
     found = SeenCanopy(unknown, unknown, unknown, unknown) if changed is None else changed
     moved, use = np.isfinite(found.cover), trees & new

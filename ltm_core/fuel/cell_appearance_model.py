@@ -5,8 +5,7 @@ behind it. Seen from low above the ground, tall plants therefore fill a larger s
 ground, and of the pixels of cells behind it too. How large depends on the angle at which the ground is seen and on what
 stands next to the cell along the line of sight. `CellAppearanceModel` knows this from cells of known form: a logistic
 regression with as many cells of each form gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85,
-1998), without a model of the plants. `ltm-lab train appearance` fits it.
-"""
+1998), without a model of the plants. `ltm-lab train appearance` fits it."""
 
 from __future__ import annotations
 

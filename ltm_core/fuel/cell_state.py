@@ -8,8 +8,7 @@ more ground the flatter the sight. For crowns that stand at random, ellipsoids o
 
 since a crown's shadow along the sight is k times that from above (Beer and Lambert's law for crowns in place of leaves:
 Nilson 1999, Inversion of gap frequency data in forest stands, Agric. For. Meteorol. 98-99; Li and Strahler 1992,
-IEEE Trans. Geosci. Remote Sens. 30(2)). Shrubs count with the trees: the networks here call close stands shrub.
-"""
+IEEE Trans. Geosci. Remote Sens. 30(2)). Shrubs count with the trees: the networks here call close stands shrub."""
 
 from __future__ import annotations
 
@@ -76,8 +75,7 @@ def woody_looks(votes: CellVotes, forms: Int64Array) -> WoodyLooks | None:
 
 def add_looks(state: Mapping[str, NDArray[Any]], looks: WoodyLooks, views: Int64Array, second: int, epoch: int) -> None:
     """Add them to the state (H, W, ...) of a grid, where the cell has not burned since and the view (N,) has no newer
-    epoch. Frames may come in any order.
-    """
+    epoch. Frames may come in any order."""
     _add(
         *(looks.rows, looks.cols, views, looks.sums, second, epoch),
         *(state[name] for name in ("burned_at", "woody_epoch", "woody")),

@@ -30,8 +30,7 @@ class MajorityFuelMap:
 
     Ties go to the class that stands first in the label set, so the map depends on the votes alone and not on their
     order. Cells partition the plane (`GridGeometry.cell_of`): the paper's "centred at" neighbourhoods, read
-    literally, would count a pixel on an edge twice.
-    """
+    literally, would count a pixel on an edge twice."""
 
     def __init__(self, geometry: GridGeometry, classes: int) -> None:
         self.geometry = geometry
@@ -40,8 +39,7 @@ class MajorityFuelMap:
     def add(self, votes: CellVotes) -> tuple[int, int, int, int] | None:
         """Count a frame's votes; the changed tile (row, col, height, width), or None where it saw nothing.
 
-        Raises ImageError for votes on another grid or over other classes.
-        """
+        Raises ImageError for votes on another grid or over other classes."""
         if votes.geometry != self.geometry:
             raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if votes.counts.shape[1] != self.totals.shape[2]:
@@ -108,8 +106,7 @@ def write_fuel_map(
     """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
 
     The file appears whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file
-    cannot be written.
-    """
+    cannot be written."""
     if not str(path):
         raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
     path = Path(path)

@@ -3,8 +3,7 @@
 Scott and Burgan (2005, RMRS-GTR-153) relate their models to Anderson's (1982) within the fuel type that carries the
 fire: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to 13, and grass with shrubs to either of
 the first two. Which model within the type is no function of the code: LANDFIRE derives both maps from vegetation. So a
-table gives it for a climate, and a map that has both systems gives its own pairs.
-"""
+table gives it for a climate, and a map that has both systems gives its own pairs."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
     """Return whether two maps of the same ground agree on the fuel type that carries the fire.
 
     What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
-    analyst's own model, a code that no system has.
-    """
+    analyst's own model, a code that no system has."""
     agree = np.ones((256, 256), np.bool_)
     burnable = range(_GRASS.start, _SLASH.stop)
     agree[np.ix_(list(NONBURNABLE), burnable)] = False

@@ -48,8 +48,7 @@ class FuelLayers:
     the code. `p_max`: float32 probability that the commonest life form is the one that evidence and prior favour; NaN
     where nothing is known. `entropy`: float32 of the shares of life forms, 0 certain to 1 nothing known. `evidence`:
     float32, of all frames; 0 where only the prior speaks. `last_seen`: int64 ns, 0 never. `seen_by`: uint8 cameras, 8
-    for more.
-    """
+    for more."""
 
     prior: Int16Array
     code: Int16Array
@@ -78,8 +77,7 @@ class _JudgedCells:
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
     for. `fresh`, `regrown`: burned, and not or already grown over. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
     index of the strongest other form. `log_odds` (N,): by how much looks make that likelier than any other form.
-    `wants`: to change into it. `leans`: would with others about it.
-    """
+    `wants`: to change into it. `leans`: would with others about it."""
 
     codes: Int16Array
     base: Int16Array
@@ -136,8 +134,7 @@ class ChangeDecision:
         an inner edge they may be those of a map that ends there.
 
         `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order. `company`:
-        (H, W) life forms of cells that have changed for other reasons than evidence, 0 none.
-        """
+        (H, W) life forms of cells that have changed for other reasons than evidence, 0 none."""
         index = np.where((codes >= 0) & (codes < 256), codes, 0)
         known = self._known[index]
         plain = self._untouched
@@ -250,8 +247,7 @@ def _contest(
     that of whatever is favoured.
 
     Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b is the
-    larger of a and b with probability I_1/2(alpha_a, alpha_b).
-    """
+    larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
     others = np.where(agreeing & has_prior[:, None], -np.inf, alpha)
     challenger = others.argmax(axis=1)
     first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
@@ -265,8 +261,7 @@ def _contest(
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:
     """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain.
 
-    For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
-    """
+    For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
     rules = FusionRules(min_interval_s=0.0, min_evidence=0.0, min_cells=1, support=0.0)
     seen = (classes >= 1) & (classes <= FORMS)

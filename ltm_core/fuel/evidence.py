@@ -4,8 +4,7 @@ A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l |
 What a frame shows (`frame_evidence`) is kept by view, the direction from the camera to the cell, and by epoch; of each
 view the newest epochs are kept. The joint weight of all observations is a function of that state and of the time of the
 query, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
-any order. docs/how/fuel.md has the mathematics.
-"""
+any order. docs/how/fuel.md has the mathematics."""
 
 from __future__ import annotations
 
@@ -78,8 +77,7 @@ class EvidenceMap:
             or ALIKE if any network was never measured.
         climate: which codes changed cells get.
 
-    Raises RasterError for a prior on another grid.
-    """
+    Raises RasterError for a prior on another grid."""
 
     def __init__(
         self,
@@ -125,8 +123,7 @@ class EvidenceMap:
         """Count a frame; return the part of the grid that it touches, or None if it has no votes.
 
         The frame must not have been counted before. Raises ImageError for votes on another grid, over other classes,
-        or of a time that is not in 1970 to 2106.
-        """
+        or of a time that is not in 1970 to 2106."""
         if votes.geometry != self.geometry:
             raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if not 0 <= votes.stamp_ns < _LATEST_NS:
@@ -157,8 +154,7 @@ class EvidenceMap:
     def burn(self, cells: BoolArray, stamp_ns: int) -> None:
         """Mark the cells (H, W) as burned at that time; earlier evidence is void, even if it arrives later.
 
-        Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
-        """
+        Tell it once it is known: evidence of frames after the burn that came before this call is lost too."""
         if cells.shape != self.geometry.shape:
             raise ImageError(f"burned cells of shape {cells.shape} do not fit a fuel grid of {self.geometry.shape}")
         if not 0 <= stamp_ns < _LATEST_NS:

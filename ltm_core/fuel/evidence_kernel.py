@@ -82,8 +82,7 @@ def spread(
 
     The cell that is traced to (row, col) is another one with the probability that a Gaussian of `sigma_along` and
     `sigma_across` (N,), in cells, gives it; `bearing` (N,) radians clockwise from north is the direction of along.
-    `weights` (N,): of the cells' shares in the average.
-    """
+    `weights` (N,): of the cells' shares in the average."""
     n, forms = shares.shape
     out = np.zeros((n, forms))
     coverage = np.ones(n)
@@ -158,8 +157,7 @@ def remember(row: Any, value: Any) -> None:
 def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
     """Return the index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
 
-    A new one pushes the oldest out; -1 for one that is older than all that are kept.
-    """
+    A new one pushes the oldest out; -1 for one that is older than all that are kept."""
     kept = epochs.size
     place = 0
     while place < kept and epochs[place] > epoch:
@@ -206,8 +204,7 @@ def accumulate(
     frames are kept count of, -1 for none.
 
     Each step is a sum of integers, a minimum, a maximum, or the choice of the newest or the least of a set: the state
-    does not depend on the order of frames, to the last bit.
-    """
+    does not depend on the order of frames, to the last bit."""
     ceiling = np.uint64(np.iinfo(np.uint32).max)
     for i in range(rows.size):
         r, c = rows[i], cols[i]
@@ -253,8 +250,7 @@ def pooled(
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
     frame adds to it, and its first and last second. `full`: that most of a frame that sees a cell perfectly. What a
     frame shows are probabilities under equal odds of all forms: as likelihoods those of views multiply, where as
-    evidence they are averaged. `least`: of what is shown, the least share that any form is taken to have.
-    """
+    evidence they are averaged. `least`: of what is shown, the least share that any form is taken to have."""
     n, views, epochs, forms = shown.shape
     out, told = np.zeros((n, forms)), np.zeros((n, forms))
     share, lasting = np.empty(forms), np.empty(forms)

@@ -14,8 +14,7 @@ a cell's state (`evidence.EVIDENCE_FIELDS`):
 | `burned_at` | must be the same: a burn is added to every part before its frames are counted |
 
 Days of frames do not need the burns of other days: a burn voids earlier evidence, so the days before it are merged, the
-burn is added to the map (`EvidenceMap.burn`), and then to parts whose frames all come after it (`after`).
-"""
+burn is added to the map (`EvidenceMap.burn`), and then to parts whose frames all come after it (`after`)."""
 
 from __future__ import annotations
 
@@ -140,8 +139,7 @@ class PartialEvidence:
 def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
     """Return all parts merged; the parts do not change.
 
-    Raises ArchiveError where two hold a frame, or know of different burns.
-    """
+    Raises ArchiveError where two hold a frame, or know of different burns."""
     stamps, tiles, own = dict[str, list[Int64Array]](), dict[Key, Tile](), set[Key]()
     for part in parts:
         for camera, theirs in part.stamps.items():

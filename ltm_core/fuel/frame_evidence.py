@@ -1,7 +1,6 @@
 """Compute the evidence for the life form of each cell from the votes of one frame, in compiled loops.
 
-A frame has some hundred cells, for which NumPy expressions as in `cell_appearance_model` are too slow.
-"""
+A frame has some hundred cells, for which NumPy expressions as in `cell_appearance_model` are too slow."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ def form_by_appearance(
 
     As `CellAppearanceModel.log_likelihood(what_is_seen(...))`, normalised. `shares` (N, F): of the labels; `sure` (N,):
     their confidence beyond the usual. `weights` (K, SEEN, F): of the model at each of K incidences; `known` (F,):
-    forms in the model.
-    """
+    forms in the model."""
     n = len(rows)
     if n == 0:
         return
@@ -189,8 +187,7 @@ def frame_evidence(
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
         stands: (H, W) a number for each kind of stand that the prior map knows, 0 unknown; None: nothing is known.
 
-    Raises ImageError for votes over other classes.
-    """
+    Raises ImageError for votes over other classes."""
     if votes.counts.shape[1] != len(forms):
         raise ImageError(f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {len(forms)}")
     counts = form_counts(votes.counts, forms)

@@ -1,7 +1,6 @@
 """Find out what the bands of terrain, fuel and canopy files hold, and in which units.
 
-Attribute tables, band descriptions and file names decide; positions count only in a landscape that names no band.
-"""
+Attribute tables, band descriptions and file names decide; positions count only in a landscape that names no band."""
 
 from __future__ import annotations
 
@@ -149,8 +148,7 @@ def file_bands(source: Any, path: Path, default: str | None = None) -> list[Fuel
     """Return the bands of a landscape or single-band file that hold something known, `codes` of an unknown system, base
     height last. `default`: quantity of a single band that states none.
 
-    Names go before positions. Raises RasterError: several bands of one quantity, no fuel codes.
-    """
+    Names go before positions. Raises RasterError: several bands of one quantity, no fuel codes."""
     names = _band_names(source)
     known = [found and found[0] for found in map(meaning, names)]
     layout = _LAYOUTS.get(len(names), ())

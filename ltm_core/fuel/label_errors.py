@@ -38,8 +38,7 @@ class LabelCorrelation(StrictModel):
     """Intraclass correlations of a network's label errors: how far errors of two pixels of one cell agree beyond
     chance.
 
-    0: each errs for itself; 1: always both. Measured by `label_measurement.look_correlation`.
-    """
+    0: each errs for itself; 1: always both. Measured by `label_measurement.look_correlation`."""
 
     cell: float = Field(ge=0, le=1)
     """Correlation of two pixels in one frame."""
@@ -200,8 +199,7 @@ def known_errors(
 
     They are those of the record of these labels; without one, those on the photos that did not train the label head;
     else UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError
-    for a head that cannot be taken.
-    """
+    for a head that cannot be taken."""
     try:
         manifest = NetworkManifest.find(model).serving(head)
     except ModelError:

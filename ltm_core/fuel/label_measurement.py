@@ -9,8 +9,7 @@ them teach nothing, because a region is seldom found to its edges.
 
 Errors of two looks at cells of one life form agree beyond chance by their intraclass correlation. It is estimated by
 moments: the mean product of what two looks show beyond what their form lets expect, divided by that of a look with
-itself (Donner, International Statistical Review 54, 1986).
-"""
+itself (Donner, International Statistical Review 54, 1986)."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ _RIDGE = 3.0
 @dataclass(frozen=True, eq=False)
 class SeenCells:
     """Cells of known form as frames saw them: (N,) rows, columns and index of the true form, (N, SEEN) what is seen,
-    (N,) cosine of incidence.
-    """
+    (N,) cosine of incidence."""
 
     rows: Int64Array
     cols: Int64Array
@@ -73,8 +71,7 @@ def seen_cells(
     frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, least: int = LEAST_PIXELS_LEARNT
 ) -> SeenCells:
     """The cells of one site's frames that have `least` pixels. `truth`: (H, W) life forms on the votes' grid. `forms`:
-    of the labels (`life_form.label_forms`). Raises ImageError for votes without a visibility.
-    """
+    of the labels (`life_form.label_forms`). Raises ImageError for votes without a visibility."""
     parts: list[tuple[Int64Array, Int64Array, Int64Array, Float64Array, Float64Array]] = []
     for votes in frames:
         if votes.visibility is None:
@@ -97,8 +94,7 @@ def seen_cells(
 def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
     """Logistic regression over the cells of all sites; each form weighs the same.
 
-    Raises ImageError where fewer than two forms have cells enough.
-    """
+    Raises ImageError where fewer than two forms have cells enough."""
     cells = np.sum([np.bincount(site.true, minlength=FORMS) for site in sites], axis=0)
     known = np.flatnonzero(cells >= LEAST_CELLS)
     if len(known) < 2:
@@ -128,8 +124,7 @@ def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
 @dataclass(frozen=True, eq=False)
 class FrameErrors:
     """Cells of a frame: (N,) rows, columns and index of the true form; (N, FORMS) what they show `beyond` what their
-    form lets expect; (N,) the mean product of that of two pixels of the cell.
-    """
+    form lets expect; (N,) the mean product of that of two pixels of the cell."""
 
     source: str
     rows: Int64Array
@@ -251,8 +246,7 @@ def measure_labels(
         known: the same by another network whose errors are known; None: there is none. It is ignored if it changes
             more than can have changed: it does not know this land.
 
-    Raises ImageError for too few cells, and if too many have changed for the prior map to be a truth.
-    """
+    Raises ImageError for too few cells, and if too many have changed for the prior map to be a truth."""
     held = forms_of(codes)
     prior = np.where(held.sum(axis=-1) == 1, held.argmax(axis=-1) + 1, 255).astype(np.uint8)
     seen = np.zeros(codes.shape, np.bool_)

@@ -1,8 +1,7 @@
 """Define life forms (grass, shrub, tree, bare), and terrain without them: plants on rock walls, trees above the tree
 line, water on slopes.
 
-A pixel that shows one there is a network's error: it does not vote, for this form or another.
-"""
+A pixel that shows one there is a network's error: it does not vote, for this form or another."""
 
 from __future__ import annotations
 
@@ -137,8 +136,7 @@ class GroundLimits:
 
     `masks`: (3, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west: where no
     plant is believed, where no tree, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees,
-    3 for water, each as soon as its mask has a bit; 0 for all else.
-    """
+    3 for water, each as soon as its mask has a bit; 0 for all else."""
 
     def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
         self._limits, self._geometry, self._dem = limits, geometry, dem

@@ -124,8 +124,7 @@ def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
     """Read the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
     site's CRS, by time; areas of one time are one burn, areas outside the grid are ignored.
 
-    Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
-    """
+    Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such."""
     turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
     areas: dict[int, list[Any]] = {}
     for place, feature in _features(path):

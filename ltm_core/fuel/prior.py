@@ -34,8 +34,7 @@ class PriorConfig(StrictModel):
     """Prior fuel map: `path`, or single-band files by content, or both if `path` is a folder (a named file has
     precedence). A bare string is `path`.
 
-    Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
-    """
+    Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767."""
 
     path: Path | None = None
     """Path of a landscape (LCP or GeoTIFF of 8 bands), of a single band of fuel codes, or of a folder of single bands
@@ -107,8 +106,7 @@ class FuelPrior:
     units: cover %, height m x 10, base height m x 10, bulk density kg/m3 x 100; NODATA where unknown; None: not given.
     `fbfm13`: (H, W) int16, the FBFM13 map that came beside FBFM40 codes, NODATA where exports do not keep
     it. `contradicting`: cells in which it came with another fuel type than theirs. `remarks`: what was
-    converted, dropped or not used of its files. Raises RasterError where shapes disagree.
-    """
+    converted, dropped or not used of its files. Raises RasterError where shapes disagree."""
 
     codes: Int16Array
     geometry: GridGeometry

@@ -27,8 +27,7 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     """Load the prior on the fuel grid (in the site's CRS) by nearest cell, since codes cannot be averaged.
 
     Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
-    that no system has, canopy values that no unit explains, nothing on the grid.
-    """
+    that no system has, canopy values that no unit explains, nothing on the grid."""
     bands, unused = _bands_of(config)
     # The terrain in a landscape shows whether its bands are where they are expected.
     wanted = [band for band in bands if band.quantity != "elevation" or band.path == config.path]

@@ -125,8 +125,7 @@ def supported_changes(
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
     likelier than any other. `company`: life forms of cells that have changed for other reasons than looks, 0 none:
     `rules.min_cells` of them are support enough. `leaning`: life forms that cells look like rather than any other, be
-    it ever so little, 0 none.
-    """
+    it ever so little, 0 none."""
     import cv2
 
     kept = np.zeros(wanted.shape, np.bool_)

@@ -7,8 +7,7 @@ America, of the basal area B (m2/ha), the number of stems N (1/ha) and the heigh
 
 B and N follow from cover and height: crowns stand at random, so that N pi r^2 = -ln(1 - cover), their radius r is
 0.15 H, and stems are H / 70 thick. These two shares are assumed, and so are the standard errors; what is used is only
-how both change from one stand to another, in which the shares all but cancel. Of broadleaved stands it says nothing.
-"""
+how both change from one stand to another, in which the shares all but cancel. Of broadleaved stands it says nothing."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Apply changes of the surface map to the fuel map: the affected fuel cells, and their new cover.
 
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
-and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell.
-"""
+and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell."""
 
 from __future__ import annotations
 
@@ -117,8 +116,7 @@ def news_of(
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
         shift: (h, w) metres from the reference surface, NaN where it is not known.
         window: their geometry, in the map frame.
-        recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`).
-    """
+        recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
     fuel_rows = fuel.cell_of(0.0, window.to_map(np.arange(window.height), 0)[1])[0]
     fuel_cols = fuel.cell_of(window.to_map(0, np.arange(window.width))[0], 0.0)[1]
     found: dict[tuple[int, int], tuple[int, float]] = {}
@@ -146,8 +144,7 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
     of their tiles; `evidence` does not change.
 
     A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
-    change. A change that is taken back gives a cell its prior back.
-    """
+    change. A change that is taken back gives a cell its prior back."""
     recorded = news.kind.astype(np.int32) * _CODES
     tiles: dict[Key, Tile] = {}
     keys = np.stack([news.rows // TILE, news.cols // TILE], axis=-1)
@@ -190,8 +187,7 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
     unchanged.
 
     `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
-    is grass: a felled stand burns.
-    """
+    is grass: a felled stand burns."""
     if form == LifeForm.BURNED:
         return None
     if kind == ChangeKind.LOWERED:

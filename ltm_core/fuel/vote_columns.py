@@ -3,8 +3,7 @@
 One value a cell: x, y, z float32 (its centre on the terrain), and one uint16 column of pixels for each class that the
 frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
 `footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse and
-name the classes that they count. Maps count what comes out of these columns, whichever way it came.
-"""
+name the classes that they count. Maps count what comes out of these columns, whichever way it came."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ def fitting(votes: CellVotes, turn: int) -> CellVotes:
     """Return the votes that fit into a message of `MAX_BYTES`.
 
     Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
-    the distance that a fixed camera sees is not left out for good. `turn`: any number, another one for each frame.
-    """
+    the distance that a fixed camera sees is not left out for good. `turn`: any number, another one for each frame."""
     limit = (MAX_BYTES - _HEADER_BYTES) // _point_bytes(votes)
     if len(votes) <= limit:
         return votes
@@ -59,8 +57,7 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
     """Return votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
 
     Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
-    when the names are not K distinct identifiers.
-    """
+    when the names are not K distinct identifiers."""
     names = checked_names(class_names)
     if votes.counts.shape[1] != len(names):
         raise MessageError(
@@ -95,8 +92,7 @@ def columns_to_votes(
     """Return votes over the fuel grid `geometry`; `source`: the camera.
 
     Raises MessageError when columns are missing, foreign or of another type, a point lies outside the grid or not on
-    the centre of a cell (then it was counted on another grid), or cells come twice or out of row-major order.
-    """
+    the centre of a cell (then it was counted on another grid), or cells come twice or out of row-major order."""
     names = checked_names(class_names)
     what = f"votes of {source}"
     if foreign := sorted(columns.keys() - {*_AXES, "confidence", *_VISIBILITY, *names}):

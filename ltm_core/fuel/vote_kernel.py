@@ -24,8 +24,7 @@ class VoteSums(NamedTuple):
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
     mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
-    (2,) int64 pixels that were not counted: where it is too steep for their class, of trees above the tree line.
-    """
+    (2,) int64 pixels that were not counted: where it is too steep for their class, of trees above the tree line."""
 
     cells: Int64Array
     counts: UInt32Array
@@ -52,8 +51,7 @@ def sum_pixels(
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
     to float32, as `RangeImage.points` gives it. `limits`: pixels of classes beyond them are withdrawn, and cells of
-    which half of the pixels or more are: what is left of these would stand for what it is not.
-    """
+    which half of the pixels or more are: what is left of these would stand for what it is not."""
     x_tangent, y_tangent = _tangents(camera)
     east, north = pose.position[:2]
     first_row, first_col, height, width = _window(geometry, float(east), float(north), max_range)
@@ -162,8 +160,7 @@ def _scan(
     cells are seen.
 
     Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
-    second one adds up, over pixels side by side that show one class in one cell at once.
-    """
+    second one adds up, over pixels side by side that show one class in one cell at once."""
     height, width = distance.shape
     x_min, y_max, resolution = grid
     first_row, first_col, rows, cols, grid_width = window

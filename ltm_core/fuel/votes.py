@@ -29,8 +29,7 @@ class CellVisibility:
     `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
     `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
     by which the pose's uncertainty may misplace the cell on the map, away from the camera and sideways. `bearing`:
-    radians clockwise from grid north from the camera to the cell.
-    """
+    radians clockwise from grid north from the camera to the cell."""
 
     cos_incidence: Float32Array
     footprint: Float32Array
@@ -74,8 +73,7 @@ def cell_visibility(
     To first order, on the ground's plane at each point: with the ray arriving along the unit vector d, the ground's
     normal n and p the way from camera to point, a camera moved by o and turned by w moves the ray's end by
     q = o + w x p, and the traced point by q - d (n.q) / (n.d). Source: forward propagation, e.g. Luhmann et al.,
-    Close-Range Photogrammetry, 3rd ed., 2.4.3. Raises PoseError for a covariance that is none.
-    """
+    Close-Range Photogrammetry, 3rd ed., 2.4.3. Raises PoseError for a covariance that is none."""
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
     if len(ground) == 0:
         return CellVisibility(*(np.zeros(0, np.float32) for _ in range(5)))
@@ -137,8 +135,7 @@ class CellVotes:
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
     `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `visibility`: how the
     frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed. `too_steep`,
-    `above_tree_line`: pixels that the terrain withdrew (`GroundLimits`), for whoever watches; no evidence.
-    """
+    `above_tree_line`: pixels that the terrain withdrew (`GroundLimits`), for whoever watches; no evidence."""
 
     geometry: GridGeometry
     rows: Int32Array
@@ -210,8 +207,7 @@ class VoteCaster:
         votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
         max_range: slant metres beyond which pixels are too coarse to vote.
         bend: of sight by curvature and refraction (`geodesy.ray_bend`).
-        limits: where classes cannot be; None: they can be anywhere.
-    """
+        limits: where classes cannot be; None: they can be anywhere."""
 
     def __init__(
         self,
@@ -252,8 +248,7 @@ class VoteCaster:
             confidence: (H, W) uint8, of the labels, x 255.
             covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact.
 
-        Raises ImageError when the images differ in shape, PoseError for a covariance that is none.
-        """
+        Raises ImageError when the images differ in shape, PoseError for a covariance that is none."""
         shape = (camera.height, camera.width)
         images: list[tuple[str, NDArray[Any] | None]] = [("labels", labels), ("distances", distance)]
         for name, image in [*images, ("confidence", confidence)]:

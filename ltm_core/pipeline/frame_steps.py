@@ -2,8 +2,7 @@
 
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
-arguments, and a frame has the same votes, to the last bit, whoever works on it.
-"""
+arguments, and a frame has the same votes, to the last bit, whoever works on it."""
 
 from __future__ import annotations
 
@@ -199,8 +198,7 @@ class LabellingStep:
 
         `looking`: viewing direction; None: only the mask of all views is used. `stamp_ns`: time of the image; None:
         unknown. `in_order`: images arrive in the order of their times, so that smoke is detected by comparison with
-        previous ones; a single image shows no smoke.
-        """
+        previous ones; a single image shows no smoke."""
         view = self._scene.look(photo, looking, stamp_ns)
         among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:

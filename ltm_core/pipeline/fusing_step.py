@@ -85,8 +85,7 @@ class FusingStep:
         """Fuse a frame. `depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: missing.
         `covariance`: (6, 6) of the pose; None: unknown. `view`: scene view of the photo, if already known.
 
-        Raises ImageError and PoseError as `fuse` and the tracer do.
-        """
+        Raises ImageError and PoseError as `fuse` and the tracer do."""
         looking = Looking.of(frame.camera, frame.pose)
         seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
         photo = seen.scene(frame.image)

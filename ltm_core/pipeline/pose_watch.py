@@ -41,8 +41,7 @@ _MOST_ANGLE_SIGMA = math.radians(1.0)
 class PoseWatch:
     """Compare the skyline of one camera's labels with that of the terrain at the stated poses.
 
-    Land beyond the DEM may stand over its horizon; a skyline that such land explains contradicts nothing.
-    """
+    Land beyond the DEM may stand over its horizon; a skyline that such land explains contradicts nothing."""
 
     def __init__(self, site: Site) -> None:
         self._site = site

@@ -43,8 +43,7 @@ from ltm_core.vision.labels import LabelSet
 def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
     """Return an empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
-    Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken.
-    """
+    Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken."""
     return empty_maps(site, geometry, labels)()
 
 
@@ -72,8 +71,7 @@ def measured_errors(
     """Return the label errors of a network by its votes and the site's prior map (`measure_labels`).
 
     `reference`: another network's errors and its votes for the same frames. Raises ConfigError without a prior map, and
-    as `measure_labels` and `site_evidence_map`.
-    """
+    as `measure_labels` and `site_evidence_map`."""
     from ltm_core.fuel.label_measurement import measure_labels
 
     prior = empty_maps(site, geometry, labels, UNMEASURED)().prior
@@ -120,8 +118,7 @@ def site_canopy(
     Args:
         terrain: that of the same moment as the layers.
         evidence: what cameras have seen until now; None: not known, or the layers are of an earlier date.
-        state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise.
-    """
+        state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise."""
     bands = canopy_bands(layers, prior, climate)
     trees = forms_of(layers.code)[..., LifeForm.TREE - 1] & (bands[0] > 0)
     given = None if prior is None else prior.canopy
@@ -137,8 +134,7 @@ def _heights(
     site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
 ) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
     """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
-    `before`: metres, as of `stand_heights`.
-    """
+    `before`: metres, as of `stand_heights`."""
     path = None if state is None else state / TERRAIN_STORE
     if path is None or site.terrain is None or site.surface is not None or not path.is_file():
         return None, ""

@@ -44,8 +44,7 @@ def given_terrain(site: Site) -> ConfirmedTerrain:
 def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
     """Return the terrain of a version that the manifest lists, shared within the process; AS_GIVEN: as given.
 
-    Raises StoreError if the version is not listed or cannot be read, and what `Site.open_dem` does.
-    """
+    Raises StoreError if the version is not listed or cannot be read, and what `Site.open_dem` does."""
     if name == AS_GIVEN:
         return given_terrain(site)
     entry = versions.manifest().entry(name)
@@ -109,8 +108,7 @@ UNCOMMITTED = 500
 class SiteTerrain:
     """The surface map `map` of a site with a section `terrain`, in the `store` that `open_store` gives for its schema.
 
-    Raises ConfigError for a site without that section, and as `Site.open_dem` and `SurfaceMap` do.
-    """
+    Raises ConfigError for a site without that section, and as `Site.open_dem` and `SurfaceMap` do."""
 
     def __init__(self, site: Site, open_store: Callable[[StoreSchema], TileStore]) -> None:
         if site.terrain is None:
@@ -162,8 +160,7 @@ TERRAIN_STORE: Final = "terrain.sqlite"
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
     """Open the surface map in a store (`terrain.sqlite`) read-only, also while a graph writes it.
 
-    Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
-    """
+    Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid."""
     if site.terrain is None:
         raise ConfigError(f"site {site.name} has no section `terrain`; use the site file that created {path}")
     if not is_file(path):
@@ -197,8 +194,7 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
 def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
     """Return the site's ground with the tops of trees if it has a surface raster, and the constants that fit it.
 
-    Raises DemError as `Site.open_dem`.
-    """
+    Raises DemError as `Site.open_dem`."""
     bare = site.open_dem()
     ground = site.open_surface(bare)
     config = PicturePoseConfig()

@@ -39,16 +39,14 @@ _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bea
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
     """Return the schema of the store of a site's map; `geometry`: the fuel grid in the map frame.
 
-    It does not depend on the rules of fusion: evidence is stored, and weighted when the map is read.
-    """
+    It does not depend on the rules of fusion: evidence is stored, and weighted when the map is read."""
     return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 
 
 def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     """Fill an empty map with a store's content; return the tiles that the store does not have in their last state.
 
-    Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
-    """
+    Raises ConfigError where the store is damaged, StoreError where it cannot be read just now."""
     for key, tile in store.tiles():
         evidence.load_tile(key, tile)
     evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
@@ -64,8 +62,7 @@ def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileS
     """Open a site's store for reading, also while a node writes it; fills the `empty` map of the site.
 
     The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
-    ConfigError for another site's store and as `restore` does.
-    """
+    ConfigError for another site's store and as `restore` does."""
     store = TileStore.open_read_only(path, STORE_KIND)
     try:
         schema = fuel_schema(site, empty.geometry)

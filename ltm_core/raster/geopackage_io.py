@@ -2,8 +2,7 @@
 
 A GeoPackage is an SQLite file whose geometries are blobs: a header, then well-known binary (OGC 12-128r19, clause
 2.1.3; OGC 06-103r4, clause 8). GDAL is not used for it: rasterio offers rasters only, and another GDAL beside it ends
-the process on damaged files.
-"""
+the process on damaged files."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ def read_points(path: Path) -> tuple[list[dict[str, Any]], str]:
     """Read the columns of a file's only layer of points, by name in lower case with `_` for spaces, with `x` and `y`;
     and its CRS as WKT.
 
-    Raises RasterError for a file that is no GeoPackage or damaged, or whose layer is not one of points with a CRS.
-    """
+    Raises RasterError for a file that is no GeoPackage or damaged, or whose layer is not one of points with a CRS."""
     if not path.is_file():
         raise RasterError(f"{path}: no such file; give a GeoPackage (.gpkg) of points")
     try:

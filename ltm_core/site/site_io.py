@@ -120,8 +120,7 @@ def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replac
     """Write sections of a camera into a site file, and add the camera if it is missing; all other lines stay.
 
     The new file is read as a site before it takes the old one's place. Raises ConfigError, and leaves the file
-    unchanged, if the result is no site, or without `replace` if a section exists with another content.
-    """
+    unchanged, if the result is no site, or without `replace` if a section exists with another content."""
     path = Path(path)
     text, present = read_text(path, LARGEST_FILE, ConfigError), stated_sections(path, camera)
     changed = {key: section for key, section in sections.items() if present.get(key) != section}

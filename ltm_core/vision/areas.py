@@ -2,8 +2,7 @@
 
 Turns areas that a person has drawn into label images, and regions of an image into polygons.
 
-Later areas lie over earlier ones. The hole of a region becomes part of its outline, by a cut that leads to it.
-"""
+Later areas lie over earlier ones. The hole of a region becomes part of its outline, by a cut that leads to it."""
 
 from __future__ import annotations
 
@@ -121,8 +120,7 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
     """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones.
 
-    `least`: share of the image; smaller regions are left out.
-    """
+    `least`: share of the image; smaller regions are left out."""
     found: list[tuple[float, NamedArea]] = []
     for index, name in enumerate(names):
         region = (labels == index).astype(np.uint8)
@@ -142,8 +140,7 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
     corners (`MOST_POINTS`).
 
     `filled`: holes are filled. Otherwise the outline goes in to each hole, about it, and back the same way, so that
-    filling it by the even-odd rule leaves the hole out.
-    """
+    filling it by the even-odd rule leaves the hole out."""
     mode = cv2.RETR_EXTERNAL if filled else cv2.RETR_CCOMP
     # All pixels of the edges: a cut to a hole ends at one of them.
     contours, tree = cv2.findContours(region.astype(np.uint8), mode, cv2.CHAIN_APPROX_NONE)

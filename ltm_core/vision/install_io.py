@@ -148,8 +148,7 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
 
     The files of a recipe are downloaded into the user's folder of models, and deleted once the network is added;
     `progress` gets the bytes received. A manifest's file is downloaded from its `url` only with `fetch`. Raises
-    ModelError.
-    """
+    ModelError."""
     path = Path(given)
     if path.suffix in (".yaml", ".yml"):
         with _of_manifest(path, fetch, progress) as found:
@@ -178,8 +177,7 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
     """Copy a checked manifest and all its files to the user's models; return the new manifest.
 
     The files of each network have a folder of its own, so that no network overwrites another's. Raises ModelError for
-    the name of a model that ships, or of another network that is installed.
-    """
+    the name of a model that ships, or of another network that is installed."""
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
     if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith(FUSION_SUFFIX):
@@ -247,8 +245,7 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
     """Download a file, continuing an interrupted download; `progress` gets the bytes received.
 
     `digest`: its SHA-256; None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is
-    deleted. Raises ModelError.
-    """
+    deleted. Raises ModelError."""
     import httpx
 
     if url.startswith("file://"):

@@ -5,8 +5,7 @@ place.
 
 A network's maps tell more apart than its own scores do. A label head adds to the score of class k at a pixel
 b_k + sum over maps m of w_mk . f_m, f_m being the map's vector there, interpolated bilinearly; as interpolation and the
-product commute, each map's part is formed at its own size and enlarged.
-"""
+product commute, each map's part is formed at its own size and enlarged."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
     `withdraw`: thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`:
-    name and checksum, for `labels/info`.
-    """
+    name and checksum, for `labels/info`."""
 
     name: str
     described: str
@@ -118,8 +116,7 @@ class LabelHeadFile(StrictModel):
 def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
     """Read a label head for the network of a manifest; return it with the file's content.
 
-    Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
-    """
+    Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head."""
     try:
         content = load_yaml(path, LabelHeadFile)
     except ConfigError as reason:
@@ -161,8 +158,7 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
     """Return the file of a camera's label head; None for the network's own, `landscape`.
 
     `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
-    the user taught. Raises ModelError with every place looked at.
-    """
+    the user taught. Raises ModelError with every place looked at."""
     if name == SHIPPED_LABEL_HEAD:
         return None
     if name.endswith((".yaml", ".yml")) or os.sep in name:

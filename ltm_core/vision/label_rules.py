@@ -9,8 +9,7 @@ Rules that correct what a network says of a photo: colour against *tree*, withdr
   shrub are called tree with confidence, but have little contrast. Forests on mountains have as little, so that
   contrast counts against trees only in a photo with more shrub than tree.
 - Agreement: a label is right more often than its probability says where the pixels around it have the same label.
-  Patches within another class, and edges between classes, are what label heads get wrong.
-"""
+  Patches within another class, and edges between classes, are what label heads get wrong."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Label taxonomy: the meaning and colour of the ids in a label image, and which count as ground cover.
 
 Ids travel in label images and bags, so the seven built-in ones are fixed here; `config/labels.yaml` gives their
-colours and their part in fuel votes, and may append further classes.
-"""
+colours and their part in fuel votes, and may append further classes."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -49,8 +48,7 @@ class LabelSet:
     """The classes of label images; position in each tuple is the id.
 
     `colors` are sRGB 0..255. `ground_cover` tells whether a pixel of the class is evidence of what covers the
-    ground (and so votes in fuel cells). Id 255 (`UNLABELLED`) is no class: nothing is known of the pixel.
-    """
+    ground (and so votes in fuel cells). Id 255 (`UNLABELLED`) is no class: nothing is known of the pixel."""
 
     names: tuple[str, ...]
     colors: tuple[tuple[int, int, int], ...]
@@ -60,8 +58,7 @@ class LabelSet:
     def load(cls, path: Path | None = None) -> "LabelSet":
         """Read a label file, by default the `labels.yaml` that ships with the system.
 
-        Raises ConfigError: unknown or missing keys, ids with gaps, a built-in class that is absent or renumbered.
-        """
+        Raises ConfigError: unknown or missing keys, ids with gaps, a built-in class that is absent or renumbered."""
         path = config_path("labels.yaml") if path is None else path
         entries = load_yaml(path, _LabelFile).labels
         by_id = sorted(entries.items(), key=lambda item: item[1].id)

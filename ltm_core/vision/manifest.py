@@ -87,8 +87,7 @@ class OutputSpec(StrictModel):
     of the input, or the horizontal field of view (a name with `fov`), that the network assumed; `metre_scale`, the
     factor from affine-invariant 3-D points to metres, whose shift is solved from the camera's rays (MoGe-2). A metric
     network made for one focal length states it in pixels of its input (`canonical_focal_px`). Metres are multiplied by
-    the true focal length over the assumed one (Metric3D: 1000; Depth Pro, `inverse`: the input's width).
-    """
+    the true focal length over the assumed one (Metric3D: 1000; Depth Pro, `inverse`: the input's width)."""
 
     kind: Literal[
         "logits", "probabilities", "ids", "masks", "embeddings", "relative_inverse", "affine_invariant", "metric"
@@ -137,8 +136,7 @@ class TextSpec(StrictModel):
 
     `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float; None: all come from the text
     encoder in `prompts`. The score of a word at a pixel is `scale` times the cosine between the two vectors (LSeg 14.3,
-    CLIP 100).
-    """
+    CLIP 100)."""
 
     file: Path | None = None
     dimensions: int = Field(gt=0)
@@ -271,8 +269,7 @@ class NetworkManifest(StrictModel):
         (`heads_of`).
 
         One network may label best, and the maps of another may train the best heads. Raises ModelError if it is
-        missing.
-        """
+        missing."""
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 
     @property

@@ -4,8 +4,7 @@ A lens corner is covered by the hood: smooth, of one colour, bounded by an arc. 
 piece of sky can look alike; over images in other light the hood alone keeps its edge.
 
 A caption is a row of letters along the upper or lower edge in all images. The text changes with the time, the strip
-does not. The image above and below it must be smooth: over the texture of near ground no caption is proposed.
-"""
+does not. The image above and below it must be smooth: over the texture of near ground no caption is proposed."""
 
 from __future__ import annotations
 
@@ -69,8 +68,7 @@ class Proposal:
 def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
     """Propose areas to mask in images (H, W, 3) RGB of one fixed camera; images in different light work best.
 
-    The result is deterministic. Raises ImageError if the images differ in size or if there are none.
-    """
+    The result is deterministic. Raises ImageError if the images differ in size or if there are none."""
     shape = _common_shape(frames)
     height, width = shape
     small_width = min(WORKING_WIDTH, width)

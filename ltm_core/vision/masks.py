@@ -29,8 +29,7 @@ from ltm_core.vision.mask_config import MaskPolygon, ViewMask
 class CameraMask:
     """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
 
-    Raises ConfigError for a mask that hides nothing, or everything.
-    """
+    Raises ConfigError for a mask that hides nothing, or everything."""
 
     hidden: BoolArray
     place: str
@@ -86,8 +85,7 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 def read_mask(path: Path, place: str) -> CameraMask:
     """Read a single-channel PNG in which non-zero pixels are masked. `place`: the key that names it, for errors.
 
-    Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked.
-    """
+    Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked."""
     try:
         values = read_values(path)
     except ImageError as error:

@@ -43,8 +43,7 @@ class InputSpec(StrictModel):
     `intrinsics` names the input for the camera, whose shape says what it takes: the matrix K (3 x 3), fx, fy, cx, cy
     (4 numbers), the focal length (1 number), all in pixels of the input, or the unit ray of each pixel (3 planes).
     `constants` gives further inputs fixed values, such as `num_tokens`. Those with one row per class run the network
-    once for each row (token ids of prompts); its answers are then the classes.
-    """
+    once for each row (token ids of prompts); its answers are then the classes."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -97,8 +96,7 @@ class FittedImage:
     def without_padding(self, planes: Float32Array) -> Float32Array:
         """Return the part of a network's planes (K, h, w), which cover all pixels, that shows the photo.
 
-        If the border is between two of the network's pixels, the part is interpolated, so that it is not shifted.
-        """
+        If the border is between two of the network's pixels, the part is interpolated, so that it is not shifted."""
         height, width = planes.shape[1:]
         rows, cols = height * self.rows / self.pixels.shape[0], width * self.cols / self.pixels.shape[1]
         tall, wide = max(1, round(rows)), max(1, round(cols))
@@ -191,8 +189,7 @@ def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
 def camera_tensor(matrix: Float64Array, shape: tuple[int, ...], size: tuple[int, int]) -> Float64Array:
     """Return what an input for the camera takes, in its `shape` with 1 for free axes: see `InputSpec.intrinsics`.
 
-    `matrix` (3, 3) and `size` (rows, cols) are those of the network's pixels.
-    """
+    `matrix` (3, 3) and `size` (rows, cols) are those of the network's pixels."""
     if shape[-2:] == (3, 3):
         return matrix.reshape(shape)
     numbers = int(np.prod(shape))
@@ -260,8 +257,7 @@ def token_planes(tokens: Float32Array, size: tuple[int, int]) -> Float32Array:
     """Return the vectors of patches, tokens (N, D) in reading order, as planes (D, rows, cols).
 
     `size` (rows, cols): of the network's image; the patches are square. Leading tokens that are no patches (class
-    token, registers) are dropped. Raises ModelError if no patch size fits.
-    """
+    token, registers) are dropped. Raises ModelError if no patch size fits."""
     for side in range(1, min(size) + 1):
         rows, cols = size[0] // side, size[1] // side
         if (rows * side, cols * side) == size and 0 <= len(tokens) - rows * cols <= _LEADING:

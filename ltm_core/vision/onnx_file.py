@@ -29,8 +29,7 @@ class NetworkFile:
     """An ONNX file. `weights`: the names of the files with its external weights, relative to its folder, sorted.
 
     `digest`: the SHA-256 of the file (`sha256sum`), or with external weights that of one line per file, `<sha256>
-    <name>`, the ONNX file first with an empty name.
-    """
+    <name>`, the ONNX file first with an empty name."""
 
     content: bytes
     weights: tuple[str, ...]

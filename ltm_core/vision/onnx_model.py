@@ -3,8 +3,7 @@
 Runs of one network file that several ask for: what one of them computes for the others is kept until they come.
 
 A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for an image has all
-of it computed that others in this process ask this file for; they take their part when they bring the same image.
-"""
+of it computed that others in this process ask this file for; they take their part when they bring the same image."""
 
 from __future__ import annotations
 
@@ -87,8 +86,7 @@ class OnnxModel:
     image is run once for all of them (`shared_runs`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
-    is not an ONNX network that the runtime can load, or has other inputs or outputs.
-    """
+    is not an ONNX network that the runtime can load, or has other inputs or outputs."""
 
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         self.manifest = manifest
@@ -126,8 +124,7 @@ class OnnxModel:
         float16 and float64 as float32.
 
         `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
-        ModelError if the network needs it and it is missing.
-        """
+        ModelError if the network needs it and it is missing."""
         names = [self._output_name, *self.manifest.output.beside]
         if self._camera is None:
             return self._shared(tensor, names)
@@ -141,8 +138,7 @@ class OnnxModel:
         """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
         `part`: of an image, or another size of it, which no other user requests. Raises ModelError where the file
-        gives something else by such a name.
-        """
+        gives something else by such a name."""
         names = [self._output_name, *maps]
         output, *found = self._run(names, self._feed(tensor)) if part else self._shared(tensor, names)
         for name, values in zip(maps, found, strict=True):
@@ -266,8 +262,7 @@ def _share_arena() -> None:
 
     Else each session keeps as much as its runs at once took, though a thread runs one network after the other. With the
     same blocks for all, and taken as each tensor comes instead of one block for a run, two networks of 640 x 352 keep
-    124 MB with their weights instead of 253, and 184 instead of 367 where two threads run them, in the same time.
-    """
+    124 MB with their weights instead of 253, and 184 instead of 367 where two threads run them, in the same time."""
     place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
     of_the_runtime = -1
     ort.create_and_register_allocator(place, ort.OrtArenaCfg(0, of_the_runtime, of_the_runtime, of_the_runtime))
@@ -276,8 +271,7 @@ def _share_arena() -> None:
 def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.InferenceSession:
     """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError.
 
-    Callers of several threads hold a lock.
-    """
+    Callers of several threads hold a lock."""
     _share_arena()
     options = ort.SessionOptions()
     options.add_session_config_entry("session.use_env_allocators", "1")

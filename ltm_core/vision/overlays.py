@@ -1,8 +1,7 @@
 """Find bars, captions and frames along the edges of an image, and fill what hides the scene from its surroundings.
 
 A bar has one background colour, letters or not, and ends in a straight sharp step over the whole width. A dark slope,
-a night sky or white fog has the one colour, but no such step.
-"""
+a night sky or white fog has the one colour, but no such step."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Let a network of text and images name classes by prompts: several for each label, averaged, and negative ones.
 
 Prompts become part of the manifest, as the words of its text file or as its input, so that all that follows (labels,
-their digest, checks) is as for any other network.
-"""
+their digest, checks) is as for any other network."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
         shown: a prompt that is a class of its own, unlabelled, for a heat map; empty: none.
 
     Raises ConfigError for a key that is no label, and prompts that are empty or repeated; ModelError for a network
-    without text, and for files that cannot be used.
-    """
+    without text, and for files that cannot be used."""
     given = dict(prompts) or {name: (name,) for name in labels.names}
     if unknown := sorted(set(given) - set(labels.names) - {OTHER}):
         raise ConfigError(f"vocabulary: no label {unknown[0]!r}; use {', '.join(labels.names)}, or {OTHER}")
@@ -110,8 +108,7 @@ def _by_input(
     """Return the manifest with the prompts as constants of the network's input.
 
     Of a network that takes embeddings, each group is one class. Of one that takes token ids, each prompt is one, and
-    the probability of a label is the mean of those of its prompts: its logits are lowered by ln(number of prompts).
-    """
+    the probability of a label is the mean of those of its prompts: its logits are lowered by ln(number of prompts)."""
     constants: dict[str, Any] = dict(manifest.input.constants)
     ids = [name for name in constants if "ids" in name or "token" in name]
     if not ids:

@@ -1,8 +1,7 @@
 """Determine the manifest of an ONNX network from its graph, a run, and the files that hubs put beside it.
 
 What a user states counts before what a recipe states (`config/network_recipes.yaml`), and this before what is
-determined here. What nothing determines is listed in one error, with the options to state it.
-"""
+determined here. What nothing determines is listed in one error, with the options to state it."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
 
     `stated`: further keys of the manifest, and `normalise`, a normalisation of `config/network_recipes.yaml`. `recipe`:
     the name of a recipe whose properties the network has. `name`: that of the model. Raises ModelError for a file that
-    is no network or has another checksum than stated, and for properties that nothing determines.
-    """
+    is no network or has another checksum than stated, and for properties that nothing determines."""
     known = merged(source.stated, stated)
     if wrong := [key for key in ("input", "output", "mapping", "text") if not isinstance(known.get(key, {}), dict)]:
         raise ModelError(f"{source.file}: {wrong[0]} is {known[wrong[0]]!r}; expected a mapping of keys to values")

@@ -7,8 +7,7 @@ gone. On photographs the two scales err in different places, so their mean is ri
 differ. It costs a quarter of the work.
 
 Tiles are for large photos: a network of 512 x 288 pixels sees a slope of a 4K photo eight times smaller than the sensor
-did. Distant land lies along the skyline, so only that strip is enlarged.
-"""
+did. Distant land lies along the skyline, so only that strip is enlarged."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def with_distant_tiles(
     """Return the probabilities (K, h', w'), `zoom` times finer than those given (K, h, w) for the whole photo.
 
     `look` gives the probabilities (K, rows, cols) of a part of the photo (H, W, 3); it is asked for tiles of 1 / zoom
-    of the photo's sides along the skyline of class `sky`. A photo without skyline comes back as it was.
-    """
+    of the photo's sides along the skyline of class `sky`. A photo without skyline comes back as it was."""
     line = _skyline(probabilities.argmax(axis=0) == sky)
     if line is None:
         return probabilities
@@ -109,8 +107,7 @@ def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, s
     """Return scores (K, h, w) of an image, those of its land averaged with `coarse` (K, h', w'), weighted by `share`.
 
     Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
-    cameras their pose.
-    """
+    cameras their pose."""
     height, width = scores.shape[1:]
     land = [k for k in range(len(scores)) if k not in sky]
     enlarged = np.stack([cv2.resize(coarse[k], (width, height), interpolation=cv2.INTER_LINEAR) for k in land])
@@ -155,8 +152,7 @@ def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tu
 
     `probabilities` is (K, h, w) float32 in 0..1. Both grids cover the same field of view edge to edge (pixel
     centres at half-integers, as in `cv2.resize`). Returns (H, W) uint8 indices into K, the lower one on a tie, and
-    (H, W) uint8 probability x 255, rounded. One pass, no (K, H, W) array in between.
-    """
+    (H, W) uint8 probability x 255, rounded. One pass, no (K, H, W) array in between."""
     _, rows, cols = probabilities.shape
     row_below, row_weight = _neighbours(rows, height)
     col_right, col_weight = _neighbours(cols, width)

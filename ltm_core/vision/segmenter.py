@@ -40,8 +40,7 @@ class Segmentation:
 
     `labels` (H, W) uint8: ids of the label set, 255 unlabelled. `confidence` (H, W) uint8: the network's probability
     of that label x 255, of a head as its `agreement` has it; 0 where unlabelled; 255 wherever labelled by a network
-    that gives bare ids.
-    """
+    that gives bare ids."""
 
     labels: UInt8Array
     confidence: UInt8Array
@@ -53,8 +52,7 @@ class Segmenter:
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
     halves of one label (`grass` and `field`, say) are not beaten by a third class. `head`: what corrects the network's
     scores (None: nothing does). `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see
-    OnnxModel, and for a mapping to a label that does not exist.
-    """
+    OnnxModel, and for a mapping to a label that does not exist."""
 
     def __init__(
         self,
@@ -102,8 +100,7 @@ class Segmenter:
         or path.
 
         With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for
-        the head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
-        """
+        the head before others. Raises ModelError: see `find_label_head`, `read_label_head`."""
         manifest = NetworkManifest.find(path_or_name).serving(head)
         file = find_label_head(head, manifest, heads)
         return cls(manifest, threads, labels, head=None if file is None else read_label_head(file, manifest)[0])
@@ -137,8 +134,7 @@ class Segmenter:
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
         strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
-        another shape or dtype, ModelError when the network's output is not what its manifest states.
-        """
+        another shape or dtype, ModelError when the network's output is not what its manifest states."""
         _check(image)
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
@@ -188,8 +184,7 @@ class Segmenter:
         """Return the scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by
         the label head and averaged with the coarse inference, before any temperature, at the network's resolution.
 
-        Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
-        """
+        Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids."""
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
@@ -307,8 +302,7 @@ def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float
     """Return the scores (1, K, h, w) of `count` classes from masks (1, Q, h, w) and class logits (1, Q, K or K + 1) of
     queries: the sum over queries of class probability times mask probability (Cheng et al., MaskFormer, 2021).
 
-    Raises ModelError for another number of classes.
-    """
+    Raises ModelError for another number of classes."""
     if queries.ndim != 3 or masks.ndim != 4 or queries.shape[2] not in (count, count + 1):
         raise ModelError(f"query logits have shape {queries.shape}, masks {masks.shape}; expected {count} classes")
     weight = np.exp(queries[0] - queries[0].max(axis=1, keepdims=True))

@@ -7,8 +7,7 @@ image of it on, it is land again.
 
 Images of another view, or of another light, do not agree with the present one and are ignored; if none agrees,
 no smoke is reported.
-The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/cameras.md).
-"""
+The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/cameras.md)."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ an image does not vote. The judgement is of one image, reduced to some 480 colum
 few milliseconds at most.
 
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
-`ltm-lab eval usable` scores them on others.
-"""
+`ltm-lab eval usable` scores them on others."""
 
 from __future__ import annotations
 
@@ -91,8 +90,7 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
     """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
     sun's elevation, degrees; None: unknown.
 
-    Raises ImageError for another shape.
-    """
+    Raises ImageError for another shape."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
         raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     height, width = picture.shape[:2]

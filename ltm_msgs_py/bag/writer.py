@@ -47,8 +47,7 @@ class BagWriter:
     Where the disk fails (full, quota, defect), the file at hand is ended after its last whole chunk, so that every
     reader takes it; the messages of the chunk that could not be written are counted in `lost`, and the next message
     begins the next file, as soon as one can be made. Each file but the first begins with the last message of every
-    latched topic, so that it can be read without those before it.
-    """
+    latched topic, so that it can be read without those before it."""
 
     def __init__(
         self,
@@ -63,8 +62,7 @@ class BagWriter:
         """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes, as each file's header
         tells. `before_file`: called before each file is made.
 
-        Raises RecordingError when `path` exists and is not an empty folder.
-        """
+        Raises RecordingError when `path` exists and is not an empty folder."""
         if compression not in _COMPRESSIONS:
             raise RecordingError(f"bag compression must be 'zstd' or None, got {compression!r}")
         self.path = Path(path)
@@ -94,8 +92,7 @@ class BagWriter:
         """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
         ConfigError if it cannot be written now.
 
-        `overwrite`: first delete a bag that is there, if the folder holds nothing else.
-        """
+        `overwrite`: first delete a bag that is there, if the folder holds nothing else."""
         if overwrite and is_folder(path):
             files = list(path.iterdir())
             if all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in files):
@@ -113,8 +110,7 @@ class BagWriter:
         """Announce a topic and its QoS before its first message; `latched`: transient local.
 
         A topic that is written without this is reliable, volatile, keep last 10. Raises RecordingError when the topic
-        exists with another type or QoS, or the type has no definition here.
-        """
+        exists with another type or QoS, or the type has no definition here."""
         qos = qos_profile(latched, depth)
         known = self._topics.get(topic)
         if known is not None:
@@ -147,8 +143,7 @@ class BagWriter:
         """Append a message in CDR, as a raw subscription hands it over.
 
         `log_time_ns`: when it was received; `publish_time_ns`: when it was sent, the same by default. Raises
-        RecordingError on a topic of another type, bytes that are no CDR, a negative time, or a full disk.
-        """
+        RecordingError on a topic of another type, bytes that are no CDR, a negative time, or a full disk."""
         if self._closed:
             raise RecordingError(f"the bag {self.path} is closed")
         if topic not in self._topics:

@@ -1,8 +1,7 @@
 """Read and write reference answers for the sampled cells of a plan: of interpreters, and of field plots.
 
 A plan is a folder: `plan.json`, `cells.csv` (sampled cells without the map's answer), `answers/NAME.csv` (one file for
-each interpreter) and `learned.csv` (cells that the network has learned from).
-"""
+each interpreter) and `learned.csv` (cells that the network has learned from)."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class Answer:
     """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `seconds`: time taken for the answer.
     `time`: when it was given, ISO 8601 UTC.
 
-    Raises ConfigError for another life form, certainty or number.
-    """
+    Raises ConfigError for another life form, certainty or number."""
 
     cell: int
     life_form: str
@@ -159,8 +157,7 @@ def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
     """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage as sure answers for sampled cells.
 
     The latest plot of a cell counts. Plots elsewhere are ignored: they were not drawn at random. Raises ConfigError,
-    RasterError for an invalid file.
-    """
+    RasterError for an invalid file."""
     rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
     half, frame, visited = plan.cell_m / 2, SiteFrame(plan.crs), list[Answer]()
     for number, row in enumerate(rows, 1):

@@ -86,8 +86,7 @@ class PhotoIndex:
         """Return up to three photos of a cell in order of time: of early and late days, and of different cameras.
 
         A photo's value is the square root of the visible area of the cell in pixels: that includes range, incidence
-        and zoom. Photos that are blurred, dark or foggy are not in the index.
-        """
+        and zoom. Photos that are blurred, dark or foggy are not in the index."""
         edge, parts = self._points(cell, cell_m)
         if np.isnan(parts).any() or np.isnan(edge).any():
             return []

@@ -45,8 +45,7 @@ def learn(plan: Plan, photos: PhotoIndex) -> Learned:
 
     The plan's cells are in random order, so both halves are random samples of each stratum. The report leaves out the
     whole half: without its agreed cells only, it would count too many cells that are hard to name. `ltm train head` and
-    `ltm models measure --photos` read the folder. Raises ConfigError if there is nothing to learn, OSError.
-    """
+    `ltm models measure --photos` read the folder. Raises ConfigError if there is nothing to learn, OSError."""
     forms, names = agreed_forms(plan), LabelSet.load().names
     folder = plan.folder / "training"
     folder.mkdir(exist_ok=True)

@@ -30,8 +30,7 @@ def look(
     """Name what grows in the sampled cells, on a web page that only this machine can open.
 
     Each cell is outlined in its three best photos. Answers are stored at once in PLAN/answers/NAME.csv; the page
-    continues where you stopped. It never shows the map's answer. Ctrl-C ends the program.
-    """
+    continues where you stopped. It never shows the map's answer. Ctrl-C ends the program."""
     from functools import partial
 
     from ltm_core.site.site_io import load_site
@@ -52,8 +51,7 @@ def look(
 def learn(plan: PlanFolder, recordings: Recordings, site: SiteFile = None) -> None:
     """Turn half of the answers into labelled photos for `ltm train head`; these cells no longer count in the report.
 
-    Only cells on which all interpreters agree, and are not unsure, are used.
-    """
+    Only cells on which all interpreters agree, and are not unsure, are used."""
     from ltm_core.site.networks import label_model
     from ltm_core.site.site_io import load_site
     from ltm_core.storage.disk_io import require_folder

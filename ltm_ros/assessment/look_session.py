@@ -47,8 +47,7 @@ class LookSession:
     """The cells of a plan and one interpreter's answers. The page identifies cells only by their place in the plan.
 
     `imagery`: GeoTIFF, or URL of map tiles with {z}, {x}, {y}, which the browser loads; "": none. The map's own answer
-    is not read. Thread-safe. Raises ConfigError for an invalid name, file or URL.
-    """
+    is not read. Thread-safe. Raises ConfigError for an invalid name, file or URL."""
 
     def __init__(self, plan: Plan, site: Site, photos: PhotoIndex, interpreter: str, imagery: str = "") -> None:
         self._plan, self._photos, self._file = plan, photos, plan.answers_file(interpreter)

@@ -1,8 +1,7 @@
 """Plan an accuracy assessment: draw the sample of a fuel map's cells, and write and read the folder of the plan.
 
 `plan.json` has the design, `cells.csv` the sampled cells for interpreters, `strata.csv` the map's answers, which they
-must not see, and `map.npz` the assessed map, so that later updates of the map do not change the assessment.
-"""
+must not see, and `map.npz` the assessed map, so that later updates of the map do not change the assessment."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ def find_map(path: Path) -> Path:
 def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: int, out: Path) -> dict[str, Any]:
     """Draw the sample of a map and write the plan to a folder; return the content of `plan.json`.
 
-    Raises ConfigError if the folder already has a plan: answers would no longer fit its cells.
-    """
+    Raises ConfigError if the folder already has a plan: answers would no longer fit its cells."""
     require_folder(out, "the plan")
     if (out / "plan.json").exists():
         raise ConfigError(f"{out}: contains a plan already; give another folder with --out")
@@ -122,8 +120,7 @@ def _about(source: FuelSource, path: Path) -> dict[str, str]:
 def with_map(plan: MapPlan, source: FuelSource, path: Path) -> MapPlan:
     """Return the plan with another map of its site, such as one after learning; sample and strata stay.
 
-    Raises ConfigError for another grid, or if the map does not state a life form of each sampled cell.
-    """
+    Raises ConfigError for another grid, or if the map does not state a life form of each sampled cell."""
     map_ = replace(_map_of(source), observed=plan.map.observed)
     if source.geometry != plan.grid:
         raise ConfigError(f"{path}: has another grid than the plan; make a new plan")

@@ -60,8 +60,7 @@ class FuelMapPersistence:
     While the disk fails, the map continues in memory and nothing is acknowledged; afterwards everything is written.
 
     `make_map`: returns the site's map without evidence. `open_store`: returns the store; after a StoreError it is tried
-    again, and a ConfigError ends it. `durable`: whether the store outlives the process.
-    """
+    again, and a ConfigError ends it. `durable`: whether the store outlives the process."""
 
     def __init__(
         self,

@@ -36,8 +36,7 @@ _SECTORS: Final = 24
 class SelfMeasurement:
     """Collects one frame of each view (camera, viewing direction, period of `look_s`) and measures the labels by them.
 
-    It measures in a thread of its own, or at once on request. The result depends on the frames alone.
-    """
+    It measures in a thread of its own, or at once on request. The result depends on the frames alone."""
 
     def __init__(self, site: Site, geometry: GridGeometry, labels: LabelSet, folder: Path | None) -> None:
         """`folder`: of the fuel map, in which the record is written; None: it is not kept. Raises ModelError,

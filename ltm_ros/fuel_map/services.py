@@ -1,6 +1,5 @@
 """What the node `fuel_map` offers: its parameters, its topics, and its services (query a point, mark a region burned,
-clear a region, write landscapes).
-"""
+clear a region, write landscapes)."""
 
 from __future__ import annotations
 

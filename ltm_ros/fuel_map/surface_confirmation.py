@@ -26,8 +26,7 @@ class SurfaceFollower:
     """Passes each new terrain to `take` once it is loaded; until then, or if that fails, the previous one stays.
 
     The manifest in `folder` (empty: not used) names the version in use; a message only announces a change, so no sender
-    can choose the file.
-    """
+    can choose the file."""
 
     def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:
         self._site, self._take, self._health = site, take, health
@@ -112,8 +111,7 @@ class Confirmation:
     """Makes versions of the confirmed surface in `folder`, if the site uses them.
 
     The frames' stamps alone decide when a version is due, so that a replay makes the same versions. If one cannot be
-    written, the previous version stays in use, and it is tried again.
-    """
+    written, the previous version stays in use, and it is tried again."""
 
     def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
         assert site.terrain is not None  # nosec B101 # tells the type checker what holds

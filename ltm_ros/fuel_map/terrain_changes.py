@@ -40,8 +40,7 @@ class SurfaceListener:
 
     `terrain/change` is compared with the recorded state of the fuel cells, so that a repeated message changes nothing.
     `grid`: of the terrain node, in the map frame. `refuse_future`: raises or counts a stamp that is ahead; True if the
-    message must be rejected.
-    """
+    message must be rejected."""
 
     def __init__(
         self,

@@ -99,8 +99,7 @@ def parse_camera(text: str) -> CameraValues:
 def read_cameras(path: Path) -> tuple[list[CameraValues], list[str]]:
     """Return the cameras of a CSV file, a GeoJSON file or ALERTCalifornia's list, and remarks about those left out.
 
-    Raises ConfigError: not such a file, columns that are missing, values that are not possible.
-    """
+    Raises ConfigError: not such a file, columns that are missing, values that are not possible."""
     text = read_text(path, _LARGEST_LIST, ConfigError, "utf-8-sig")
     rows = list(_features(text, path) if text.lstrip()[:1] in ("{", "[") else _lines(text, path))
     cameras, unplaced = [], 0
@@ -196,8 +195,7 @@ def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], 
     """Return a camera's section of the site file, and remarks. `datum`: of the site.
 
     Raises ConfigError if the datum of its height cannot be compared with the site's, MissingGridError if it cannot be
-    converted.
-    """
+    converted."""
     width, height = (int(part) for part in camera.size.split("x"))
     place: dict[str, Any] = {"lon": camera.lon, "lat": camera.lat}
     remarks: list[str] = []

@@ -40,8 +40,7 @@ class Layer:
         path: file or folder that was written.
         described: resolution, source and year, for the site file and the terminal.
         grid: its cells, in the site's CRS.
-        remarks: what may be wrong with it.
-    """
+        remarks: what may be wrong with it."""
 
     path: Path
     described: str
@@ -71,8 +70,7 @@ def write_dem(
 ) -> Layer:
     """Write the heights over `bounds` (in `crs`) as a DEM. `least`: smallest cell size in metres.
 
-    Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written.
-    """
+    Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written."""
     there = overlapping(tiles, bounds, crs)
     wanted, bounds = bounds, _within(bounds, there, crs)
     size = max(least, site_resolution(there, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE))
@@ -142,8 +140,7 @@ def _above_ground(heights: NDArray[np.float32], ground: NDArray[np.float32], pat
 def write_fuel(folder: Path, data: Fetched, grid: GridGeometry) -> Layer:
     """Write fuel codes and canopy on a grid in the site's CRS, by nearest cell, one file each in a new folder.
 
-    Raises RasterError as `load_prior` does, OSError if a file cannot be written.
-    """
+    Raises RasterError as `load_prior` does, OSError if a file cannot be written."""
     prior = load_prior(_prior_of(data.files).model_copy(update={"own_fbfm13": "as_given"}), grid)
     folder.mkdir()
     bands: dict[str, NDArray[np.int16]] = {prior.system.value: prior.codes}

@@ -2,8 +2,7 @@
 
 Tiles on one grid are joined before they are interpolated, so that there is no seam between them. Heights are bilinear
 between cell centres; GDAL gives rasters that are registered to points the edges of the cells around these points.
-Positions are PROJ's at nodes at most `_LATTICE` metres apart; between the nodes their error is below 2 mm.
-"""
+Positions are PROJ's at nodes at most `_LATTICE` metres apart; between the nodes their error is below 2 mm."""
 
 from __future__ import annotations
 
@@ -90,8 +89,7 @@ def files_of(paths: Iterable[Path]) -> list[Path]:
 def tiles_of(paths: Iterable[Path], datum: Datum | None = None) -> list[Tile]:
     """Read what raster files state about themselves. `datum`: of heights in files that do not state theirs.
 
-    Raises RasterError: not readable, no CRS, or rotated.
-    """
+    Raises RasterError: not readable, no CRS, or rotated."""
     tiles = []
     for path in files_of(paths):
         with open_raster(path) as source:
@@ -170,8 +168,7 @@ def resample(tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, ele
     """Return the heights of tiles on a grid, in the vertical datum of the site; where tiles overlap, of the first one.
 
     `elevation`: whether the values are elevations; else heights above the ground. Raises RasterError: values that are
-    no heights, too many cells, or ellipsoidal heights that PROJ has no grid for.
-    """
+    no heights, too many cells, or ellipsoidal heights that PROJ has no grid for."""
     result = np.full(grid.shape, np.nan, np.float32)
     remarks: list[str] = []
     joined = [_joined(group, grid, elevation, remarks) for group in _groups(tiles)]
@@ -204,8 +201,7 @@ def _groups(tiles: Sequence[Tile]) -> list[list[Tile]]:
 def _joined(group: list[Tile], grid: GridGeometry, elevation: bool, remarks: list[str]) -> tuple[Tile, Float32Array]:
     """Return the part of tiles on one grid that the site's grid needs, as one tile with its heights in metres.
 
-    Where the cells are about half as large as the site's or smaller, blocks of them are averaged.
-    """
+    Where the cells are about half as large as the site's or smaller, blocks of them are averaged."""
     first = group[0]
     step = max(1, int(grid.resolution / first.resolution + 0.1))
     bounds = Transformer.from_crs(grid.crs, first.crs, always_xy=True).transform_bounds(*grid.bounds, densify_pts=21)

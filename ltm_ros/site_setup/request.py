@@ -34,8 +34,7 @@ class Area:
     """A rectangle on the Earth.
 
     Args:
-        bounds_lonlat: west, south, east and north, degrees.
-    """
+        bounds_lonlat: west, south, east and north, degrees."""
 
     bounds_lonlat: tuple[float, float, float, float]
 

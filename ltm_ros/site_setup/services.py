@@ -98,8 +98,7 @@ class OpenTopographySource(WholeFileSource):
 class CoverageSource(WholeFileSource):
     """Coverages of any Web Coverage Service 2.0, cut on their own grid so that nothing is resampled.
 
-    The address has `{layer}` as its coverage; the service's description states CRS, axes and cells.
-    """
+    The address has `{layer}` as its coverage; the service's description states CRS, axes and cells."""
 
     def _planned(self, area: Area) -> Plan:
         parts = []
@@ -204,8 +203,7 @@ class LandfireSource(WholeFileSource):
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
-        An edition is published region by region. Raises NoCoverageError, FetchError.
-        """
+        An edition is published region by region. Raises NoCoverageError, FetchError."""
         before, best, most = self.web.bytes_read, None, 0.0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts[:2]:

@@ -237,8 +237,7 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
     all; a changed site names new files only when they are whole.
 
     `progress`: gets the key of a raster, and the bytes fetched and expected. Raises ConfigError, RasterError,
-    FetchError.
-    """
+    FetchError."""
     wish = plan.wish
     needed = plan.expected_bytes * 3
     if free_bytes(wish.out) < needed:

@@ -56,8 +56,7 @@ def site_text(
 def changed(text: str, layers: Mapping[str, Layer], cameras: Mapping[str, Mapping[str, Any]], place: str) -> str:
     """Return the text of a site file with other rasters and more cameras; the rest stays as the user wrote it.
 
-    Raises ConfigError for a text that is not YAML.
-    """
+    Raises ConfigError for a text that is not YAML."""
     for key, layer in layers.items():
         site = parse_yaml(text, place)
         keys: tuple[str | int, ...] = (key,)

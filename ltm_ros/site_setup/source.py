@@ -65,8 +65,7 @@ class Source:
     def covers(self, area: Area) -> str:
         """Return why the source cannot be used for an area; empty if it can. May query the service.
 
-        Raises FetchError if the service fails.
-        """
+        Raises FetchError if the service fails."""
         width, height = area.size_m
         west, south, east, north = area.bounds_lonlat
         # The cells of web maps shrink towards the poles.
@@ -106,8 +105,7 @@ class Source:
         """Fetch a plan into `folder`; files appear there whole or not at all.
 
         If every cell turns out to be unknown, as beyond a border, the data come from the next source (`Fetched` names
-        it). Raises NoCoverageError, FetchError.
-        """
+        it). Raises NoCoverageError, FetchError."""
         try:
             return self._fetch(plan, folder, progress)
         except NoCoverageError:

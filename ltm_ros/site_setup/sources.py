@@ -40,8 +40,7 @@ def load_sources(own: Path | None = None, web: Web | None = None) -> list[Source
     """Return all sources, preferred ones first.
 
     `own`: a user's file. It has the form of `config/sources.yaml`; keys of a known source replace the shipped ones,
-    and further sources come before the shipped ones. Raises ConfigError.
-    """
+    and further sources come before the shipped ones. Raises ConfigError."""
     path = config_path("sources.yaml")
     entries = dict(read_yaml(path)["sources"])
     if own is not None:
@@ -60,8 +59,7 @@ def choose(kind: Kind, area: Area, wanted: str | None = None, sources: Sequence[
     """Return the first source that delivers a kind of raster for an area; why others were not used is in its plans.
 
     `wanted`: the name of the source to use. Raises ConfigError for an unknown name, NoCoverageError with the reason of
-    each source if none can be used, FetchError if the wanted one fails.
-    """
+    each source if none can be used, FetchError if the wanted one fails."""
     candidates = [source for source in (load_sources() if sources is None else sources) if kind in source.kinds]
     if wanted is not None:
         named = [source for source in candidates if source.name == wanted]

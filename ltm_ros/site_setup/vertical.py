@@ -2,8 +2,7 @@
 
 Every datum is described by the height of its zero surface above the ellipsoid of ITRF2014, so that a conversion is the
 difference of two such heights. NAD83 and ITRF2014 are 0.5 to 1.5 m apart in height; PROJ takes NAD83 and WGS 84 as
-equal unless the way between them is stated, as it is here.
-"""
+equal unless the way between them is stated, as it is here."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ class Datum:
     Args:
         name: for messages, such as NAVD88.
         code: vertical CRS; of ellipsoidal heights the geographic CRS.
-        base: geographic CRS to whose ellipsoid PROJ relates the heights.
-    """
+        base: geographic CRS to whose ellipsoid PROJ relates the heights."""
 
     name: str
     code: str
@@ -109,8 +107,7 @@ def site_datum(stated: Datum | None, lon: float, lat: float) -> Datum | None:
 def correction(given: Datum, wanted: Datum, lon: Float64Array, lat: Float64Array) -> Float64Array:
     """Return the metres to add to heights above `given` to get heights above `wanted`.
 
-    `lon`, `lat`: WGS 84 degrees, any shape. Raises MissingGridError.
-    """
+    `lon`, `lat`: WGS 84 degrees, any shape. Raises MissingGridError."""
     if given == wanted:
         return np.zeros(np.shape(lon))
     area = AreaOfInterest(float(np.min(lon)), float(np.min(lat)), float(np.max(lon)), float(np.max(lat)))

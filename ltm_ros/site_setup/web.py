@@ -96,8 +96,7 @@ class Web:
     Args:
         cache: folder for downloads.
         first_pause_s: pause after the first failed attempt, seconds; it doubles with each further one.
-        timeout_s: time limit for a connection, and for each part of an answer, seconds.
-    """
+        timeout_s: time limit for a connection, and for each part of an answer, seconds."""
 
     def __init__(self, cache: Path | None = None, first_pause_s: float = 1.0, timeout_s: float = 90.0) -> None:
         self.cache = cache_folder() if cache is None else cache

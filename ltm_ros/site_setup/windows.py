@@ -3,8 +3,7 @@
 Only the directory of a file and the blocks of the window are fetched, into a sparse copy that GDAL then reads. Thus
 sizes are known before and exact afterwards, each request is repeated on its own, and an interrupted window continues.
 GDAL's `/vsicurl/` states no sizes before it reads; here a stalled server once held Python's lock in it. An `opener` of
-rasterio would replace the reading of directories and ranges, but an interrupted window would begin again.
-"""
+rasterio would replace the reading of directories and ranges, but an interrupted window would begin again."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ Window = tuple[int, int, int, int]
 def plan_window(remote: Remote, area: Area, name: str, tile: str, web: Web) -> Part | None:
     """Return the window of a file that covers an area, with the bytes of its blocks; None if they do not meet.
 
-    Raises FetchError if the server delivers only whole files, or no GeoTIFF.
-    """
+    Raises FetchError if the server delivers only whole files, or no GeoTIFF."""
     if not remote.ranges:
         raise FetchError(
             f"{redacted(remote.url)}: the server does not deliver parts of files (HTTP ranges); download the file, and "
@@ -91,8 +89,7 @@ def fetch_parts(
     """Fetch windows into `folder`, and return the files, and the parts that they came from.
 
     Finished windows are kept in the cache. A later part of the same tile is fetched only if the former ones have
-    unknown cells. Raises NoCoverageError if every cell is unknown, FetchError.
-    """
+    unknown cells. Raises NoCoverageError if every cell is unknown, FetchError."""
     files, used, done = [], [], 0
     total = sum(part.expected_bytes for part in parts)
     check_room(web.cache, total)
@@ -264,8 +261,7 @@ def write_band(
 ) -> None:
     """Write one band of a raster, or a window of it, as a GeoTIFF that appears whole or not at all.
 
-    Raises FetchError or ConfigError if the disk does not take it.
-    """
+    Raises FetchError or ConfigError if the disk does not take it."""
     from rasterio.io import MemoryFile
 
     if nodata is None and unknown.any():

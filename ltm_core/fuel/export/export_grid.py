@@ -77,8 +77,7 @@ class GridTransfer:
 
 def _height(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
     """Of the ground, out to the edges of the DEM's outer cells: interpolated between the centres of cells, and half a
-    cell beyond the last one is still that cell's.
-    """
+    cell beyond the last one is still that cell's."""
     g = dem.geometry
     inside = (x >= g.x_min) & (x <= g.x_max) & (y >= g.y_min) & (y <= g.y_max)
     half = 0.5001 * g.resolution
@@ -107,8 +106,7 @@ def make_landscape(
         dem: in the map frame of `frame`.
         spare: (H, W) elevations that came with the prior, for cells that the DEM does not reach; moved by the median
             difference to the DEM, and left aside where that is more than 50 m.
-        seen: the canopy that was measured, on the grid of the layers; None: nowhere.
-    """
+        seen: the canopy that was measured, on the grid of the layers; None: nowhere."""
     transfer = GridTransfer(source, source if target is None else target)
     canopy = transfer.layer(_canopy(layers, prior, climate, seen), NODATA)
     codes = transfer.layer(surface_codes(layers, prior, climate, system), NODATA)

@@ -40,8 +40,7 @@ class Landscape:
     degrees; degrees clockwise from grid north, downhill, -1 flat; fuel code; cover %; heights m x 10; kg/m3 x 100.
     `geometry` names its CRS. `filled`: cells whose height the site's terrain does not have, which came from the prior
     map's own elevations; `dropped`: cells with a code, of which no height is known: they have no data in any band.
-    Raises RasterError where the CRS is missing, or shapes disagree.
-    """
+    Raises RasterError where the CRS is missing, or shapes disagree."""
 
     bands: Int16Array
     geometry: GridGeometry
@@ -75,8 +74,7 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Floa
     """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
 
     Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
-    north, FLAT where the ground is level; both are NaN beside unknown heights.
-    """
+    north, FLAT where the ground is level; both are NaN beside unknown heights."""
     from scipy import ndimage
 
     # Sobel's operator is Horn's weights, times 8.
@@ -124,8 +122,7 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClima
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
     their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
-    lacks are the climate's under trees, none elsewhere.
-    """
+    lacks are the climate's under trees, none elsewhere."""
     c = climate.canopy
     new = np.array([c.cover, 10 * c.height, 10 * c.base_height, 100 * c.bulk_density])
     shape = layers.code.shape
@@ -153,8 +150,7 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClim
     Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
     (`ltm_core.fuel.codes`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
-    and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`).
-    """
+    and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`)."""
     own = system_of(prior)
     if system is own:
         return layers.code

@@ -2,8 +2,7 @@
 
 Layout of LCP files (FARSITE, FlamMap): a header of 7316 bytes, then int16 cells, row by row from the north, all bands
 of a cell together; little-endian. The CRS is in a .prj file. Source: FlamMap's file format documentation, and GDAL's
-reader as a check. GDAL's own writer swaps the east edges and writes class lists 32768 too high.
-"""
+reader as a check. GDAL's own writer swaps the east edges and writes class lists 32768 too high."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
     """Write the eight bands, the CRS to a .prj of the same name, and a QGIS style. `description`: of which the header
     takes 511 characters of ASCII. The file appears whole or not at all.
 
-    Raises ConfigError where it cannot be written.
-    """
+    Raises ConfigError where it cannot be written."""
     path = Path(path)
     cells = np.ascontiguousarray(np.moveaxis(landscape.bands, 0, -1), "<i2")
     with written_whole(path) as partial:
@@ -109,8 +107,7 @@ _LAYER_UNITS: Final[Mapping[str, str]] = {
 def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
     """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it.
 
-    Raises RasterError for a landscape that they would reject, ConfigError where it cannot be written.
-    """
+    Raises RasterError for a landscape that they would reject, ConfigError where it cannot be written."""
     path = Path(path)
     cells = landscape.geometry.width * landscape.geometry.height
     if cells >= MOST_CELLS:
@@ -137,8 +134,7 @@ def _gaps(landscape: Landscape) -> str:
 def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
     """Write the rasters that ELMFIRE's inputs name: adjustment factors of 1 and nothing burning besides.
 
-    Raises ConfigError where the folder cannot be made.
-    """
+    Raises ConfigError where the folder cannot be made."""
     folder = Path(folder)
     make_folder(folder)
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
@@ -183,8 +179,7 @@ def write_layers(
     """Write every layer as a Cloud Optimized GeoTIFF with its name, with its unit and a QGIS style; `palette`: of life
     forms.
 
-    Raises ConfigError where it cannot be written.
-    """
+    Raises ConfigError where it cannot be written."""
     make_folder(folder)
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
     for name, layer in {**vars(layers), "changed": layers.changed}.items():
@@ -214,8 +209,7 @@ def write_cog(
 ) -> None:
     """Write a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
 
-    Raises ConfigError where it cannot be written.
-    """
+    Raises ConfigError where it cannot be written."""
     from rasterio.io import MemoryFile
     from rasterio.shutil import copy
 

@@ -22,8 +22,7 @@ class Provenance:
     """`as_of`: ISO 8601 UTC of the newest frame that had a say, or of the moment asked for; NOTHING_SEEN where no frame
     had, WITHOUT_DATES of a map that does not tell. `seen`, `changed`: shares of the cells with a code; None where it is
     not known. `prior_version`: LANDFIRE's where its name tells it, and a digest of the codes on the fuel grid.
-    `terrain`, `surface`: notes about heights, empty for the site's own.
-    """
+    `terrain`, `surface`: notes about heights, empty for the site's own."""
 
     site: str
     as_of: str

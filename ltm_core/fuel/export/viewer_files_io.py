@@ -28,8 +28,7 @@ def write_kmz(
     outside; `legend` (h, w, 3) is fixed in the screen's corner; `made`: the description shown by the viewer, and its
     time.
 
-    Raises ConfigError where it cannot be written.
-    """
+    Raises ConfigError where it cannot be written."""
     from PIL import Image
     from rasterio.transform import array_bounds
     from rasterio.warp import Resampling, calculate_default_transform, reproject

@@ -74,8 +74,7 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
 
     Columns (any case, `_COLUMNS`): id; x, y in the frame's CRS, or lon, lat in degrees; z; u (column) and v (row).
     `first_pixel`: the number of the first pixel's centre in the file: 0 here and in OpenCV, 1 in Matlab, 0.5 where
-    pixels are counted by their corners. Raises PoseError naming file, line and column.
-    """
+    pixels are counted by their corners. Raises PoseError naming file, line and column."""
     names, values = read_point_rows(path, frame, first_pixel)
     return ControlPoints(names, values[:, :3], values[:, 3:5])
 
