@@ -1,4 +1,4 @@
-"""Write and parse numbers and UTC times."""
+"""Write numbers for people, and convert UTC times."""
 
 from __future__ import annotations
 

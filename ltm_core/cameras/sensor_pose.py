@@ -4,9 +4,8 @@ Attitude of devices that carry a camera: from their own axes and worlds to the a
 
 A device tells how its axes lie in a world of its own. `ENU_FROM_*` take each of these worlds to east, north, up of the
 device's own north (true or magnetic); `phone_camera` says how a phone's back camera is mounted. Sources: Android's
-SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), and the axes
-of a phone that both share: x to the right of the screen, y to its top, z out
-of it towards the person."""
+SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), and the axes of a phone that
+both share: x to the right of the screen, y to its top, z out of it towards the person."""
 
 from __future__ import annotations
 

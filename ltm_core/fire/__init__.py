@@ -1,1 +1,1 @@
-"""Fire spread over a landscape before and after an update of its map: scenario, spread model, ensemble."""
+"""Fire spread over a landscape before and after an update of its map: scenario and spread model."""

@@ -80,8 +80,8 @@ class LabelErrors:
     """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
     form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
     `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
-    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: factor of the log
-    odds of a cell that only one view has seen, because the network may err alike over a whole slope."""
+    residual errors. `state`: what they were measured on, NEVER for nothing. `one_view`: factor of the log odds of a
+    cell that only one view has seen, because the network may err alike over a whole slope."""
 
     shares: Float64Array
     correlation: LabelCorrelation

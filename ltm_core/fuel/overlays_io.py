@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.number_text import stamp_of_moment
+from ltm_core.base.number_text import counted, stamp_of_moment
 from ltm_core.base.types import BoolArray, Float32Array, Int16Array, Int64Array
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import BarrierConfig
@@ -176,7 +176,7 @@ def _turned(coordinates: Any, turn: Transformer, place: str, least: int) -> list
     """Return the points of a line or ring of at least `least` points in the grid's CRS."""
     points = np.asarray([point[:2] for point in coordinates], np.float64)
     if len(points) < least:
-        raise ConfigError(f"{place}: {len(points)} points; a ring has at least four, the last equal to the first")
+        raise ConfigError(f"{place}: {counted(len(points), 'point')}; a line has two or more, a closed ring four")
     if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
         raise ConfigError(f"{place}: points must be [longitude, latitude] in degrees")
     x, y = turn.transform(points[:, 0], points[:, 1])

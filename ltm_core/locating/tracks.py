@@ -110,8 +110,7 @@ class Tracks:
     _next: int = 1
 
     def add(self, seen: SeenAt) -> tuple[Track, Location]:
-        """Add a sighting. Return its track and its own location. Raises as `Locator.locate`; nothing
-        changes then."""
+        """Add a sighting. Return its track and its own location. Raises as `Locator.locate`; nothing changes then."""
         alone = self.locator.locate([seen.sighting], self.smoke)
         self.expire(seen.stamp_ns)
         best: tuple[float, Track, Location] | None = None

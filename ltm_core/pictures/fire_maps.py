@@ -76,8 +76,8 @@ def terrain_of(landscape: Landscape) -> Dem:
 
 
 def fire_sheet(effect: FireEffect, landscape: Landscape, scenario: FireScenario, heading: str = "") -> RgbImage:
-    """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble,
-    each with the ignition and an arrow in the wind's direction; cells whose fuel or canopy has changed are outlined."""
+    """Return the arrival and flame length before and after, and their differences, each with the ignition and an arrow
+    in the wind's direction; cells whose fuel or canopy has changed are outlined."""
     canvas = _FireCanvas.of(effect, landscape, scenario)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)

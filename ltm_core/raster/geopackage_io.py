@@ -19,7 +19,7 @@ from pyproj.exceptions import CRSError
 
 from ltm_core.base.errors import RasterError
 
-MOST_FEATURES: Final = 1_000_000
+MOST_POINTS: Final = 100_000
 _ENVELOPE: Final = {0: 0, 1: 32, 2: 48, 3: 48, 4: 64}
 """Size in bytes of the header's envelope by its kind."""
 
@@ -47,7 +47,9 @@ def _points(database: sqlite3.Connection, path: Path) -> tuple[list[dict[str, An
     quoted = (f'"{str(word).replace(chr(34), 2 * chr(34))}"' for word in (column, table))
     rows = database.execute("SELECT {}, * FROM {}".format(*quoted))
     names = [str(entry[0]).lower().replace(" ", "_") for entry in rows.description[1:]]
-    for blob, *values in rows.fetchmany(MOST_FEATURES):
+    for blob, *values in rows:
+        if len(found) == MOST_POINTS:
+            raise RasterError(f"{path}: more than {MOST_POINTS:,} points; write fewer")
         x, y = _point(blob)
         found.append(dict(zip(names, values, strict=True)) | {"x": x, "y": y})
     return found, _crs(database, path, number)

@@ -173,6 +173,7 @@ def edited(text: str, keys: Sequence[str | int], value: object, place: str, note
     behind = lines[last.line][last.column :].strip() if last.line < len(lines) else ""
     if behind.startswith("#") and (way or (isinstance(value, list) and content in value)):
         block[0] = f"{block[0].rstrip()}   {behind}\n"
+    block[0] = lines[begin][:indent] + block[0][indent:]  # a first key stays behind its item's dash
     return "".join([*lines[:begin], *block, *lines[end:]])
 
 
@@ -213,9 +214,10 @@ def _end(lines: list[str], node: yaml.Node) -> int:
 
 def _block(key: str | int, value: object, indent: int, note: str = "") -> list[str]:
     """Return the lines of a key, or of a list's item, with its value and a comment behind the last."""
-    content = {key: value} if isinstance(key, str) else [value]
+    item = isinstance(key, int)
+    content = [value, {}] if item else {key: value}  # with a second item, no list is written in brackets
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=110, allow_unicode=True)
-    lines = [" " * indent + line + "\n" for line in text.splitlines()]
+    lines = [" " * indent + line + "\n" for line in text.splitlines()[: -1 if item else None]]
     if note:
         lines[-1] = f"{lines[-1].rstrip()}  # {' '.join(note.split())}\n"
     return lines

@@ -1,4 +1,4 @@
-"""Measure which points cameras see, and the ground that a pixel covers."""
+"""Project map points into an image and test whether terrain hides them."""
 
 from __future__ import annotations
 

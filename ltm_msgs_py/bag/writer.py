@@ -94,10 +94,13 @@ class BagWriter:
 
         `overwrite`: first delete a bag that is there, if the folder holds nothing else."""
         if overwrite and is_folder(path):
-            files = list(path.iterdir())
-            if all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in files):
-                for file in files:
-                    file.unlink()
+            try:
+                files = list(path.iterdir())
+                if all(f.is_file() and (f.name == "metadata.yaml" or f.suffix == ".mcap") for f in files):
+                    for file in files:
+                        file.unlink()
+            except OSError as error:
+                raise RecordingError(f"cannot replace the bag {path}: {error}") from error
         _require_absent(path)
         require_folder(path, "a bag")
 

@@ -2,7 +2,7 @@
 
 Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
-form (`mount_search`), least squares in the image, as in `resection`."""
+form (`mount_verdict.closed_forms`), least squares in the image, as in `resection`."""
 
 from __future__ import annotations
 

@@ -152,8 +152,8 @@ def closed_forms(
 
 
 def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
-    """Return the median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those
-    within reach."""
+    """Return the rotation of the mount with the least median angle: from a pair of landmarks, then from all that fit
+    this; None if all lean too far."""
     pairs = list(itertools.combinations(range(len(sights)), 2))
     pairs = [pairs[k] for k in np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]
     best: tuple[float, Float64Array] | None = None

@@ -12,10 +12,7 @@ from ltm_ros.cli.output import JsonFile
 
 def areas(
     photos: Annotated[Path, typer.Argument(help="Folder of the listed photos ID.jpg (landscape_photos.csv).")],
-    model: Annotated[
-        list[str] | None,
-        typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
-    ] = None,
+    networks: Annotated[str, typer.Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
     role: Annotated[str, typer.Option(help="Which photos: train, validate or test.")] = "test",
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     json_path: JsonFile = None,
@@ -33,14 +30,15 @@ def areas(
     from ltm_core.base.errors import ConfigError
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.cli.eval.score_table import names_in, print_table
     from ltm_lab.evaluation.segmentation.area_score import ROLES, AreaScore, answers_of, area_score, listed_photos
     from ltm_ros.pages import write_figures
 
     if role not in ROLES:
         raise ConfigError(f"--role {role}: expected one of {', '.join(ROLES)}")
     listed = listed_photos(role)
-    answers = {name: answers_of(Segmenter.open(name, threads), listed, photos) for name in model or [DEFAULT_MODEL]}
+    chosen = names_in(networks) or [DEFAULT_MODEL]
+    answers = {name: answers_of(Segmenter.open(name, threads), listed, photos) for name in chosen}
     result: dict[str, dict[str, object]] = {}
     for name, said in answers.items():
         kinds = ["all", *sorted({a.kind for a in said})]

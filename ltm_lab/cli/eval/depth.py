@@ -47,9 +47,7 @@ def depth(
             "bags/demo."
         ),
     ] = None,
-    networks: Annotated[
-        str, typer.Option(help="Depth networks to compare, separated by commas.")
-    ] = "landscape_v2_depth",
+    networks: Annotated[str, typer.Option(help="Depth networks, separated by commas; default: the shipped one.")] = "",
     depth_maps: Annotated[
         Path | None, typer.Option(help="Folder of depth maps CAMERA/STAMP_NS.npy instead of a network.")
     ] = None,
@@ -84,8 +82,9 @@ def depth(
     from ltm_core.raster.dem import Dem
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.cli.eval.score_table import names_in, print_table
     from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
     from ltm_lab.evaluation.depth.scenes import open_scene
@@ -96,7 +95,7 @@ def depth(
     place = source if source is not None else project_path("bags/demo/recording")
     scene = open_scene(place, site, date)
     over = None if surface is None else with_surface(scene.dem, Dem.open(surface).in_frame(scene.frame))
-    names = [] if depth_maps is not None else dict.fromkeys(name.strip() for name in networks.split(","))
+    names = [] if depth_maps is not None else names_in(networks) or [DEFAULT_DEPTH_MODEL]
     opened = {name: DepthNetwork.open(name) for name in names}
     segmenter = Segmenter.open(segmentation or scene.model) if labels is Labels.model else None
     errors = dict.fromkeys([0.0, *_numbers(pose_error)])

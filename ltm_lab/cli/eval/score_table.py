@@ -1,4 +1,4 @@
-"""Prints tables of scores."""
+"""Read lists of names, and print tables of scores."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from collections.abc import Iterable, Sequence
 
 from rich.console import Console
 from rich.table import Table
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names in a text that separates them by commas, each once."""
+    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
 def print_table(

@@ -63,6 +63,7 @@ def segmentation(
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
+    from ltm_lab.cli.eval.score_table import names_in
     from ltm_lab.cli.eval.segmentation_tables import print_confusion, print_scores
     from ltm_lab.evaluation.segmentation.network_score import score_frames
     from ltm_ros.pages import write_figures
@@ -76,13 +77,14 @@ def segmentation(
         )
     console = Console()
     heads = [SHIPPED_LABEL_HEAD, *(head or [])]
-    segmenters = [Segmenter.open(name, threads, head=h) for name in _names(networks) or [DEFAULT_MODEL] for h in heads]
+    models = names_in(networks) or [DEFAULT_MODEL]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in models for h in heads]
     chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
     for s in segmenters:
         s.withdraw_otherwise = {k: v for k, v in chosen.items() if v is not None}
     labels = segmenters[0].labels
-    counted = tuple(labels.id_of(name) for name in _names(macro))
-    left_out = [labels.id_of(name) for name in _names(ignore)]
+    counted = tuple(labels.id_of(name) for name in names_in(macro))
+    left_out = [labels.id_of(name) for name in names_in(ignore)]
     conditions = {
         "machine": platform.machine(),
         "cores": os.cpu_count(),
@@ -111,10 +113,6 @@ def segmentation(
         result[path.resolve().name] = {name: score.summary(labels.names) for name, score in scores.items()}
     if json_path is not None:
         write_figures(json_path, result)
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _holds_frames(folder: Path) -> bool:

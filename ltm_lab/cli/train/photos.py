@@ -36,7 +36,8 @@ def photos(
 ) -> None:
     """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth.
 
-    Of landscape_photos.csv, write the areas that people drew, into the sets `areas_train` and `areas_validate`.
+    Of a CSV such as landscape_photos.csv, write the areas that people drew (landscape_areas.json beside it) into the
+    sets `areas_train` and `areas_validate`.
     """
     import cv2
     import numpy as np
@@ -51,7 +52,7 @@ def photos(
     from ltm_lab.training.photo_sets import PhotoSets, teach
 
     if config.suffix == ".csv":
-        _write_areas(images, out)
+        _write_areas(config, images, out)
         return
     sets = load_yaml(config, PhotoSets)
     sky, scene = Segmenter.open(sky_model, threads), Segmenter.open(scene_model, threads)
@@ -85,7 +86,7 @@ def _write(base: Path, photo: UInt8Array, labels: UInt8Array) -> None:
     cv2.imwrite(f"{base}_labels.png", labels)
 
 
-def _write_areas(images: Path, out: Path) -> None:
+def _write_areas(table: Path, images: Path, out: Path) -> None:
     import cv2
     import numpy as np
 
@@ -94,7 +95,7 @@ def _write_areas(images: Path, out: Path) -> None:
     from ltm_lab.evaluation.segmentation.area_score import listed_photos
 
     for role in ("train", "validate"):
-        for photo in listed_photos(role):
+        for photo in listed_photos(role, table):
             image = scene_of(photo.read(images))
             scale = min(1.0, _AREAS_WIDTH / image.shape[1])
             image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)

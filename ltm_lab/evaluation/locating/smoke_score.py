@@ -202,8 +202,8 @@ def _scored(
 @dataclass(frozen=True)
 class SmokeSummary:
     """Smoke trials of one kind. Shares are of all trials, those without an answer count as misses; errors are medians
-    of those with one, and `error_p90` the 90th percentile. `suspected`: share of the turned cameras that
-    were the most suspicious one. NaN of none.
+    of those with one, and `error_p90` the 90th percentile. `suspected`: share of the turned cameras that were
+    the most suspicious one. NaN of none.
     """
 
     count: int

@@ -51,13 +51,13 @@ class ListedPhoto:
         return area
 
 
-def listed_photos(role: str) -> list[ListedPhoto]:
-    """Return the listed photos of a role, in order of id."""
+def listed_photos(role: str, table: Path = lab_config("training/landscape_photos.csv")) -> list[ListedPhoto]:
+    """Return the photos of a role in a table, in order; the file landscape_areas.json beside it has their areas."""
     ids = {label.name.lower(): int(label) for label in Label} | {"land": LAND}
     areas: dict[str, list[tuple[int, tuple[tuple[float, float], ...]]]] = {}
-    for area in json.loads(lab_config("training/landscape_areas.json").read_text(encoding="utf-8")):
+    for area in json.loads(table.with_name("landscape_areas.json").read_text(encoding="utf-8")):
         areas.setdefault(area["photo"], []).append((ids[area["class"]], tuple((u, v) for u, v in area["polygon"])))
-    with lab_config("training/landscape_photos.csv").open(encoding="utf-8", newline="") as file:
+    with table.open(encoding="utf-8", newline="") as file:
         return [
             ListedPhoto(row["id"], row["kind"], row["role"], tuple(areas[row["id"]]))
             for row in csv.DictReader(file)

@@ -42,35 +42,8 @@ def test_a_turned_camera_is_disputed_and_does_not_move_the_track() -> None:
     assert turned is not fire
     assert turned.disputed == fire.disputed == {"a", "b", "c"}
     assert fire.location.posterior.mean == before
-    verdict = tracks.fires.verdict
-    assert (verdict.wrong, verdict.fires) == ("c", 1)
-    assert np.degrees(verdict.turn) == pytest.approx(2.0, abs=0.3)
-    # What the next fire's cameras agree about is of another fire, and no camera is told for it.
-    other, _, wrong = tracks.add(seen("b", OTHER, 3))
-    assert (other.fire, wrong) == (3, None)
-
-
-def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
-    tracks = Tracks(Locator(hills(), 0.0))
-    shared, _, _ = tracks.add(seen("a", FIRE, 0))
-    tracks.add(seen("b", FIRE, 1))
-    alone = tracks.tracks[0].location.posterior.mean
-    turned, _, wrong = tracks.add(seen("c", FIRE, 2, turned_deg=2.0))
-    assert wrong == "c"
-    assert not tracks.forget("d")
-    assert tracks.forget("c")
-    assert (tracks.fires.verdict.wrong, shared.wrong, turned.wrong) == (None, None, None)
-    assert shared.location.posterior.mean == alone
-    stays = turned.location
-    # From the mount as it is fitted now: with the marks of the others, and not with its own of before.
-    joined, _, wrong = tracks.add(seen("c", FIRE, 3))
-    assert (joined, wrong) == (shared, None)
-    assert turned.location is stays
-    assert tracks.forget("a")
-    assert shared.cameras == ["b", "c"]
-    assert shared.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
-    assert tracks.fires.verdict.fires == 0
-    assert not tracks.forget("a")
+    other, _ = tracks.add(seen("b", OTHER, 3))
+    assert not other.disputed
 
 
 def pose(azimuth_deg: float) -> Pose:
@@ -96,24 +69,3 @@ def test_the_pose_of_the_stamp_itself_or_the_last_before_it() -> None:
     assert azimuth(poses.at(1399, 99)) == 13.0
     assert poses.at(1399, 98) is None
     assert poses.at(999, 10_000) is None
-
-
-def test_what_a_turned_camera_kept_apart_is_one_track_once_it_is_named() -> None:
-    """`a` is turned and marks first; with it one right camera agrees by chance, and the other one no more."""
-    tracks = Tracks(Locator(hills(), 0.0))
-    valley = np.array([-100.0, 2100.0, 0.0])
-    tracks.add(seen("a", valley, 0, turned_deg=0.6))
-    tracks.add(seen("b", valley, 1))
-    tracks.add(seen("c", valley, 2))
-    assert [track.cameras for track in tracks.tracks] == [["a", "b"], ["c"]]
-    assert tracks.fires.verdict.wrong is None
-    tracks.fires.lost.add("a")  # as its pictures say
-    assert tracks.rename().wrong == "a"
-    by_number = sorted(tracks.tracks, key=lambda track: track.number)
-    assert [(track.number, {*track.cameras}) for track in by_number] == [(1, {"b", "c"}), (2, {"a"})]
-    (whole,) = (track for track in tracks.tracks if "b" in track.cameras)
-    assert whole.location.posterior.mean == pytest.approx(tuple(valley[:2]), abs=20)
-    assert tracks.rename().wrong == "a"
-    assert len(tracks.tracks) == 2
-    again, _, _ = tracks.add(seen("c", valley, 4))
-    assert again is whole

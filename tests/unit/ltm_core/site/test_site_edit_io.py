@@ -128,3 +128,14 @@ cameras: {}
 )
 def test_an_item_of_a_list_is_replaced_or_added_with_a_comment(text: str, item: int, expected: str) -> None:
     assert edited(text, ("dem", item), {"path": "c.tif"}, "x", "new") == expected
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "expected"),
+    [
+        (("dem", 1), "c.tif", LISTED.replace("path: b.tif", "c.tif")),
+        (("dem", 0, "path"), "c.tif", LISTED.replace("a.tif  # lidar", "c.tif")),
+    ],
+)
+def test_an_item_keeps_its_dash(keys: tuple[str | int, ...], value: object, expected: str) -> None:
+    assert edited(LISTED, keys, value, "x") == expected

@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import csv
+import json
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from ltm_core.label_heads.labelled_frames import LAND
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_lab.cli import main
 from ltm_lab.evaluation.segmentation.area_score import ROLES, Answer, area_score, listed_photos
 from ltm_lab.resources import lab_config
 
@@ -53,3 +58,17 @@ def test_every_photo_counts_by_the_share_of_its_areas() -> None:
     assert score.unlabelled == pytest.approx(0.01 / 0.4)
     assert score.tree_as_shrub == 0.5
     assert score.land_as_sky_or_water == pytest.approx(0.05 / 0.4)
+
+
+def test_the_areas_of_a_list_become_labels_to_train_on(tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("id,kind,role\n7,alps,train\n8,alps,test\n")
+    areas = [{"photo": photo, "class": "sky", "polygon": [[0, 0], [1, 0], [1, 0.5], [0, 0.5]]} for photo in "78"]
+    (tmp_path / "landscape_areas.json").write_text(json.dumps(areas))
+    cv2.imwrite(str(tmp_path / "7.jpg"), np.random.default_rng(1).integers(0, 255, (60, 80, 3), np.uint8))
+    command = ["train", "photos", str(tmp_path / "mine.csv"), "--images", str(tmp_path), "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(main.cli, command)
+    assert result.exit_code == 0, result.output
+    labels = cv2.imread(str(next((tmp_path / "o").rglob("7_labels.png"))), cv2.IMREAD_UNCHANGED)
+    assert {path.parent.name for path in (tmp_path / "o").rglob("*_labels.png")} == {"areas_train"}
+    assert (labels[:29] == Label.SKY).all()
+    assert (labels[31:] == UNKNOWN).all()

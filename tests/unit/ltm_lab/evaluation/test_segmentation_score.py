@@ -36,7 +36,7 @@ def test_scores_of_two_networks_are_those_of_their_answers(tmp_path: Path) -> No
     right = write_classifier(tmp_path, stride=1)
     blind = changed(right, name="blind", mapping={"blue": "sky"}).rename(tmp_path / "blind.yaml")
     right = write_classifier(tmp_path, stride=1)
-    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--model", str(right), "--model", str(blind)]
+    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--networks", f"{right},{blind}"]
     result = CliRunner().invoke(main.cli, [*arguments, "--json", str(tmp_path / "s.json")], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     assert "skyline, median px of 512" in result.output

@@ -208,12 +208,14 @@ def test_a_repair_keeps_the_chunks_after_a_corrupt_one(tmp_path: Path, compressi
 
 
 def test_a_bag_is_replaced_on_request_but_nothing_beside_it(tmp_path: Path) -> None:
-    for name in ("alone", "shared"):
+    for name in ("alone", "notes", "folder"):
         with BagWriter(tmp_path / name) as writer:
             writer.write("/a", String(data="old"), 1)
-    (tmp_path / "shared" / "notes.txt").write_text("kept")
+    (tmp_path / "notes" / "notes.txt").write_text("kept")
+    (tmp_path / "folder" / "kept.mcap").mkdir()
     BagWriter.require_free(tmp_path / "alone", overwrite=True)
     assert list((tmp_path / "alone").iterdir()) == []
-    with pytest.raises(RecordingError):
-        BagWriter.require_free(tmp_path / "shared", overwrite=True)
-    assert BagReader(tmp_path / "shared").topic_infos()["/a"].message_count == 1
+    for name in ("notes", "folder"):
+        with pytest.raises(RecordingError):
+            BagWriter.require_free(tmp_path / name, overwrite=True)
+        assert (tmp_path / name / "metadata.yaml").is_file()
