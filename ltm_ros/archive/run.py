@@ -267,7 +267,7 @@ def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
 
 def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
     if not planned.options.terrain:
-        return "not computed: this part has no terrain results for the fuel map"
+        return "not computed: without --terrain"
     return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 

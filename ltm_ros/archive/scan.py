@@ -88,7 +88,7 @@ def photo_messages(listed: StoredFile, photos: Sequence[StoredFile], site: Site)
 def _messages(
     photo: StoredFile, row: PhotoPose, camera: str, site: Site, around: Surroundings
 ) -> Iterator[PlacedMessage]:
-    from rclpy.serialization import serialize_message  # loaded late for workers that read no folder
+    from rclpy.serialization import serialize_message  # loaded late: bags need no ROS
 
     if photo.size_bytes > LARGEST_FILE:
         raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; the maximum is {LARGEST_FILE >> 20} MiB")

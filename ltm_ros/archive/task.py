@@ -71,13 +71,10 @@ class TaskEvidence:
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Run the missing steps. Raises ArchiveError if this worker's program or files differ from those of the run,
-    OSError if results cannot be read or written now."""
-    if (own := code_digest()) != settings.code:
-        raise ArchiveError(
-            f"this worker's program has the digest {own}, the run's is {settings.code}: install the same version "
-            "on all workers"
-        )
+    """Run the missing steps. Raises ArchiveError if the program or the site's files have changed during the run, OSError
+    if results cannot be read or written now."""
+    if code_digest() != settings.code:
+        raise ArchiveError("the program has changed during the run; run again")
     results = ResultFolder(settings.results)
     votes, evidence = votes_name(task), evidence_name(task)
     done = results.has(evidence)
