@@ -71,8 +71,8 @@ class TaskEvidence:
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Run the missing steps. Raises ArchiveError if the program or the site's files have changed during the run, OSError
-    if results cannot be read or written now."""
+    """Run the missing steps. Raises ArchiveError if the program or the site's files have changed since the plan,
+    OSError if results cannot be read or written now."""
     if code_digest() != settings.code:
         raise ArchiveError("the program has changed during the run; run again")
     results = ResultFolder(settings.results)
