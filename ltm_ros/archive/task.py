@@ -188,7 +188,11 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
 
         def start(number: int, task: Task | None) -> None:
             if task is not None:
-                at_work[workers[number].submit(job or work, task, settings)] = number, task
+                try:
+                    at_work[workers[number].submit(job or work, task, settings)] = number, task
+                except BrokenProcessPool:  # it died after its last task
+                    workers[number] = _worker(count)
+                    start(number, task)
 
         try:
             for number in range(len(workers)):
