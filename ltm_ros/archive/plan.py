@@ -32,7 +32,7 @@ class TaskSettings:
     measured, None where they are not."""
 
     site: str
-    results: str
+    results: Path
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig

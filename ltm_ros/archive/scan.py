@@ -192,7 +192,7 @@ class Scan:
             yield message
 
 
-def recordings(archives: Sequence[str]) -> list[Recording]:
+def recordings(archives: Sequence[Path]) -> list[Recording]:
     """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth; each once, by
     name.
 
@@ -200,7 +200,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     found: dict[str, Recording] = {}
     for archive in archives:
         below = files_below(archive)
-        alone = len(below) == 1 and below[0].name.rpartition("/")[2] == archive.rpartition("/")[2]
+        alone = archive.expanduser().is_file()
         bags = (file for file in below if is_bag_file(file.name) or (alone and not is_pose_list(file.name)))
         inside = [Recording((file,)) for file in bags]
         for listed in (file for file in below if is_pose_list(file.name)):

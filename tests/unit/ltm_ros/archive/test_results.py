@@ -28,7 +28,7 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
         sync(file)
 
     monkeypatch.setattr(os, "fsync", watched)
-    results = ResultFolder(str(tmp_path))
+    results = ResultFolder(tmp_path)
     results.write("votes/a.parquet", b"content")
     assert synced == [(False, 7)]
     assert results.names("votes") == {"a.parquet"}
@@ -37,14 +37,14 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
     """Somebody has put one beside the layers; they are what is removed when a later run has not written them."""
-    results = ResultFolder(str(tmp_path))
+    results = ResultFolder(tmp_path)
     results.write("layers/code.tif", b"content")
     results.write("layers/mine/notes.txt", b"content")
     assert results.names("layers") == {"code.tif"}
     assert results.names("nothing") == set()
 
 
-SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
+SETTINGS = TaskSettings("site.yaml", Path("out"), "code", TracingConfig(), LabellingConfig())
 
 
 def task(number: int) -> Task:
