@@ -43,14 +43,14 @@ def measure_speedup(bag: Path, site: Path, folder: Path, days: int, say: Callabl
     """Measure a recording that is repeated on `days` days, in an empty `folder`. Raises ArchiveError for few days."""
     say(f"writing {days} days")
     days_bag = write_days(bag, folder / "days", days)
-    options = ArchiveOptions((days_bag,), site, str(folder / "serial"))
+    options = ArchiveOptions((days_bag,), site, folder / "serial")
     planned = look_through(options, quiet)
     if len(planned.tasks) < 4 * _WARM_UP + 2:
         raise ArchiveError(f"{days} days make {len(planned.tasks)} tasks, too few for two processes; give more days")
     say(f"{len(planned.tasks)} tasks, one process")
     alone = WorkedPlan(planned, serial)
     say("two processes")
-    both = WorkedPlan(look_through(replace(options, out=str(folder / "apart")), quiet), on_workers(2, timed_work))
+    both = WorkedPlan(look_through(replace(options, out=folder / "apart"), quiet), on_workers(2, timed_work))
     return Speedup(
         len(planned.tasks),
         max(len(task.frames) for task in planned.tasks),

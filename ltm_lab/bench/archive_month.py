@@ -65,13 +65,13 @@ class MonthResult:
 def measure_month(folder: Path, days: int, say: Callable[[str], None], seed: int) -> MonthResult:
     """Draw the month of a seed in an empty `folder` and reprocess it."""
     month = write_month(folder, say, days, seed)
-    options = ArchiveOptions(month.bags, month.site, str(folder / "all"))
+    options = ArchiveOptions(month.bags, month.site, folder / "all")
     runs = []
     for name, one, engine in (
         ("one process, a camera's day per task", options, serial),
         (
             "two processes, 10 frames per task",
-            replace(options, out=str(folder / "two"), frames_per_task=10),
+            replace(options, out=folder / "two", frames_per_task=10),
             on_workers(2),
         ),
     ):
@@ -84,7 +84,7 @@ def measure_month(folder: Path, days: int, say: Callable[[str], None], seed: int
     run(look_through(options, quiet), serial, quiet)
     codes, seen, changed = _codes(month, folder / "all" / STORE_FILE)
     say(f"a sample of {SAMPLE}")
-    planned = look_through(replace(options, out=str(folder / "sample"), sample=Sample.parsed(SAMPLE)), quiet)
+    planned = look_through(replace(options, out=folder / "sample", sample=Sample.parsed(SAMPLE)), quiet)
     run(planned, serial, quiet)
     sampled, _, sample_changed = _codes(month, folder / "sample" / STORE_FILE)
     felled = month.felled & seen

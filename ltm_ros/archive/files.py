@@ -20,9 +20,9 @@ class StoredFile:
     version: str
 
 
-def files_below(archive: str) -> list[StoredFile]:
+def files_below(archive: Path) -> list[StoredFile]:
     """Return a file, or the files in a folder at any depth, by name; none if nothing exists. Raises OSError."""
-    path = Path(archive).expanduser().resolve()
+    path = archive.expanduser().resolve()
     return [_on_disk(p) for p in ([path] if path.is_file() else _files_in(path))]
 
 
@@ -58,8 +58,8 @@ def _on_disk(path: Path) -> StoredFile:
 class ResultFolder:
     """Files by their names below a folder. Raises OSError if they cannot be read or written now."""
 
-    def __init__(self, folder: str) -> None:
-        self.folder = Path(folder).expanduser().resolve()
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.expanduser().resolve()
 
     def names(self, folder: str) -> set[str]:
         """Return the names of the files in a folder below."""

@@ -207,7 +207,7 @@ def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iter
 
 
 def steps_of(task: Task, settings: TaskSettings, measure: bool) -> FrameSteps:
-    """Create the steps of a task. Raises ArchiveError if this worker's files differ from those of the run."""
+    """Create the steps of a task. Raises ArchiveError if the site's files have changed during the run."""
     fusing = settings.fusing if measure else None
     camera = task.frames[0].camera
     return _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key, fusing, task.fusing_key)

@@ -28,11 +28,11 @@ VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: a folder;
-    `fusing`: how frames are measured, None where they are not."""
+    """What all tasks of a run share. `site`: path of the site file; `results`: a folder; `fusing`: how frames are
+    measured, None where they are not."""
 
     site: str
-    results: str
+    results: Path
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
@@ -120,9 +120,7 @@ def evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns
 
 
 def other_files(site: str) -> ArchiveError:
-    return ArchiveError(
-        f"{site}, or a file that it names, differs from that of the run; give all workers the same files"
-    )
+    return ArchiveError(f"{site}, or a file that it names, has changed during the run; run again")
 
 
 @dataclass(frozen=True)

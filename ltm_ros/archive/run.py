@@ -56,9 +56,9 @@ class ArchiveOptions:
     lost before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times. `terrain`: also
     compute the terrain, and apply its changes to the fuel map."""
 
-    archives: tuple[str | Path, ...]
+    archives: tuple[Path, ...]
     site: Path
-    out: str
+    out: Path
     cameras: tuple[str, ...] = ()
     since_ns: int | None = None
     until_ns: int | None = None
@@ -116,7 +116,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
     results = ResultFolder(options.out)
-    found = recordings([str(archive) for archive in options.archives])
+    found = recordings(options.archives)
     scans, unread = [], []
     for number, recording in enumerate(found, start=1):
         try:
@@ -135,7 +135,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results)
     settings = TaskSettings(
         str(options.site.resolve()),
-        str(results.folder),
+        results.folder,
         code_digest(),
         rules.tracing,
         rules.labelling,
@@ -267,7 +267,7 @@ def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
 
 def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
     if not planned.options.terrain:
-        return "not computed: this part has no terrain results for the fuel map"
+        return "not computed: without --terrain"
     return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 

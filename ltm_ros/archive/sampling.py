@@ -96,7 +96,7 @@ def span_number(stamp_ns: int, sample: Sample, longitude: float) -> int:
 
 def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str, int]]:
     """Return camera and stamp of frames whose image the camera sent before: on the same solar day, or on its last day
-    with frames. So an image frozen for weeks counts once, wherever the archive is split.
+    with frames. So an image frozen for weeks counts once.
 
     Frames come by camera and stamp, complete."""
     found = set[tuple[str, int]]()

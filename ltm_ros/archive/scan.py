@@ -88,7 +88,7 @@ def photo_messages(listed: StoredFile, photos: Sequence[StoredFile], site: Site)
 def _messages(
     photo: StoredFile, row: PhotoPose, camera: str, site: Site, around: Surroundings
 ) -> Iterator[PlacedMessage]:
-    from rclpy.serialization import serialize_message  # loaded late for workers that read no folder
+    from rclpy.serialization import serialize_message  # loaded late: bags need no ROS
 
     if photo.size_bytes > LARGEST_FILE:
         raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; the maximum is {LARGEST_FILE >> 20} MiB")
@@ -192,7 +192,7 @@ class Scan:
             yield message
 
 
-def recordings(archives: Sequence[str]) -> list[Recording]:
+def recordings(archives: Sequence[Path]) -> list[Recording]:
     """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth; each once, by
     name.
 
@@ -200,7 +200,7 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
     found: dict[str, Recording] = {}
     for archive in archives:
         below = files_below(archive)
-        alone = len(below) == 1 and below[0].name.rpartition("/")[2] == archive.rpartition("/")[2]
+        alone = archive.expanduser().is_file()
         bags = (file for file in below if is_bag_file(file.name) or (alone and not is_pose_list(file.name)))
         inside = [Recording((file,)) for file in bags]
         for listed in (file for file in below if is_pose_list(file.name)):

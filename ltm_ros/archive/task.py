@@ -71,13 +71,10 @@ class TaskEvidence:
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Run the missing steps. Raises ArchiveError if this worker's program or files differ from those of the run,
+    """Run the missing steps. Raises ArchiveError if the program or the site's files have changed since the plan,
     OSError if results cannot be read or written now."""
-    if (own := code_digest()) != settings.code:
-        raise ArchiveError(
-            f"this worker's program has the digest {own}, the run's is {settings.code}: install the same version "
-            "on all workers"
-        )
+    if code_digest() != settings.code:
+        raise ArchiveError("the program has changed during the run; run again")
     results = ResultFolder(settings.results)
     votes, evidence = votes_name(task), evidence_name(task)
     done = results.has(evidence)
@@ -191,7 +188,11 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
 
         def start(number: int, task: Task | None) -> None:
             if task is not None:
-                at_work[workers[number].submit(job or work, task, settings)] = number, task
+                try:
+                    at_work[workers[number].submit(job or work, task, settings)] = number, task
+                except BrokenProcessPool:  # it died after its last task
+                    workers[number] = _worker(count)
+                    start(number, task)
 
         try:
             for number in range(len(workers)):

@@ -22,6 +22,7 @@ from ltm_core.visibility.footprint import arrival_directions, ground_normals
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
 from ltm_msgs_py.bag.reader import is_bag_file
+from ltm_ros.archive.files import files_below
 from ltm_ros.assessment.answers_io import SampledCell
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame
 
@@ -76,7 +77,7 @@ class PhotoIndex:
         self._frame = site.frame
         self._ground = site.open_dem()
         self._sight = PointVisibility(site.open_surface(self._ground), site.curvature, site.refraction)
-        bags = [bag for path in recordings for bag in _bags(path)]
+        bags = evenly([bag for path in recordings for bag in _bags(path)], MOST_FRAMES)
         self._shots = [shot for bag in bags for shot in _shots(bag, site, self._ground, MOST_FRAMES // len(bags))]
         if not self._shots:
             names = ", ".join(str(bag) for bag in recordings)
@@ -175,7 +176,8 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
 
 def _bags(path: Path) -> list[Path]:
     """Return the folders with bags in an archive; a path without any itself, so that its reader reports it."""
-    return sorted({file.parent for file in path.rglob("*") if is_bag_file(file.name)}) or [path]
+    below = files_below(path) if path.is_dir() else []
+    return sorted({Path(file.name).parent for file in below if is_bag_file(file.name)}) or [path]
 
 
 def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:

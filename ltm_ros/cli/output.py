@@ -168,7 +168,7 @@ def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
 
 
 def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """Print the results of a replay: states of depth fusion, cells seen and changed, events. `print_nodes` prints what
+    """Print the results of a replay: verdicts on depth, cells seen and changed, events. `print_nodes` prints what
     was dropped."""
     from rich.markup import escape
 
@@ -185,10 +185,8 @@ def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]
     for name, summary in sorted(summaries.items()):
         node = "/".join(name.split("/")[2:]) or name
         verdicts = _counts(summary, "noted.verdict.")
-        if verdicts:
-            counted = sum(verdicts.values())
-            shares = (f"{verdict} {n} ({n / counted:.0%})" for verdict, n in verdicts.items())
-            rows.append((f"{node}: states", ", ".join(shares)))
+        if verdicts:  # no shares: without subscribers only some frames are judged
+            rows.append((f"{node}: verdicts", ", ".join(f"{verdict} {n}" for verdict, n in verdicts.items())))
             if "last_verdict" in summary:
                 rows.append((f"{node}: the last that was not ok", summary["last_verdict"]))
         cells = _counts(summary, "cells.")

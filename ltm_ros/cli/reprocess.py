@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 def reprocess(
     archives: Annotated[
-        list[str],
+        list[Path],
         typer.Argument(help="Bags, .mcap files, folders with bags or photos and poses.csv."),
     ],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
-    out: Annotated[str, typer.Option("--out", "-o", help="Folder for results.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results.")],
     workers: Annotated[int, typer.Option(min=0, help="Number of worker processes; 0: this one.")] = 2,
     cameras: Annotated[str, typer.Option(help="Only these cameras, separated by commas.")] = "",
     since: Annotated[str, typer.Option(help="First date or time, such as 2026-05-31, UTC.")] = "",
@@ -141,7 +141,7 @@ def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, floa
     return mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:])
 
 
-def _print(console: Console, summary: Summary, out: str) -> None:
+def _print(console: Console, summary: Summary, out: Path) -> None:
     console.print(
         f"{summary.worked} frames processed now, {summary.merged} in the map, {summary.failed} failed; "
         f"{summary.tasks} tasks"

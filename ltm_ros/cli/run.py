@@ -25,10 +25,7 @@ if TYPE_CHECKING:
 def region(
     config: Annotated[Path, typer.Argument(help="Region file (YAML).")],
 ) -> None:
-    """Run the fuel map of a region: merge the votes of its towers (MQTT), write GeoTIFFs. Ctrl-C or SIGTERM
-    ends it."""
-    import os
-
+    """Run the fuel map of a region: merge its towers' votes (MQTT), write GeoTIFFs. Ctrl-C or SIGTERM ends it."""
     from ltm_ros.runtime.ros_environment import thread_limits
 
     # Set before NumPy is loaded: more threads slow it down on arrays of a thousand cells.

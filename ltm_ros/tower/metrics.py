@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -75,16 +74,14 @@ class TowerCollector(Collector):
         finished = CounterMetricFamily("ltm_frames_finished", "Frames processed by all nodes", labels=("camera",))
         for camera in cameras:
             finished.add_metric((camera.name,), camera.finished)
-        judged: Counter[tuple[str, str]] = Counter()
-        for node in self._status.nodes:
-            for verdict, count in node.counts("noted.verdict.").items():
-                judged[node.camera, verdict] += count
-        verdicts = CounterMetricFamily(
-            "ltm_pose_verdicts", "Frames by state of their pose", labels=("camera", "verdict")
-        )
-        for labels, count in judged.items():
-            verdicts.add_metric(labels, count)
-        yield from (finished, verdicts)
+        yield finished
+        # No counter: without subscribers only some frames are judged, and more of them while the verdict is not ok.
+        verdicts = [
+            ((node.camera, verdict), node.values.get("verdict") == verdict)
+            for node in self._status.nodes
+            for verdict in node.counts("noted.verdict.")
+        ]
+        yield _gauge("ltm_fusion_verdict", "Whether this is the last verdict on depth", verdicts, ("camera", "verdict"))
 
     def _nodes(self) -> Iterator[Metric]:
         up = GaugeMetricFamily("ltm_node_up", "Whether a node reports", labels=NODE)

@@ -24,7 +24,7 @@ def small_site(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
 def done(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `ltm reprocess` makes of the small site's recording."""
     out = tmp_path_factory.mktemp("done") / "out"
-    planned = look_through(ArchiveOptions((small_site.bag,), small_site.path, str(out)), lambda done, total: None)
+    planned = look_through(ArchiveOptions((small_site.bag,), small_site.path, out), lambda done, total: None)
     run(planned, serial, lambda done, total: None)
     return out
 

@@ -38,7 +38,7 @@ def test_a_disk_that_fails_for_a_while_is_no_result(
     def failing(stream: object) -> Chunk:
         raise OSError(errno.EIO, "Input/output error")
 
-    options = ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"), max_failed=1.0)
+    options = ArchiveOptions((small_site.bag,), small_site.path, tmp_path / "out", max_failed=1.0)
     with monkeypatch.context() as patched:
         patched.setattr(Chunk, "read", failing)
         with pytest.raises(ArchiveError, match=r"cannot be read now: .*Input/output error"):
@@ -91,12 +91,12 @@ def test_a_folder_of_photos_gives_the_map_of_the_recording_that_import_makes_of_
 ) -> None:
     folder = write_photos(small_site, tmp_path / "photos")
     import_photos([folder], tmp_path / "bag", folder / "poses.csv", small_site.site)
-    options = ArchiveOptions((tmp_path / "bag",), small_site.path, str(tmp_path / "of_bag"))
+    options = ArchiveOptions((tmp_path / "bag",), small_site.path, tmp_path / "of_bag")
     of_bag = reprocessed(options)
     assert (of_bag.merged, of_bag.failed) == (FRAMES, 0)
     infos = BagReader(tmp_path / "bag").topic_infos()
     assert {info.message_count for topic, info in infos.items() if topic != "/tf_static"} == {FRAMES}
-    of_folder = reprocessed(replace(options, archives=(folder,), out=str(tmp_path / "of_folder")))
+    of_folder = reprocessed(replace(options, archives=(folder,), out=tmp_path / "of_folder"))
     assert (of_folder.digest, of_folder.worked) == (of_bag.digest, FRAMES)
     # The same photos in both count once, and their votes have the same names.
     both = look_through(replace(options, archives=(folder, tmp_path / "bag")), lambda done, total: None)
@@ -119,7 +119,7 @@ def test_one_photo_of_a_folder_is_held_at_a_time(
 
     monkeypatch.setattr(photo_folder, "photo_picture", noted)
     folder = write_photos(small_site, tmp_path / "photos")
-    look_through(ArchiveOptions((folder,), small_site.path, str(tmp_path / "out")), lambda done, total: None)
+    look_through(ArchiveOptions((folder,), small_site.path, tmp_path / "out"), lambda done, total: None)
     assert len(most) == FRAMES
     assert max(most) <= 2
 
@@ -128,7 +128,7 @@ def test_photos_that_cannot_be_taken_are_named(small_site: SmallSite, tmp_path: 
     folder = write_photos(small_site, tmp_path / "photos")
     (folder / "001.jpg").write_bytes(b"\xff\xd8 and no more")
     (folder / "002.jpg").unlink()
-    options = ArchiveOptions((folder,), small_site.path, str(tmp_path / "out"), max_failed=0.5)
+    options = ArchiveOptions((folder,), small_site.path, tmp_path / "out", max_failed=0.5)
     summary = reprocessed(options)
     assert (summary.merged, summary.failed) == (FRAMES - 2, 2)
     assert {failure.place for failure in summary.failures} == {"tower"}

@@ -52,7 +52,7 @@ def replayed(small: SmallSite, folder: Path) -> tuple[str, str]:
 def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
     summary = run(look_through(options, lambda done, total: None), engine, lambda done, total: None)
     if options.terrain:
-        assert (summary.digest, summary.terrain_digest) == digests(Path(options.out))
+        assert (summary.digest, summary.terrain_digest) == digests(options.out)
     return summary
 
 
@@ -72,7 +72,7 @@ def expected(small: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tupl
 def done(small: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
     """Results of all frames, a task each, and both maps."""
     out = tmp_path_factory.mktemp("done") / "out"
-    options = ArchiveOptions((small.bag,), small.path, str(out), terrain=True, frames_per_task=1)
+    options = ArchiveOptions((small.bag,), small.path, out, terrain=True, frames_per_task=1)
     return out, reprocessed(options)
 
 
@@ -80,7 +80,7 @@ def done(small: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 def options(small: SmallSite, done: tuple[Path, Summary], tmp_path: Path) -> ArchiveOptions:
     """Of a copy of these results."""
     shutil.copytree(done[0], tmp_path / "out")
-    return ArchiveOptions((small.bag,), small.path, str(tmp_path / "out"), terrain=True, frames_per_task=1)
+    return ArchiveOptions((small.bag,), small.path, tmp_path / "out", terrain=True, frames_per_task=1)
 
 
 def edited(small: SmallSite, name: str, change: Callable[[dict[str, Any]], None]) -> Path:
@@ -111,16 +111,16 @@ def test_the_fuel_map_knows_of_the_block_from_its_day_on(options: ArchiveOptions
     """What cameras saw of its cells until the end of that day is void, what they saw on the next counts."""
     without = reprocessed(replace(options, terrain=False))
     assert without.digest != expected[0]
-    assert not (Path(options.out) / TERRAIN_FILE).exists()
+    assert not (options.out / TERRAIN_FILE).exists()
     summary = reprocessed(options)
     assert summary.digest == expected[0]
-    days = told(Path(options.out))
+    days = told(options.out)
     assert days[0][0] == BEGIN_NS // DAY_NS
     assert int(ChangeKind.GROWN) in days[0][1]
-    record = json.loads((Path(options.out) / "run.json").read_text())
+    record = json.loads((options.out / "run.json").read_text())
     assert record["terrain"] == {"frames": FRAMES, "digest": expected[1]}
     assert reprocessed(replace(options, terrain=False)).digest == without.digest
-    assert not (Path(options.out) / TERRAIN_FILE).exists(), "a map of frames alone, beside a terrain that knows more"
+    assert not (options.out / TERRAIN_FILE).exists(), "a map of frames alone, beside a terrain that knows more"
 
 
 def test_a_corrected_pose_measures_that_camera_alone_and_other_rules_of_the_terrain_measure_nothing(
@@ -149,16 +149,16 @@ def test_a_corrected_pose_measures_that_camera_alone_and_other_rules_of_the_terr
 def test_other_constants_of_fusion_measure_anew_and_leave_votes_alone(
     small: SmallSite, options: ArchiveOptions
 ) -> None:
-    votes = {path.name for path in (Path(options.out) / "votes").iterdir()}
-    measured = {path.name for path in (Path(options.out) / "measured").iterdir()}
+    votes = {path.name for path in (options.out / "votes").iterdir()}
+    measured = {path.name for path in (options.out / "measured").iterdir()}
 
     def unsure(site: dict[str, Any]) -> None:
         site.setdefault("nodes", {})["topodepth"] = {"angle_sigma_deg": 0.2}
 
     summary = reprocessed(replace(options, site=edited(small, "unsure.yaml", unsure)))
     assert summary.worked == FRAMES
-    assert {path.name for path in (Path(options.out) / "votes").iterdir()} == votes
-    assert len({path.name for path in (Path(options.out) / "measured").iterdir()} - measured) == len(measured)
+    assert {path.name for path in (options.out / "votes").iterdir()} == votes
+    assert len({path.name for path in (options.out / "measured").iterdir()} - measured) == len(measured)
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_live_nodes_go_on_from_both_stores(
     options: ArchiveOptions, small: SmallSite, expected: tuple[str, str]
 ) -> None:
     """They take none of their frames again, and the terrain tells the fuel map nothing that it does not know."""
-    out = Path(options.out)
+    out = options.out
     summaries = run_offline(small.bag, small.path, ReplayOptions(state=out), lambda done, total: None)
     for node in ("fuel_map", "terrain"):
         assert summaries[f"/{NAME}/{node}"]["dropped.duplicate"] == str(FRAMES)

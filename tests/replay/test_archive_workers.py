@@ -22,7 +22,7 @@ def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
 @pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_named_and_the_others_end(small_site: SmallSite, tmp_path: Path) -> None:
     """As a decoder's fault does, or too little memory."""
-    options = ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"), frames_per_task=3)
+    options = ArchiveOptions((small_site.bag,), small_site.path, tmp_path / "out", frames_per_task=3)
     deadly = look_through(options, lambda done, total: None).tasks[0]
     with pytest.raises(ArchiveError, match=r"3 of 12 frames failed \(3 task\)"):
         reprocessed(options, on_workers(2, partial(deadly_work, deadly.evidence_key)))

@@ -13,7 +13,7 @@ from scenes.small_site import SmallSite
 
 
 def reprocessed(site: SmallSite, out: Path, after: Any = lambda done, total: None) -> Summary:
-    options = ArchiveOptions((site.bag,), site.path, str(out), frames_per_task=1)
+    options = ArchiveOptions((site.bag,), site.path, out, frames_per_task=1)
     return run(look_through(options, lambda done, total: None), serial, after)
 
 

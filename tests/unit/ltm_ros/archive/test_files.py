@@ -15,7 +15,7 @@ from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import files_below
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import ArchiveImageReader
-from ltm_ros.archive.scan import photo_messages, photo_picture
+from ltm_ros.archive.scan import photo_messages, photo_picture, recordings
 
 
 def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
@@ -26,7 +26,7 @@ def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
     for name, to in {"2025": tmp_path / "disk", "again": tmp_path / "disk", "loop": tmp_path / "archive"}.items():
         (tmp_path / "archive" / name).symlink_to(to)
     (tmp_path / "archive/away.mcap").symlink_to(tmp_path / "not_mounted/away.mcap")
-    found = files_below(str(tmp_path / "archive"))
+    found = files_below(tmp_path / "archive")
     assert [(file.name, file.size_bytes) for file in found] == [
         (str(tmp_path / "archive/2025/a.mcap"), 4),
         (str(tmp_path / "archive/away.mcap"), 0),
@@ -46,7 +46,7 @@ def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(os, "scandir", refused)
     with pytest.raises(PermissionError, match="shut"):
-        files_below(str(tmp_path))
+        files_below(tmp_path)
 
 
 def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,7 +56,7 @@ def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pyte
     (folder / "poses.csv").write_text("name,camera,stamp\nhuge.jpg,tower,2026-06-01T12:00:00Z\n")
     with (folder / "huge.jpg").open("wb") as file:
         file.truncate(LARGEST_FILE + 1)  # it takes no room
-    photo, listed = files_below(str(folder))
+    photo, listed = files_below(folder)
     monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
     (message,) = photo_messages(listed, [photo], site)
     assert f"huge.jpg has {LARGEST_FILE + 1} bytes; the maximum is 256 MiB" in message.trouble
@@ -73,3 +73,9 @@ def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypat
     monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
     with pytest.raises(ArchiveError, match="no longer contains the image"):
         reader.read(frame)
+
+
+def test_a_file_of_any_name_is_a_recording_also_by_a_link(tmp_path: Path) -> None:
+    (tmp_path / "recorded.bin").write_bytes(b"content")
+    (tmp_path / "today").symlink_to(tmp_path / "recorded.bin")
+    assert [found.name for found in recordings([tmp_path / "today"])] == [str(tmp_path / "recorded.bin")]

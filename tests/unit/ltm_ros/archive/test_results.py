@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import time
 from pathlib import Path
 
 import numba
@@ -26,7 +28,7 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
         sync(file)
 
     monkeypatch.setattr(os, "fsync", watched)
-    results = ResultFolder(str(tmp_path))
+    results = ResultFolder(tmp_path)
     results.write("votes/a.parquet", b"content")
     assert synced == [(False, 7)]
     assert results.names("votes") == {"a.parquet"}
@@ -35,14 +37,14 @@ def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
     """Somebody has put one beside the layers; they are what is removed when a later run has not written them."""
-    results = ResultFolder(str(tmp_path))
+    results = ResultFolder(tmp_path)
     results.write("layers/code.tif", b"content")
     results.write("layers/mine/notes.txt", b"content")
     assert results.names("layers") == {"code.tif"}
     assert results.names("nothing") == set()
 
 
-SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
+SETTINGS = TaskSettings("site.yaml", Path("out"), "code", TracingConfig(), LabellingConfig())
 
 
 def task(number: int) -> Task:
@@ -55,6 +57,17 @@ def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
     done = list(on_workers(2, full_disk_at_3)([task(n) for n in range(6)], SETTINGS))
     assert {one.task.evidence_key for one in done} == set("012345")
     assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
+
+
+@pytest.mark.slow  # starts processes
+def test_a_worker_that_dies_between_two_tasks_is_replaced() -> None:
+    done = on_workers(1, thread_count)([task(n) for n in range(3)], SETTINGS)
+    first = next(done)
+    for worker in multiprocessing.active_children():
+        worker.kill()
+        worker.join()
+    time.sleep(0.5)  # until its pool has seen it; before that, the task itself is tried again
+    assert [one.error for one in [first, *done]] == ["", "", ""]
 
 
 @pytest.mark.slow  # starts two processes

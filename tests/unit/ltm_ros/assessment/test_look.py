@@ -25,7 +25,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_core.tracing import TerrainTracer
 from ltm_ros.assessment.answers_io import Plan, SampledCell, read_answers, read_plan, write_table
-from ltm_ros.assessment.cell_photos import PhotoIndex
+from ltm_ros.assessment.cell_photos import PhotoIndex, _bags
 from ltm_ros.assessment.look_session import LookServer, LookSession
 
 DEMO = Path(__file__).parents[4] / "bags/demo"
@@ -206,3 +206,10 @@ def test_photos_of_an_archive_are_those_of_its_recordings(
         shutil.copytree(DEMO / "recording", tmp_path / day)
     found, expected = (index.best(sampled[0][0], 30.0) for index in (PhotoIndex(site, [tmp_path]), photos))
     assert {(p.camera, p.stamp_ns) for p in found} == {(p.camera, p.stamp_ns) for p in expected}
+
+
+def test_an_archive_is_searched_at_any_depth_and_behind_links(tmp_path: Path) -> None:
+    (tmp_path / "archive/2026").mkdir(parents=True)
+    (tmp_path / "archive/2026/may").symlink_to(DEMO / "recording")
+    assert [bag.resolve() for bag in _bags(tmp_path / "archive")] == [(DEMO / "recording").resolve()]
+    assert _bags(tmp_path / "none") == [tmp_path / "none"]

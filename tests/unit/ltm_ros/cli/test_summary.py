@@ -17,7 +17,7 @@ def test_verdicts_and_cells_are_counted() -> None:
     nodes = {"/a/north/topodepth": fusion, "/a/terrain": terrain, "/a/viewer": idle}
     said = outcome({name: health.summary() for name, health in nodes.items()})
     assert said == [
-        ("north/topodepth: states", "network_unusable 1 (25%), ok 3 (75%)"),
+        ("north/topodepth: verdicts", "network_unusable 1, ok 3"),
         ("north/topodepth: the last that was not ok", "network_unusable: explains 3 % of the terrain"),
         ("north/topodepth: events", "unlabelled 1"),
         ("terrain: cells", "seen 12,345, removed 80"),

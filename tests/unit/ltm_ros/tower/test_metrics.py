@@ -84,7 +84,13 @@ def test_cameras_and_machine() -> None:
     assert scraped["ltm_frame_age_seconds", (("camera", "north"),)] == 4.5
     assert scraped["ltm_frame_age_seconds", (("camera", "east"),)] == 700.25
     assert scraped["ltm_frames_finished_total", (("camera", "east"),)] == 16
-    assert scraped["ltm_pose_verdicts_total", (("camera", "north"), ("verdict", "pose_suspected"))] == 1
+    for camera, verdict in (("north", "ok"), ("east", "pose_suspected")):
+        others = {
+            dict(labels)["verdict"]: v
+            for (n, labels), v in scraped.items()
+            if n == "ltm_fusion_verdict" and ("camera", camera) in labels
+        }
+        assert others == {"ok": verdict == "ok", "pose_suspected": verdict != "ok"}, camera
     assert scraped["ltm_clock_synchronised", ()] == 0
     assert scraped["ltm_disk_free_bytes", (("folder", "/state"),)] == 2e9
     assert ("ltm_disk_free_bytes", (("folder", "/gone"),)) not in scraped
