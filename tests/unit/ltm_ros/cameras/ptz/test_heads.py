@@ -132,14 +132,6 @@ def test_a_wrong_password_is_told_without_it_and_a_right_one_works(turning: Turn
     assert opened(camera, kind, **_login()).read().pan_deg == pytest.approx(123.4, abs=0.06)
 
 
-def test_reolink_logs_in_again_where_the_camera_has_forgotten(turning: Turning) -> None:
-    fake, camera = turning
-    head = opened(camera, "reolink")
-    head.read()
-    fake.forget_token()
-    assert head.read().pan_deg == pytest.approx(123.4, abs=0.06)
-
-
 def _answering(body: bytes, status: int = 200) -> Callable[[Any], None]:
     return lambda request: request.answer(status, body, "text/html")
 
