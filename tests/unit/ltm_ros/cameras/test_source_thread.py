@@ -56,11 +56,3 @@ def test_a_connection_that_cannot_be_closed_after_a_bug_does_not_end_the_asking(
     assert "a bug of ours" in said
     assert "RuntimeError" in said
     assert "hunter2" not in said
-
-
-def test_a_bug_is_the_state_of_its_camera() -> None:
-    config = settings(kind="snapshot", url="http://192.0.2.1/a.jpg")
-    sourced = Sourced(config, SystemClock(), Camera.from_fov(320, 180, 60.0), reader=Broken)
-    SourceThread("north", sourced.source, sourced.health, Activity("source north"))._step()
-    assert (sourced.state, sourced.health.troubled) == ("stalled", True)
-    assert sourced.health.summary()["state_why"].startswith("KeyError")
