@@ -36,7 +36,7 @@ def mitsuba() -> Any:
     try:
         import mitsuba as mi
     except ImportError as e:
-        raise ConfigError("the simulator needs Mitsuba 3: pip install 'ltm[sim]'") from e
+        raise ConfigError("the simulator needs Mitsuba 3: pip install './ltm_lab[sim]'") from e
     if mi.variant() != "scalar_rgb":
         mi.set_variant("scalar_rgb")
         mi.set_log_level(mi.LogLevel.Error)

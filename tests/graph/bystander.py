@@ -15,8 +15,6 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.delivery_checks import unmatched, with_info
 from ltm_ros.runtime.outlet_node import stream_qos
 
-SEND_AGAIN_S = 2.0
-
 
 class Bystander(SpinningNode):
     """A context manager; its node spins in a thread of its own."""

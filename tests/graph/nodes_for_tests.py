@@ -24,7 +24,7 @@ class Slow:
 
 
 class Actor(Node):
-    """Says hello and goodbye, and sends a diagnostic now and then unless it is silent."""
+    """Says hello and goodbye, and sends a diagnostic now and then."""
 
     def __init__(self) -> None:
         super().__init__("unnamed", automatically_declare_parameters_from_overrides=True)
@@ -45,8 +45,7 @@ class Actor(Node):
             if behaviour == "stubborn":
                 self._diagnose()
             time.sleep(0.2)  # it does nothing else, for ever
-        if behaviour != "silent":
-            self.create_timer(0.2, self._diagnose)
+        self.create_timer(0.2, self._diagnose)
 
     def close(self) -> None:
         print("goodbye", flush=True)

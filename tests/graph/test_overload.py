@@ -14,7 +14,6 @@ from scenes.waiting import wait_for
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
-from ltm_msgs_py.stamp import time_to_ns
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
@@ -100,19 +99,6 @@ class Cameras:
             if any(self.count(camera, node, "frames_out") != admitted for node in WORKERS):
                 return False
         return self.taken()
-
-    def newest(self, camera: str, worker: str) -> int:
-        """Stamp of the newest frame that a worker has finished."""
-        heard = list(self.bystander.heard[camera_topic(NAME, camera, FINISHED)])
-        own = [time_to_ns(m.stamp) for m in heard if m.frame_id == f"/{NAME}/{camera}/{worker}"]
-        return max(own, default=0)
-
-    def wait_for_newer(self, camera: str, worker: str, stamp: int) -> None:
-        wait_for(
-            lambda: self.newest(camera, worker) > stamp,
-            f"a frame of {camera} from after {stamp} at {worker}",
-            lambda: self.bystander.summaries,
-        )
 
 
 @pytest.fixture(scope="module")

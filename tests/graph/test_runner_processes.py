@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -148,3 +149,44 @@ def test_killed_runner_leaves_no_process_and_the_next_one_removes_its_shared_mem
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
     wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
     assert [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)] == []
+
+
+def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started]) -> None:
+    def gone(line: str) -> None:
+        raise BrokenPipeError
+
+    graph = start(spec("depth"), console=gone)
+    graph.runner.wait_until_ready(30)
+    graph.runner.kill("north/depth")
+    depth = graph.runner.processes["north/depth"]
+    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
+    graph.runner.wait_until_ready(30)
+
+
+def test_a_graph_is_up_without_an_optional_node_that_was_given_up(start: Callable[..., Started]) -> None:
+    """Else a service would never be ready for want of its status page."""
+    viewer = replace(spec("viewer", behaviour="config_error"), required=False)
+    graph = start(spec("capture"), viewer)
+    graph.runner.wait_until_ready(30)
+    graph.wait_for(lambda: graph.runner.given_up == ["north/viewer"], "the verdict")
+    graph.runner.wait_until_ready(30)
+
+
+@pytest.mark.parametrize("behaviour", ["slow_to_start", "loses_the_stop"])
+def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started], behaviour: str) -> None:
+    graph = start(spec("depth", behaviour=behaviour))
+    graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
+    graph.runner.stop()
+    # Fast DDS may tell of another graph's port that was being removed as it looked.
+    said = [line for line in graph.lines if "RTPS_TRANSPORT_SHM" not in line]
+    assert len(said) == 2, graph.lines  # its start and its greeting
+
+
+def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int) -> None:
+    runner = _run_in_process(1, {})
+    runner.terminate()
+    output, _ = runner.communicate(timeout=30)
+    assert runner.returncode == 0
+    assert "nodes are ready" not in output
+    assert "not ready" not in output
+    assert processes_of_domain(ros_domain) == []

@@ -68,8 +68,6 @@ class FakeHead:
     def __post_init__(self) -> None:
         self._from, self._to, self._begun = self.place, self.place, 0.0
         self._lock = threading.Lock()
-        self._tokens = 0
-        self._valid_token = ""
 
     def send(self, place: Place) -> None:
         if self.dead:

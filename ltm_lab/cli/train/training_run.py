@@ -21,7 +21,7 @@ def need_torch() -> None:
         import onnx  # noqa: F401
         import torch  # noqa: F401
     except ModuleNotFoundError as reason:
-        raise ConfigError(f"training needs {reason.name}; install it with: pip install 'ltm[train]'") from reason
+        raise ConfigError(f"training needs {reason.name}; install it with: pip install './ltm_lab[train]'") from reason
 
 
 def trained(

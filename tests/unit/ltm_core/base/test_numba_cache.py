@@ -183,3 +183,20 @@ def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: P
     gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
     (tmp_path / "a.py").write_text("import numba  # edited")
     assert use_own_cache(tmp_path) is not None
+
+
+def test_a_place_in_a_common_folder_is_made_for_us_alone(shared_tmp: tuple[Path, Path]) -> None:
+    source, place = shared_tmp
+    found = use_own_cache(source)
+    assert found is not None
+    assert found.parent == place
+    assert [folder.stat().st_mode & 0o777 for folder in (place, found)] == [0o700, 0o700]
+    assert use_own_cache(source) == found
+
+
+def test_a_link_is_not_taken_for_a_place(shared_tmp: tuple[Path, Path]) -> None:
+    source, place = shared_tmp
+    elsewhere = place.with_name("elsewhere")
+    elsewhere.mkdir(mode=0o700)
+    place.symlink_to(elsewhere)
+    assert use_own_cache(source) is None

@@ -247,3 +247,10 @@ def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:
     for second in (NOW, NOW + HOUR):
         other.add(votes(Label.SHRUB, second, "north"))
     assert other.layers().life_form[0, 0] == LifeForm.SHRUB
+
+
+def test_older_frames_of_another_form_are_no_witnesses() -> None:
+    shrubs = [votes(Label.SHRUB, NOW - k * HOUR, camera) for k in (3, 5) for camera in ("north", "south")]
+    trees = [votes(Label.TREE, NOW + k) for k in range(40)]
+    assert not fuel_map(*shrubs, *trees).layers().changed[0, 0]
+    assert fuel_map(*shrubs, *trees, votes(Label.TREE, NOW + HOUR)).layers().changed[0, 0]

@@ -66,3 +66,30 @@ def test_a_reach_that_covers_all_pixels_leaves_none_out(north: float) -> None:
     assert all_of_it.counts.sum() > 0
     np.testing.assert_array_equal(near.counts, all_of_it.counts)
     np.testing.assert_array_equal(near.rows, all_of_it.rows)
+
+
+def test_classes_that_are_no_ground_cover_do_not_vote() -> None:
+    votes = cast([[0, 3, 4], [255, 1, 200]])
+    assert votes.counts.tolist() == [[0, 1, 0, 0]]
+    assert votes.cols.tolist() == [0]
+
+
+def test_sky_and_unknown_do_not_vote() -> None:
+    depth = DEPTH.copy()
+    depth[0, 0], depth[1, 2] = np.inf, np.nan
+    assert cast([[1, 1, 1], [1, 1, 1]], depth).counts.sum() == 4
+
+
+def test_max_range_is_along_the_ray() -> None:
+    # Slant ranges: 10, 14.14, 22.36 in the first row, 14.14, 17.32, 24.49 in the second.
+    votes = cast([[1, 1, 1], [2, 2, 2]], max_range=17.0)
+    assert votes.counts.tolist() == [[0, 2, 1, 0]]
+    assert cast([[1, 1, 1], [2, 2, 2]], max_range=9.0).counts.shape == (0, 4)
+
+
+def test_pixels_outside_the_grid_do_not_vote() -> None:
+    ranges = RangeImage.from_depth(DEPTH, CAMERA, DOWN)
+    labels = np.ones((2, 3), np.uint8)
+    votes = cast_votes(ranges, labels, FUEL.translated(20.0, 10.0), DEM, VOTES_FOR, 0, "north")
+    # The grid now spans 15..55 by -5..15: of all pixels only (20, 0) lies on it.
+    assert votes.counts.tolist() == [[0, 1, 0, 0]]

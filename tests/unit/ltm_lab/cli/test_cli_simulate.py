@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
+pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install './ltm_lab[sim]'")
 
 
 from ltm_core.base.errors import LtmError

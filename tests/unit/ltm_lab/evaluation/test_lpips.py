@@ -28,7 +28,7 @@ def hand_made() -> dict[str, Any]:
 
 
 def test_arithmetic_by_hand() -> None:
-    pytest.importorskip("torch", reason="LPIPS runs in torch: pip install 'ltm[eval]'")
+    pytest.importorskip("torch", reason="LPIPS runs in torch: pip install './ltm_lab[eval]'")
     # The first kernel undoes the normalisation, so every layer holds red and green as they are, in -1 .. 1.
     red, both = np.zeros((64, 67, 3), np.float32), np.zeros((64, 67, 3), np.float32)
     red[..., 0] = 0.6

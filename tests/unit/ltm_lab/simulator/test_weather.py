@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes.small_scenario import CAMERA, small_scenario
 
-pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
+pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install './ltm_lab[sim]'")
 
 from ltm_core.geometry.pose import Pose
 from ltm_lab.simulator.imaging import smoke

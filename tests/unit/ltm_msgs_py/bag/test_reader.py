@@ -349,3 +349,43 @@ def test_messages_of_no_time_are_left_out(tmp_path: Path, chunking: bool, log_ti
     assert f"1 messages have times up to {max(log_time, sent)} ns, later than {2**63 - 1} ns, and are ignored" in note
     assert reader.end_ns is not None
     assert reader.end_ns <= 2**63 - 1
+
+
+def test_every_length_that_a_file_can_be_cut_to_is_read_or_refused(bag: Path, tmp_path: Path) -> None:
+    data = (bag / "bag_0.mcap").read_bytes()
+    counts = []
+    for end in range(0, len(data), 211):
+        file = tmp_path / "cut.mcap"
+        file.write_bytes(data[:end])
+        if end < 8:
+            with pytest.raises(RecordingError):
+                BagReader(file)
+            continue
+        reader = BagReader(file)
+        counts.append(len(list(reader.messages())))
+        assert len(reader.damage) == 1
+    assert counts == sorted(counts)
+    assert counts[0] == 0
+    assert counts[-1] == COUNT
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(28 + 4, b"none"), (16, struct.pack("<Q", 1 << 40)), (-30, b"\xff" * 8)],
+    ids=["unknown compression", "impossible size", "corrupt data"],
+)
+def test_two_damaged_chunks_lose_their_messages_alone(tmp_path: Path, place: int, value: bytes) -> None:
+    with BagWriter(tmp_path / "bag", chunk_size=2500) as writer:
+        for i in range(COUNT):
+            writer.write("/a", String(data=text(i * 7919)), 1000 + i)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    data, chunks = bytearray(file.read_bytes()), chunk_spans(file)
+    for start, length in chunks[1:3]:
+        at = start + (9 + place if place > 0 else length + place)
+        data[at : at + len(value)] = value
+    file.write_bytes(data)
+    reader = BagReader(file)
+    found = len(list(reader.messages()))
+    assert 0 < found < COUNT
+    assert reader.lost == {"/a": COUNT - found}
+    assert len(reader.damage) == 2

@@ -176,3 +176,19 @@ def test_a_broker_gets_the_messages(broker: tuple[AlertsConfig, Callable[[], lis
         publish(config.model_copy(update={"certificate": None, "key": None}), "other", b"{}")
     with pytest.raises(LtmError, match="not reachable"):
         publish(AlertsConfig(mqtt=f"mqtt://127.0.0.1:{free_port()}"), "other", b"{}")
+
+
+def test_a_bug_in_a_delivery_loses_no_message(capsys: pytest.CaptureFixture[str]) -> None:
+    taken, health = list[bytes](), Health()
+
+    def deliver(content: bytes) -> None:
+        taken.append(content)
+        if len(taken) == 1:
+            raise ZeroDivisionError("password=hunter2")
+
+    queue = AlertQueue("webhook", deliver, health, first_retry_s=0.01)
+    queue.offer({"number": 1})
+    wait_for(lambda: len(taken) == 2, "another attempt", lambda: taken)
+    queue.close()
+    assert "internal error" in health.last_error
+    assert "hunter2" not in capsys.readouterr().err

@@ -16,7 +16,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import Field, StoreSchema
 from ltm_ros.tower.releases import PackageError, Trial
-from ltm_ros.tower.store_copy import ServiceError, ServiceState, copy_stores, return_stores
+from ltm_ros.tower.store_copy import ServiceError, ServiceState, SystemdService, copy_stores, return_stores
 from ltm_ros.tower.upgrade import UpgradeError
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")
@@ -313,3 +313,103 @@ def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_ret
     assert tower.releases.current == "1.0"
     assert tower.upgrade.return_unconfirmed() is None
     assert not (tower.releases.root / "trial").exists()
+
+
+def test_frames_that_the_failed_release_kept_stay_where_it_changed_no_schema(tower: Tower, tmp_path: Path) -> None:
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    tower.service.on_start = lambda version: write_store(tower.store, 3) if version == "2.0" else None
+    with pytest.raises(UpgradeError):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert frames_of(tower.store) == 8
+
+
+def test_a_store_that_cannot_be_copied_leaves_the_former_release_at_work(tower: Tower, tmp_path: Path) -> None:
+    tower.store.write_bytes(b"no database" * 500)
+    with pytest.raises(UpgradeError, match=r"fuel_map\.ltm: cannot be copied.*; restarting 1\.0"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.service.did == ["stop", "start 1.0"]
+    assert tower.releases.current == "1.0"
+
+
+def test_a_service_that_cannot_be_started_with_it_brings_the_former_release_back(tower: Tower, tmp_path: Path) -> None:
+    def fails(version: str) -> None:
+        if version == "2.0":
+            raise ServiceError("systemctl start: no")
+
+    tower.service.on_start = fails
+    with pytest.raises(UpgradeError, match=r"systemctl start: no; 1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.releases.current == "1.0"
+
+
+def test_a_former_release_that_cannot_be_stopped_is_started_again(tower: Tower, tmp_path: Path) -> None:
+    def refuses(version: str) -> None:
+        raise ServiceError("systemctl stop: timed out")
+
+    tower.service.on_stop = refuses
+    with pytest.raises(UpgradeError, match=r"2\.0 was rejected: systemctl stop: timed out; restarting 1\.0"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert (tower.releases.current, tower.service.did) == ("1.0", ["stop", "start 1.0"])
+    assert tower.releases.installed == ["1.0"]
+
+
+def test_ctrl_c_while_a_release_is_on_trial_brings_the_former_one_back(tower: Tower, tmp_path: Path) -> None:
+    def interrupts(version: str) -> None:
+        if version == "2.0":
+            raise KeyboardInterrupt
+
+    tower.service.on_start = interrupts
+    with pytest.raises(UpgradeError, match=r"2\.0 was rejected: interrupted; 1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert (tower.releases.current, tower.releases.trial) == ("1.0", None)
+    assert tower.releases.installed == ["1.0"]
+
+
+def test_a_trial_whose_former_release_is_gone_does_not_keep_the_tower_from_starting(
+    tower: Tower, tmp_path: Path
+) -> None:
+    """Else the service's start would fail every ten seconds, for good."""
+    tower.install(write_package(tmp_path, "2.0"))
+    guard = Guard(tower, tmp_path / "systemd")
+    tower.releases.begin_trial(Trial("1.0", "2.0", "", 600))
+    guard.runs()
+    shutil.rmtree(tower.releases.folder("1.0"))
+    assert guard.runs() == []
+    assert tower.releases.trial is None
+    assert tower.releases.current == "2.0"
+
+
+def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: Path) -> None:
+    """After a power cut, or where the upgrade was killed: a release that never gets ready is not started a second time
+    by itself, for its runner asks systemd for more time without end."""
+    guard = Guard(tower, tmp_path / "systemd")
+    assert guard.runs() == guard.runs("late", state="activating") == [], "nothing is on trial"
+    tower.releases.begin_trial(Trial("1.0", "2.0", "", 420))
+    assert tower.releases.trial == Trial("1.0", "2.0", "", 420)
+    stops, arms = guard.runs()
+    assert stops == "systemctl stop ltm-trial.timer"
+    assert re.fullmatch(r"systemd-run .*--unit=ltm-trial --on-active=420 \S+/release-guard late", arms)
+    assert guard.runs("late") == [], "somebody has stopped it"
+    assert guard.runs("late", state="failed") == [], "it had to be killed"
+    restarts = ["systemctl restart --no-block ltm.service"]
+    assert guard.runs("late", state="failed", status=78) == restarts, "it refuses the site file"
+    assert guard.runs("late", state="activating") == restarts
+    assert tower.releases.trial is not None, "the second start returns"
+    assert guard.runs("late", state="active") == []
+    assert not (tower.releases.root / "trial").exists(), "it is ready: taken"
+
+
+@pytest.mark.parametrize(("hangs", "asked"), [(True, ["stop", "kill", "stop"]), (False, ["stop", "stop"])])
+def test_a_service_that_does_not_end_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: bool, asked: list[str]
+) -> None:
+    did = tmp_path / "did"
+    state = "deactivating" if hangs else "inactive"
+    (tmp_path / "systemctl").write_text(
+        f'#!/bin/sh\n[ "$1" = show ] || {{ echo "$1" >> "{did}"; exit 0; }}\n'
+        f'grep -q kill "{did}" && echo inactive || echo {state}\n'
+    )
+    (tmp_path / "systemctl").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    SystemdService().stop(patience_s=0.0)
+    assert did.read_text().split() == asked

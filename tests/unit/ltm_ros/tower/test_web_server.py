@@ -285,3 +285,14 @@ def test_who_sends_must_know_the_token(start: Start, tmp_path: Path) -> None:
     server = start(token=tmp_path / "token")
     assert get(server, "/mark", JSON, "POST", body=b"{}")[0] == 401
     assert get(server, "/mark", JSON | {"Authorization": f"Bearer {TOKEN}"}, "POST", body=b"{}")[0] == 200
+
+
+def test_the_credential_of_the_service_goes_before_the_file(
+    start: Start, token: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "given").mkdir()
+    (tmp_path / "given/ltm_health-token").write_text("another-token-of-systemd")
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "given"))
+    server = start(token=token)
+    assert get(server, "/healthz", {"Authorization": f"Bearer {TOKEN}"})[0] == 401
+    assert get(server, "/healthz", {"Authorization": "Bearer another-token-of-systemd"})[0] == 200

@@ -7,6 +7,7 @@ import pytest
 from PIL.Image import Exif
 from PIL.TiffImagePlugin import IFDRational
 
+from ltm_core.base.errors import ImageError
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
 
 PHOTO, GPS = 0x8769, 0x8825
@@ -117,3 +118,42 @@ def test_altitude_references(version: bytes, reference: Any, altitude: float, ab
 @pytest.mark.parametrize(("value", "known"), [(360.0, 0.0), (359.99, 359.99), (655.35, None)])
 def test_directions(value: float, known: float | None) -> None:
     assert facts(gps={16: "M", 17: value}).direction_deg == known
+
+
+@pytest.mark.parametrize(
+    "gps", [{1: "N", 2: (91, 0, 0), 3: "E", 4: (0, 0, 0)}, {1: "N", 2: (1, 0, 0), 3: "E", 4: (181, 0, 0)}]
+)
+def test_a_position_off_the_globe_is_refused(gps: dict[int, Any]) -> None:
+    with pytest.raises(ImageError, match=r"a\.jpg: invalid EXIF position"):
+        facts(gps=gps)
+
+
+NORTH_WEST = {1: "N", 2: (34.5, 0, 0), 3: "W", 4: (118.25, 0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "position"),
+    [
+        ({}, (34.5, -118.25)),
+        ({3: None}, None),  # Los Angeles would be in China
+        ({1: ""}, None),
+        ({3: "w\0"}, (34.5, -118.25)),
+        ({3: "West"}, (34.5, -118.25)),
+        ({4: (118.0, 15.0, 3050.0)}, None),  # hundredths of a second
+        ({18: "TOKYO"}, None),
+        ({18: "WGS-84"}, (34.5, -118.25)),
+    ],
+)
+def test_positions_that_are_not_certain_are_left_out(
+    changes: dict[int, Any], position: tuple[float, float] | None
+) -> None:
+    found = facts(gps={tag: value for tag, value in (NORTH_WEST | changes).items() if value is not None})
+    assert (found.lat, found.lon) == (position or (found.lat, None))
+    assert position is not None or found.lat is None or found.lon is None
+
+
+@pytest.mark.parametrize(("letter", "lon"), [("W", -118.25), ("E", None), ("", None)])
+def test_a_longitude_with_a_sign_and_a_letter(letter: str, lon: float | None) -> None:
+    written = Exif()
+    written.get_ifd(GPS).update(NORTH_WEST | {3: letter, 4: (-118.25, 0, 0)})
+    assert exif_facts(written, "a.jpg").lon == lon
