@@ -30,7 +30,6 @@ from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
 from ltm_core.base.errors import LtmError
 from ltm_core.fuel.votes import VoteCaster
-from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.surface.change import Changed
 from ltm_core.surface.confirmed_surface import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
@@ -39,9 +38,9 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_msgs_py.pose import correction_to_msg, pose_to_msg
+from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
-from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_msgs_py.stamp import make_header
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
@@ -354,17 +353,14 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
     from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 
     small = _small(folder)
-    small.path.write_text(small.path.read_text() + yaml.safe_dump({"locating": {}, "refine_poses": {}}))
+    small.path.write_text(small.path.read_text() + yaml.safe_dump({"locating": {}}))
     parts = _frame(small)
     region, point = PolygonStamped(header=parts["info"].header), PointStamped(header=parts["info"].header)
     region.polygon.points = [Point32(x=x, y=y) for x, y in ((20.0, 14.0), (26.0, 14.0), (25.0, 24.0), (21.0, 23.0))]
     point.point.x, point.point.y = 24.0, 25.0
-    found = PoseCorrection(np.zeros(3), np.eye(3) * 1e-6, 0.01, np.array([0.0, 0.0, 0.0, 1e-6]))
-    correction = correction_to_msg(found, stamp_of(parts["info"]))
     messages = [
         (f"/{NAME}/tower/posed/camera_info", parts["info"]),
         (f"/{NAME}/tower/posed/pose", parts["pose"]),
-        (f"/{NAME}/tower/pose/correction", correction),
         (f"/{NAME}/tower/locate/region", region),
         (f"/{NAME}/tower/locate/point", point),
     ]

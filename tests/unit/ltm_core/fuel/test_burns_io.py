@@ -65,13 +65,13 @@ def test_cells_of_which_half_has_burned(tmp_path: Path) -> None:
         (feature("2107-01-01", "Polygon", [ring(0, 0, 1, 1)]), "1970 to 2105"),
         (feature("2026-08-01", "Polygon", [[[y, x] for x, y in ring(0, 0, 1, 1)]]), "longitude, latitude"),
         (feature("2026-08-01", "Polygon", [[[float("nan"), 30.0]] * 4]), "longitude, latitude"),
-        (feature("2026-08-01", "Polygon", [[[10**400, 30.0]] * 4]), "not an area"),
+        (feature("2026-08-01", "Polygon", [[[10**400, 30.0]] * 4]), "feature 0"),
         (feature("2026-08-01", "Polygon", []), "without a ring"),
         (feature("2026-08-01", "Point", [1.0, 2.0]), "is a Point"),
-        (feature("2026-08-01", "Polygon", [[[1.0, 2.0]] * 3]), "a ring of 3 points"),
-        (feature("2026-08-01", "Polygon", [[["a", 2.0]] * 4]), "not an area"),
-        ({"properties": {"burned_at": "2026-08-01"}}, "feature 0: not an area"),
-        (17, "feature 0: not an area"),
+        (feature("2026-08-01", "Polygon", [[[1.0, 2.0]] * 3]), "feature 0: 3 points"),
+        (feature("2026-08-01", "Polygon", [[["a", 2.0]] * 4]), "feature 0"),
+        ({"properties": {"burned_at": "2026-08-01"}}, "feature 0"),
+        (17, "feature 0"),
     ],
 )
 def test_what_is_no_burn_is_refused(tmp_path: Path, wrong: Any, why: str) -> None:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -285,15 +282,3 @@ def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
     assert graph.node("locate").namespace == "/hollow"
     with pytest.raises(ConfigError, match="is the name of a node"):
         load_site(write_site(tmp_path, cameras={"locate": {}}))
-
-
-def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
-    """In a process of its own: in this one other tests have compiled."""
-    code = Path(__file__).with_name("marks_after_start.py")
-    # This file is among those that also run without a compiler.
-    given = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_DISABLE_JIT": "0"}
-    run = subprocess.run([sys.executable, code, tmp_path], env=given, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    before, after = json.loads(run.stdout)
-    assert before["ltm_core.locating.sight_kernels.add_smeared"] == 1
-    assert after == before
