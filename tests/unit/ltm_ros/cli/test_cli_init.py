@@ -1,3 +1,5 @@
+"""`ltm init` against the data services on loopback."""
+
 from __future__ import annotations
 
 import signal
@@ -13,6 +15,7 @@ from scenes.site_services import SiteServices, geotiff, grid
 from scenes.waiting import wait_for
 from typer.testing import CliRunner, Result
 
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_ros.cli.main import cli
 
@@ -121,3 +124,66 @@ def test_sources_are_listed(services: SiteServices) -> None:
     for name in ("usgs_3dep_1m", "copernicus_glo30", "landfire", "EPSG:5703"):
         assert name in result.output
     assert services.requests == []
+
+
+def test_an_existing_site_gets_a_camera_and_a_newer_fuel_map(services: SiteServices, tmp_path: Path) -> None:
+    assert init(services, tmp_path, *NEW, *NORTH).exit_code == 0
+    services.fuel_years = {2025: 1.0}
+    south = f"south={LON},{LAT - 0.004},height=9,azimuth=3,hfov=60"
+    result = init(services, tmp_path, "--update", "fuel", "--camera", south)
+    assert result.exit_code == 0, result.output
+    site = load_site(tmp_path / "getty/site.yaml")
+    assert set(site.cameras) == {"north", "south"}
+    assert site.fuel.prior is not None
+    assert site.fuel.prior.path == tmp_path / "getty/fuel_2"
+
+
+def test_cameras_of_a_list_outside_the_radius_are_left_out(services: SiteServices, tmp_path: Path) -> None:
+    rows = f"name,lon,lat,azimuth,hfov\nnear,{LON},{LAT},10,50\nfar,{LON - 1},{LAT},,\n"
+    (tmp_path / "cameras.csv").write_text(rows)
+    result = init(services, tmp_path, *NEW, "--cameras", str(tmp_path / "cameras.csv"))
+    assert result.exit_code == 0, result.output
+    assert set(load_site(tmp_path / "getty/site.yaml").cameras) == {"near"}
+    (tmp_path / "cameras.csv").write_text(rows.splitlines()[0] + f"\nfar,{LON - 1},{LAT},,\n")
+    with pytest.raises(ConfigError, match=r"cameras\.csv"):
+        init(services, tmp_path, *NEW, "--cameras", str(tmp_path / "cameras.csv"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--lonlat", "34.09", "--name", "a"), "34.09"),
+        (("--lonlat", "34.09,-118.47", "--name", "a"), "latitude"),
+        ((*NEW[:4], "--radius", "8"), "--radius 8"),
+        ((*NEW[:4], "--radius", "8000km"), "8000km"),
+        (("--lonlat", "-140.0,34.0", "--name", "sea"), "copernicus_glo30"),
+        (("--update", "fuel"), "site.yaml"),
+    ],
+)
+def test_wrong_options_are_errors(
+    arguments: tuple[str, ...], told: str, services: SiteServices, tmp_path: Path
+) -> None:
+    with pytest.raises(LtmError, match=told):
+        init(services, tmp_path, *arguments)
+    assert not (tmp_path / "getty").exists()
+
+
+def test_a_service_that_fails_while_fetching_leaves_nothing(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
+    services.statuses["lfps/job/submit"] = [503] * 1000
+    with pytest.raises(LtmError, match="503"):
+        init(services, tmp_path, *NEW)
+    assert not (tmp_path / "getty").exists()
+
+
+def test_a_site_without_a_horizon_says_which_service_failed(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
+    services.statuses["GLO30"] = [503] * 1000
+    result = init(services, tmp_path, *NEW)
+    assert result.exit_code == 0
+    assert "503" in result.output
+    assert load_site(tmp_path / "getty/site.yaml").coarser == ()

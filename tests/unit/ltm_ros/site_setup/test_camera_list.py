@@ -1,13 +1,16 @@
+"""Cameras of options and lists."""
+
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import CameraConfig
-from ltm_ros.site_setup.camera_list import check_cameras, parse_camera, read_cameras, section
+from ltm_ros.site_setup.camera_list import parse_camera, read_cameras, section
 from ltm_ros.site_setup.vertical import EGM2008, ELLIPSOIDAL, NAVD88, MissingGridError
 
 
@@ -24,6 +27,16 @@ def test_an_option_becomes_a_pose_and_a_calibration() -> None:
     }  # fmt: skip
     assert remarks == []
     CameraConfig.model_validate(entry)
+
+
+def test_photos_give_the_size_of_the_images(tmp_path: Path) -> None:
+    Image.new("RGB", (640, 360)).save(tmp_path / "a.jpg")
+    entry, _ = section(parse_camera(f"a=1,2,azimuth=0,hfov=50,photos={tmp_path}"), None)
+    config = CameraConfig.model_validate(entry)
+    assert config.calibration is not None
+    assert (config.calibration.width, config.calibration.height) == (640, 360)
+    assert config.source is not None
+    assert (config.source.kind, config.source.path) == ("folder", tmp_path)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -59,6 +72,31 @@ def test_heights_of_cameras_have_their_own_datum() -> None:
         section(same, None)
     with pytest.raises(MissingGridError):
         section(parse_camera("a=-150,61,z=500,datum=EPSG:25833+5941,azimuth=0,hfov=50"), EGM2008)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name,lon,lat,azimuth,hfov\nnorth,-118.5,34.1,214,54\n",
+        "Camera;Longitude;Latitude;Bearing;FOV;county\nnorth;-118.5;34.1;214;54;LA\n",
+        "\ufeffid\tx\ty\tAZ\tfov_deg\nnorth\t-118.5\t34.1\t214\t54\n\n",
+    ],
+)
+def test_tables_may_name_their_columns_in_several_ways(text: str, tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text(text, encoding="utf-8")
+    (camera,), _ = read_cameras(tmp_path / "c.csv")
+    assert (camera.name, camera.lon, camera.lat, camera.azimuth, camera.hfov) == ("north", -118.5, 34.1, 214, 54)
+
+
+def test_geojson_has_points_with_properties(tmp_path: Path) -> None:
+    feature = {
+        "type": "Feature",
+        "geometry": {"type": "Point", "coordinates": [-118.5, 34.1, 700]},
+        "properties": {"name": "north", "azimuth_deg": 214, "hfov": 54, "height": 12, "z": None},
+    }
+    (tmp_path / "c.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    (camera,), _ = read_cameras(tmp_path / "c.geojson")
+    assert (camera.azimuth, camera.height, camera.z) == (214, 12, None)
 
 
 def test_the_list_of_alertcalifornia_gives_turning_cameras(tmp_path: Path) -> None:
@@ -100,10 +138,3 @@ def test_a_file_that_is_no_list_is_an_error_that_names_it(name: str, text: str, 
     (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=name.replace(".", r"\.")):
         read_cameras(tmp_path / name)
-
-
-def test_each_camera_has_a_name_of_its_own() -> None:
-    camera = parse_camera("a=-118,34,azimuth=0,hfov=50")
-    check_cameras([camera], {"a": CameraConfig()})
-    with pytest.raises(ConfigError, match="exists already"):
-        check_cameras([camera, camera], {})

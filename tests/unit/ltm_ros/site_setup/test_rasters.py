@@ -1,3 +1,5 @@
+"""Resampled heights: planes of the source's grid, which bilinear interpolation keeps exactly."""
+
 from __future__ import annotations
 
 import itertools
@@ -11,8 +13,9 @@ import rasterio
 from pyproj import Transformer
 from rasterio.transform import Affine, from_origin
 
+from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_ros.site_setup.rasters import overlapping, resample, tiles_of
+from ltm_ros.site_setup.rasters import files_of, grid_over, overlapping, resample, site_resolution, tiles_of
 
 US_FOOT = 1200 / 3937
 
@@ -152,3 +155,64 @@ def test_tiles_of_two_grids_are_whole_where_they_overlap(tmp_path: Path) -> None
         sink.write(plane(DEGREES, lon, lat).astype(np.float32), 1)
     found = heights([first, tmp_path / "b.tif"], grid)
     np.testing.assert_allclose(found, expected(DEGREES, grid), atol=0.02)  # the plane bends between the zones
+
+
+@pytest.mark.parametrize("cell", [15.0, 4.0, 3.9])
+def test_finer_cells_are_averaged(cell: float, tmp_path: Path) -> None:
+    source = Source("EPSG:32611", 2.0, DEGREES.lon, DEGREES.lat, DEGREES.site)
+    grid = grid_of(source, 600.0, cell)
+    tile = write(tmp_path / "a.tif", source, 400)
+    with rasterio.open(tile, "r+") as file:
+        rough = file.read(1)
+        rough[::2] += 8
+        rough[1::2] -= 8  # rows that a sampled surface would take for ground
+        file.write(rough, 1)
+    np.testing.assert_allclose(heights([tile], grid), expected(source, grid), atol=2.5)
+
+
+def test_cells_of_a_file_in_the_crs_of_the_site_are_kept(tmp_path: Path) -> None:
+    source = Source("EPSG:32611", 10.0, DEGREES.lon, DEGREES.lat, DEGREES.site)
+    tiles = tiles_of([write(tmp_path / "a.tif", source, 100)])
+    bounds = grid_of(source, 500.0).bounds
+    grid = grid_over(bounds, site_resolution(tiles, 500.0, 8192), tiles, "EPSG:32611")
+    row, col = tiles[0].north - grid.y_max, grid.x_min - tiles[0].west
+    assert (row % 10, col % 10) == (0, 0)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        stored = file.read(1)[round(row / 10) :, round(col / 10) :][: grid.height, : grid.width]
+    np.testing.assert_array_equal(heights([tmp_path / "a.tif"], grid), stored)
+
+
+def test_a_file_that_covers_only_part_leaves_the_rest_unknown(tmp_path: Path) -> None:
+    grid = grid_of(DEGREES)
+    made = resample(tiles_of([write(tmp_path / "a.tif", DEGREES, 200, hole=True)]), grid, None)
+    known = np.isfinite(made.heights)
+    assert 0.4 < made.known < 0.6
+    assert not known[:, 0].any()
+    whole = known & np.roll(known, 2, axis=1)  # the cells at the hole's edge are nearer to it than to the next height
+    np.testing.assert_allclose(made.heights[whole], expected(DEGREES, grid)[whole], atol=2e-3)
+
+
+@pytest.mark.parametrize(("size", "lat", "metres"), [(1 / 10800, 34.2, 10), (1 / 3600, 34.2, 30), (1 / 3600, -35, 30)])
+def test_cell_size_of_degrees(size: float, lat: float, metres: float, tmp_path: Path) -> None:
+    source = Source("EPSG:4326", size, 149.0, lat, "EPSG:32755")
+    assert site_resolution(tiles_of([write(tmp_path / "a.tif", source, 50)]), 16_000, 8192) == metres
+
+
+def test_cell_size_grows_with_the_site(tmp_path: Path) -> None:
+    tiles = tiles_of([write(tmp_path / "a.tif", Source("EPSG:32611", 1.0, -118, 34, ""), 50)])
+    assert [site_resolution(tiles, side, 8192) for side in (8_000, 16_000, 40_000)] == [1, 2, 5]
+
+
+def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    grid = grid_of(DEGREES)
+    elsewhere = write(tmp_path / "far.tif", SOURCES["Hawaii"], 50)
+    with pytest.raises(RasterError, match="far"):
+        overlapping(tiles_of([elsewhere]), grid.bounds, grid.crs or "")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RasterError, match="empty"):
+        files_of([tmp_path / "empty"])
+    bare = tmp_path / "bare.tif"
+    with rasterio.open(bare, "w", driver="GTiff", width=9, height=8, count=1, dtype="float32") as sink:
+        sink.write(np.ones((8, 9), np.float32), 1)
+    with pytest.raises(RasterError, match="bare"):
+        tiles_of([bare])

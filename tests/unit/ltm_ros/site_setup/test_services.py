@@ -1,13 +1,19 @@
+"""Services that prepare files on request, and the situations in which they cannot, against services on loopback."""
+
 from __future__ import annotations
 
+import resource
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
 
-from ltm_core.base.errors import LtmError
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.resources import project_path
 from ltm_core.fuel.fuel_bands_io import open_bands
 from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError
 from ltm_ros.site_setup.services import CoverageGrid, LandfireSource
@@ -75,6 +81,19 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     assert not outside
 
 
+@pytest.mark.parametrize(
+    ("known", "year"),
+    [({2022: 1.0, 2024: 0.0, 2023: 1.0}, 2023), ({2023: 1.0, 2024: 0.5}, 2023), ({2023: 0.4, 2024: 0.5}, 2024)],
+)
+def test_the_newest_edition_that_is_complete_for_the_area_is_used(
+    known: dict[int, float], year: int, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
+    services.fuel_years = known
+    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
+
+
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +117,21 @@ def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteS
     assert "LANDFIRE_EMAIL" in plan.notes[0]
     assert [path.name for path in fetched.files] == [f"LF2024_{layer}_CONUS.tif" for layer in LAYERS]
     fetched_codes(fetched.files)
+
+
+def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, tmp_path: Path) -> None:
+    heights = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
+    services.files["/cog/mine.tif"] = heights
+    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
+            "resolution_m": 400}  # fmt: skip
+    listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
+    assert listed[0].name == "mine"
+    assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
+    source = choose(Kind.ELEVATION, HERE, sources=listed)
+    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
+    with rasterio.open(fetched.files[0]) as raster:
+        assert raster.tags()["SOURCE"] == "mine"
 
 
 Situation = Callable[[SiteServices, pytest.MonkeyPatch], dict[str, object]]
@@ -201,6 +235,34 @@ def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("area", "names"),
+    [
+        (Area.around(-30.0, 20.0, 8000.0), "copernicus_glo30"),  # ocean
+        (Area.around(-118.47, 34.09, 1_000_000.0), "million|km2"),  # huge
+        (Area.around(-118.47, 34.09, 8000.0), "copernicus_glo30"),  # no tile on the server
+    ],
+)
+def test_an_area_without_a_source_names_the_reason_of_each(
+    area: Area, names: str, services: SiteServices, tmp_path: Path
+) -> None:
+    with pytest.raises(NoCoverageError, match=names) as error:
+        choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    elevation = [source for source in load_sources() if Kind.ELEVATION in source.kinds]
+    assert all(source.name in str(error.value) for source in elevation)
+
+
+def test_too_large_an_area_gives_the_message_of_the_service(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keyed(monkeypatch)
+    area = Area((-119.0, 30.0, -114.0, 35.0))
+    listed = sources(services, tmp_path, opentopography_cop30={"resolution_m": 90.0})
+    source = choose(Kind.COARSE_ELEVATION, area, "opentopography_cop30", listed)
+    with pytest.raises(FetchError, match="450,000 km2"):
+        source.fetch(source.plan(area), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
     ("place", "elevation", "fuel"),
     [
         ((-118.47, 34.09), "usgs_3dep_10m", {"landfire": 2024}),
@@ -235,6 +297,45 @@ def test_place_decides_the_source(
             choose(Kind.FUEL, area, sources=listed)
 
 
+def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(
+        np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
+    )
+    services.statuses["/tnm/"] = [502] * 99
+    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path))
+    assert source.name == "usgs_3dep_10m"
+    assert "502" in source.plan(HERE).notes[0]
+
+
+def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
+    services.fuel_years = {2016: 1.0}
+    source = choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
+    assert "2016" in source.plan(HERE).notes[0]
+
+
+def test_requests_go_through_the_proxy_of_the_environment(
+    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HTTP_PROXY", services.url)
+    services.files["/f"] = PLAIN_FILE
+    assert Web(tmp_path / "cache").get("http://elevation.invalid/f") == PLAIN_FILE
+
+
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:1080", "nonsense://127.0.0.1:1"])
+def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ALL_PROXY", proxy)
+    with pytest.raises(FetchError, match="PROXY"):
+        Web()
+
+
+@pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
+def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
+    with pytest.raises(LtmError):
+        choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address}))
+
+
 @pytest.mark.parametrize(
     ("labels", "low", "high", "first", "steps"),
     [
@@ -253,6 +354,24 @@ def test_a_coverage_is_cut_at_the_edges_of_its_cells(
     bounds, cells = grid.cut(Area((-5.05, 44.95, -4.35, 45.25)), "here")
     assert bounds == pytest.approx((-5.6, 44.4, -3.8, 45.8))
     assert cells == 9 * 7
+
+
+def test_the_page_lists_the_sources() -> None:
+    page = project_path("docs/site.md").read_text(encoding="utf-8")
+    listed = load_sources()
+    assert {kind for source in listed for kind in source.kinds} == set(Kind)
+    assert not [source.name for source in listed if f"`{source.name}`" not in page]
+
+
+def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
+    listed = sources(services, tmp_path)
+    with pytest.raises(ConfigError, match="usgs_3dep_1m"):
+        choose(Kind.ELEVATION, HERE, "usgs", listed)
+    with pytest.raises(ConfigError, match="adress"):
+        sources(services, tmp_path, copernicus_glo30={"adress": "x"})
+    (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
+    with pytest.raises(ConfigError):
+        load_sources(tmp_path / "bad.yaml")
 
 
 def test_a_download_continues_where_it_broke_off(services: SiteServices, tmp_path: Path) -> None:
@@ -276,3 +395,16 @@ def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_pa
     with pytest.raises(FetchError, match="0000"):
         source.fetch(source.plan(HERE), tmp_path / "out")
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]
+
+
+def test_a_disk_that_fills_up_while_it_is_written_is_a_clear_error(services: SiteServices, tmp_path: Path) -> None:
+    services.files["/f"] = PLAIN_FILE
+    web = Web(tmp_path / "cache", 0.01, 3.0)
+    limits, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(FetchError, match="cache"):
+            web.download(f"{services.url}/f")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)

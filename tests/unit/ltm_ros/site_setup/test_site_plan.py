@@ -1,3 +1,5 @@
+"""Sites from a point on the map, with sources that make their rasters here: planes in degrees."""
+
 from __future__ import annotations
 
 import errno
@@ -10,11 +12,12 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 
-from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.errors import ConfigError, LtmError, RasterError
+from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_ros.site_setup.camera_list import parse_camera
 from ltm_ros.site_setup.rasters import tiles_of
-from ltm_ros.site_setup.request import Area, Fetched, FetchError, Kind, Part, Plan
+from ltm_ros.site_setup.request import Area, Fetched, FetchError, Kind, NoCoverageError, Part, Plan
 from ltm_ros.site_setup.site_plan import SitePlan, Wish, carry_out, plan_site
 
 PLACES = {
@@ -166,6 +169,27 @@ def test_canopy_heights_are_added_to_the_ground(makers: list[Any], tmp_path: Pat
     np.testing.assert_allclose(rise, [10, 15], atol=0.1)
 
 
+def test_the_crs_of_an_own_dem_is_the_sites(makers: list[Any], tmp_path: Path) -> None:
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(
+        dem, "w", driver="GTiff", width=300, height=280, count=1, dtype="float32", crs="EPSG:26911",
+        transform=from_origin(363_000, 3_775_000, 10, 10),
+    ) as sink:  # fmt: skip
+        sink.write(np.linspace(100, 300, 300 * 280, dtype=np.float32).reshape(280, 300), 1)
+    made(wish(tmp_path / "site", files={"dem": [dem]}, lonlat=(-118.47, 34.09)), makers)
+    assert load_site(tmp_path / "site/site.yaml").crs == "EPSG:26911"
+    stored = Dem.open(tmp_path / "site/dem.tif")
+    assert stored.geometry.resolution == 10
+    assert np.isin(stored.elevation[5, 5], np.linspace(100, 300, 300 * 280, dtype=np.float32))  # no new value
+
+
+def test_a_missing_fuel_map_is_reported_and_left_out(makers: list[Any], tmp_path: Path) -> None:
+    makers[2].reason = "the area is not within its coverage"
+    plan = made(wish(tmp_path / "site"), makers)
+    assert load_site(tmp_path / "site/site.yaml").fuel.prior is None
+    assert any("coverage" in remark for remark in plan.remarks)
+
+
 def test_a_camera_outside_the_radius_stands_on_the_coarse_dem(makers: list[Any], tmp_path: Path) -> None:
     far = parse_camera("far=-118.40,34.09,height=20,azimuth=214,hfov=54")
     plan = made(wish(tmp_path / "site", cameras=[far]), makers)
@@ -220,6 +244,28 @@ def test_whatever_happens_while_fetching_leaves_nothing(
     made(wish(tmp_path / "site"), makers)  # it can be repeated
 
 
+def test_no_elevation_is_an_error(makers: list[Any], tmp_path: Path) -> None:
+    makers[0].reason = "sea"
+    with pytest.raises(NoCoverageError, match="sea"):
+        plan_site(wish(tmp_path / "site"), makers)
+
+
+def test_a_disk_that_is_too_small_is_told_before_anything_is_fetched(
+    makers: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltm_ros.site_setup.site_plan.free_bytes", lambda path: 2_000)
+    makers[0].error = AssertionError("fetched")
+    with pytest.raises(ConfigError, match="are free"):
+        made(wish(tmp_path / "site"), makers)
+
+
+def test_a_folder_with_other_things_is_kept(makers: list[Any], tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").touch()
+    with pytest.raises(ConfigError, match="not an empty folder"):
+        made(wish(tmp_path), makers)
+    assert [file.name for file in tmp_path.iterdir()] == ["photo.jpg"]
+
+
 @pytest.mark.parametrize("key", ["dem", "coarser", "surface", "fuel"])
 def test_an_update_adds_a_raster_and_keeps_the_rest(key: str, makers: list[Any], tmp_path: Path) -> None:
     out = tmp_path / "site"
@@ -263,8 +309,22 @@ def test_an_update_that_fails_leaves_the_site(makers: list[Any], tmp_path: Path)
         plan_site(wish(out, cameras=[]), makers)
 
 
-def test_a_folder_with_other_things_is_kept(makers: list[Any], tmp_path: Path) -> None:
-    (tmp_path / "photo.jpg").touch()
-    with pytest.raises(ConfigError, match="not an empty folder"):
-        made(wish(tmp_path), makers)
-    assert [file.name for file in tmp_path.iterdir()] == ["photo.jpg"]
+def test_a_file_that_cannot_be_written_is_an_error(
+    makers: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        made(wish(tmp_path / "site"), makers)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_fuel_map_of_another_place_is_an_error(makers: list[Any], tmp_path: Path) -> None:
+    codes = write_plane(
+        tmp_path / "codes.tif", Area((-117.0, 33.0, -116.9, 33.1)), 1 / 3600,
+        lambda lon, lat: np.full(lon.shape, 147), "int16",
+    )  # fmt: skip
+    with pytest.raises(RasterError, match="codes"):
+        made(wish(tmp_path / "site", files={"fuel": [codes]}), makers)

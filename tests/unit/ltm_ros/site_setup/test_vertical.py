@@ -19,6 +19,7 @@ from pyproj import CRS, Transformer
 from pyproj.datadir import get_user_data_dir
 from rasterio.transform import from_origin
 
+from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_ros.site_setup.rasters import resample, tiles_of
 from ltm_ros.site_setup.vertical import (
@@ -30,6 +31,8 @@ from ltm_ros.site_setup.vertical import (
     MissingGridError,
     correction,
     datum_of,
+    named_datum,
+    site_datum,
 )
 
 DATUMS = {"NAVD88": NAVD88, "EGM2008": EGM2008, "EGM96": EGM96, "ellipsoid": ELLIPSOIDAL}
@@ -39,6 +42,7 @@ ITRF2014_OF_NAD83 = (
     "+ry=-0.00042027 +rz=0.01093206 +s=0.00036891 +convention=coordinate_frame +step +inv +proj=cart +ellps=GRS80"
 )
 """Values at epoch 2010 of NOAA's HTDP 3.2.9, as EPSG:8970 has them."""
+REAL = Path("/usr/share/proj/egm96_15.gtx")
 
 
 def undulation(name: str, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
@@ -110,6 +114,24 @@ def test_heights_agree_with_a_pipeline_of_proj(given: str, wanted: str, grids: P
     assert np.abs(found - z).min() > 0.01  # there is something to convert
 
 
+@pytest.mark.skipif(not REAL.is_file(), reason="needs EGM96's grid: apt install proj-data")
+def test_heights_agree_with_the_real_grid_of_egm96() -> None:
+    before = pyproj.datadir.get_data_dir()
+    pyproj.datadir.append_data_dir(str(REAL.parent))
+    try:
+        rng = np.random.default_rng(6)
+        lon, lat = rng.uniform(-180, 180, 200), rng.uniform(-80, 80, 200)
+        there = Transformer.from_pipeline(
+            f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=vgridshift +grids={REAL} "
+            "+multiplier=1 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
+        ).transform(lon, lat, np.zeros(200))[2]
+        np.testing.assert_allclose(correction(EGM96, ELLIPSOIDAL, lon, lat), there, atol=0.05)
+        assert there.min() < -50
+        assert there.max() > 40
+    finally:
+        pyproj.datadir.set_data_dir(before)
+
+
 @pytest.mark.parametrize("crs", ["EPSG:4326+5773", "EPSG:4326+3855", "EPSG:4269+5703", "EPSG:4269+6360", "EPSG:4979"])
 @pytest.mark.parametrize("wanted", [NAVD88, EGM2008])
 def test_a_raster_comes_into_the_datum_of_the_site(crs: str, wanted: Datum, grids: Path, tmp_path: Path) -> None:
@@ -145,6 +167,11 @@ def test_a_missing_grid_states_its_name_and_the_size_of_the_error(without_grids:
     assert (orthometric.value.metres, ellipsoidal.value.metres) == (1, 30)
 
 
+def test_a_place_beyond_the_grid_is_an_error(grids: Path) -> None:
+    with pytest.raises(MissingGridError):
+        correction(NAVD88, EGM2008, np.array([-149.5]), np.array([61.2]))
+
+
 @pytest.mark.parametrize(
     ("crs", "code"),
     [
@@ -160,3 +187,16 @@ def test_a_missing_grid_states_its_name_and_the_size_of_the_error(without_grids:
 def test_the_datum_that_a_crs_states(crs: str, code: str | None) -> None:
     found = datum_of(CRS(crs))
     assert (None if found is None else found.code) == code
+
+
+def test_the_datum_of_a_site_is_a_level_surface(grids: Path) -> None:
+    assert site_datum(NAVD88, -118, 34) == NAVD88
+    assert site_datum(ELLIPSOIDAL, -118, 34) == EGM2008
+    assert site_datum(None, -118, 34) is None
+
+
+def test_a_name_that_is_no_datum_is_an_error() -> None:
+    assert named_datum("NAVD88") == NAVD88
+    assert named_datum("EPSG:3855") == EGM2008
+    with pytest.raises(ConfigError, match="32611"):
+        named_datum("EPSG:32611")

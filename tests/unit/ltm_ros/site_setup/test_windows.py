@@ -1,3 +1,5 @@
+"""Windows of remote GeoTIFFs: cells, seams, holes, bytes and interruptions, against services on loopback."""
+
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -7,11 +9,12 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.io import MemoryFile
-from rasterio.warp import transform
+from rasterio.warp import transform, transform_bounds
 from scenes.site_services import SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.site_setup.request import Area, Kind
+from ltm_core.base.resources import project_path
+from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
 from ltm_ros.site_setup.web import Web
@@ -115,6 +118,26 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     assert services.bytes_sent <= 1.1 * expected
 
 
+@pytest.mark.parametrize("name", ["bags/demo/dem.tif", "../shared/data/dem_bigtujunga/bigtujunga.tif"])
+def test_real_terrain_arrives_unchanged(name: str, services: SiteServices, tmp_path: Path) -> None:
+    path = (project_path(".") / name).resolve()
+    services.add_product("USGS_1M_11_x34y379_A.tif", path.read_bytes(), "2021-01-01")
+    with rasterio.open(path) as raster:
+        west, south, east, north = transform_bounds(raster.crs, "EPSG:4326", *raster.bounds)
+        lon, lat = (west + east) / 2, (south + north) / 2
+        source = named(services, tmp_path, "usgs_3dep_1m", resolution_m=abs(raster.res[0]))
+        area = Area.around(lon, lat, min(Area((west, south, east, north)).size_m) / 6)
+        fetched = source.fetch(source.plan(area), tmp_path / "out")
+        values, about = opened(fetched.files[0])
+        np.testing.assert_array_equal(
+            values, raster.read(1, window=raster.window(*about.bounds).round_lengths().round_offsets())
+        )
+        assert about.crs == raster.crs
+    inside = transform_bounds(about.crs, "EPSG:4326", *about.bounds)
+    assert inside[0] < area.bounds_lonlat[0] < area.bounds_lonlat[2] < inside[2]
+    assert values.size < raster.width * raster.height / 4
+
+
 def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(
     services: SiteServices, tmp_path: Path
 ) -> None:
@@ -130,6 +153,20 @@ def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(
     fetched = source.fetch(source.plan(area), tmp_path / "out")
     assert [path.name[11:] for path in fetched.files] == ["x40y384_New.tif", "x41y384_New.tif", "x40y384_Old.tif"]
     assert fetched.year == 2023
+
+
+def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    west, _, east, north = AREA.bounds_lonlat
+    half = geotiff(np.ones((200, 200), np.float32), "EPSG:4326", west - 0.01, north + 0.01, (east - west + 0.02) / 400)
+    services.add_product("x1y1.tif", half, "2020")
+    for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
+        add_degree_tile(services, file, left, 35, 0, -0.5)
+    source = choose(Kind.ELEVATION, AREA, sources=sources(services, tmp_path))
+    assert source.name == "copernicus_glo30"
+    notes = source.plan(AREA).notes
+    assert [note.split()[0] for note in notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
 
 
 def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteServices, tmp_path: Path) -> None:
@@ -195,6 +232,51 @@ def test_files_of_all_layouts_are_read(layout: str, services: SiteServices, tmp_
         assert raster.units == ("metre",)
 
 
+def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services: SiteServices, tmp_path: Path) -> None:
+    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
+    name, whole = next(iter(services.files.items()))
+    area = Area.around(-118.5, 34.5, 8000.0)
+    plan = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0).plan(area)
+    services.files[name] = whole[: len(whole) // 2] + bytes(len(whole) - len(whole) // 2)
+    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
+    with pytest.raises(LtmError):
+        source.fetch(plan, tmp_path / "out")  # changed since it was planned
+    with pytest.raises(LtmError):
+        source.fetch(source.plan(area), tmp_path / "out")
+    services.files[name] = whole
+    assert len(source.fetch(plan, tmp_path / "out").files) == 1
+
+
+def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteServices, tmp_path: Path) -> None:
+    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
+    assert "sea" in source.covers(Area.around(-30.0, 20.0, 8000.0))
+    unknown = np.full((360, 360), -9999.0, np.float32)
+    for west in (119, 118):
+        services.files[f"/cog/GLO30_N34_00_W{west}.tif"] = geotiff(
+            unknown, "EPSG:4326", -west, 35.0, STEP, nodata=-9999.0
+        )
+    with pytest.raises(NoCoverageError):
+        source.fetch(source.plan(AREA), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
+    services: SiteServices, tmp_path: Path
+) -> None:
+    unknown = np.full((360, 360), -9999.0, np.float32)
+    services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
+    area = Area.around(-118.5, 34.5, 8000.0)
+    listed = sources(services, tmp_path)
+    source = choose(Kind.ELEVATION, area, sources=listed)
+    with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
+        source.fetch(source.plan(area), tmp_path / "out")
+    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
+    source = choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    fetched = source.fetch(source.plan(area), tmp_path / "out")
+    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
+    assert fetched.vertical_crs == "EPSG:3855"
+
+
 @pytest.mark.parametrize("trouble", ["no ranges", "no GeoTIFF", "a mask", "busy"])
 def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     trouble: str, services: SiteServices, tmp_path: Path
@@ -221,6 +303,17 @@ def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
         source.fetch(source.plan(area), tmp_path / "out")
     assert not (tmp_path / "out").exists()
     assert not list((tmp_path / "cache").glob("*.tif"))
+
+
+def test_a_file_server_that_fails_a_few_times_is_asked_again(services: SiteServices, tmp_path: Path) -> None:
+    add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
+    source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
+    services.statuses["/cog/"], services.retry_after = [503, 429], "0"
+    plan = source.plan(Area.around(-118.5, 34.5, 8000.0))
+    services.cut["/cog/"] = 1
+    (path,) = source.fetch(plan, tmp_path / "out").files
+    values, about = opened(path)
+    assert values[0, 0] == pytest.approx(plane(*(about.transform * (0.5, 0.5))), abs=1e-4)
 
 
 def test_web_map_tiles_have_the_names_and_values_of_their_places(services: SiteServices, tmp_path: Path) -> None:
