@@ -57,25 +57,25 @@ def test_cells_of_which_half_has_burned(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "why"),
+    "wrong",
     [
-        (feature(None, "Polygon", [ring(0, 0, 1, 1)]), "write when it burned"),
-        (feature("yesterday", "Polygon", [ring(0, 0, 1, 1)]), "'yesterday'; write when it burned"),
-        (feature("1969-01-01", "Polygon", [ring(0, 0, 1, 1)]), "1970 to 2105"),
-        (feature("2107-01-01", "Polygon", [ring(0, 0, 1, 1)]), "1970 to 2105"),
-        (feature("2026-08-01", "Polygon", [[[y, x] for x, y in ring(0, 0, 1, 1)]]), "longitude, latitude"),
-        (feature("2026-08-01", "Polygon", [[[float("nan"), 30.0]] * 4]), "longitude, latitude"),
-        (feature("2026-08-01", "Polygon", [[[10**400, 30.0]] * 4]), "not an area"),
-        (feature("2026-08-01", "Polygon", []), "without a ring"),
-        (feature("2026-08-01", "Point", [1.0, 2.0]), "is a Point"),
-        (feature("2026-08-01", "Polygon", [[[1.0, 2.0]] * 3]), "a ring of 3 points"),
-        (feature("2026-08-01", "Polygon", [[["a", 2.0]] * 4]), "not an area"),
-        ({"properties": {"burned_at": "2026-08-01"}}, "feature 0: not an area"),
-        (17, "feature 0: not an area"),
+        feature(None, "Polygon", [ring(0, 0, 1, 1)]),
+        feature("yesterday", "Polygon", [ring(0, 0, 1, 1)]),
+        feature("1969-01-01", "Polygon", [ring(0, 0, 1, 1)]),
+        feature("2107-01-01", "Polygon", [ring(0, 0, 1, 1)]),
+        feature("2026-08-01", "Polygon", [[[y, x] for x, y in ring(0, 0, 1, 1)]]),
+        feature("2026-08-01", "Polygon", [[[float("nan"), 30.0]] * 4]),
+        feature("2026-08-01", "Polygon", [[[10**400, 30.0]] * 4]),
+        feature("2026-08-01", "Polygon", []),
+        feature("2026-08-01", "Point", [1.0, 2.0]),
+        feature("2026-08-01", "Polygon", [[[1.0, 2.0]] * 3]),
+        feature("2026-08-01", "Polygon", [[["a", 2.0]] * 4]),
+        {"properties": {"burned_at": "2026-08-01"}},
+        17,
     ],
 )
-def test_what_is_no_burn_is_refused(tmp_path: Path, wrong: Any, why: str) -> None:
-    with pytest.raises(ConfigError, match=why):
+def test_what_is_no_burn_is_refused(tmp_path: Path, wrong: Any) -> None:
+    with pytest.raises(ConfigError, match=r"burns\.geojson, feature 0"):
         read_burns(written(tmp_path, wrong), GRID)
 
 
