@@ -140,14 +140,9 @@ class FusedDepth(FusionOutcome):
 
 @dataclass(frozen=True, eq=False)
 class Fusion:
-    """Fusion of one photo's depths. Raises ImageError if sizes differ.
+    """Fusion of one photo's depths; arguments and errors as of `fuse`, with their defaults in place of None.
 
-    The pose is checked at once; the network is fitted, and pixels are fused, when that is first requested.
-
-    `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
-    its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
-    `config`: constants fitted with the network. `hidden`: (H, W) bool, pixels that show something else than the
-    terrain. `unusable`: why the photo is not used; empty: it is."""
+    The pose is checked at once; the network is fitted, and pixels are fused, when that is first requested."""
 
     traced: RangeImage | DepthImage
     network: NetworkDepth | None
@@ -241,8 +236,12 @@ def fuse(
     hidden: BoolArray | None = None,
     unusable: str = "",
 ) -> FusedDepth:
-    """Fuse one photo's depths; arguments and errors as of `Fusion`, with the default of `settings` and `config` for
-    None."""
+    """Fuse one photo's depths. Raises ImageError if sizes differ.
+
+    `traced`: over bare ground; `surface`: over a surface raster (canopy), if any. `network`: depth of the same photo at
+    its own size. `rgb`: (H, W, 3) uint8. `labels`: (H, W) uint8 ids of `classes`. `settings`: sigmas of the inputs.
+    `config`: constants fitted with the network. `hidden`: (H, W) bool, pixels that show something else than the
+    terrain. `unusable`: why the photo is not used; empty: it is."""
     given = settings or FusionSettings(), surface, config or FusionConfig(), hidden, unusable
     return Fusion(traced, network, rgb, labels, classes, *given).fused
 

@@ -43,7 +43,8 @@ def _points(database: sqlite3.Connection, path: Path) -> tuple[list[dict[str, An
     if len(tables) != 1:
         there = ", ".join(str(table[0]) for table in tables) or "none"
         raise RasterError(f"{path}: one layer is expected, it has {there}; write the points as a file of their own")
-    (table, column, number), found = tables[0], []
+    table, column, number = tables[0]
+    found: list[dict[str, Any]] = []
     quoted = (f'"{str(word).replace(chr(34), 2 * chr(34))}"' for word in (column, table))
     rows = database.execute("SELECT {}, * FROM {}".format(*quoted))
     names = [str(entry[0]).lower().replace(" ", "_") for entry in rows.description[1:]]
