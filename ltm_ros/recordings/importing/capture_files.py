@@ -66,13 +66,6 @@ class CaptureFiles:
             raise RecordingError(f"{place}: has more than {most >> 20} MiB unpacked: split the recording")
         return data
 
-    def text(self, name: str, most: int) -> str:
-        """Return a member as UTF-8 text."""
-        try:
-            return self.read(name, most).decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise RecordingError(f"{self.path}: {name!r} is not text in UTF-8 ({error})") from error
-
     def _opened(self) -> zipfile.ZipFile:
         try:
             return zipfile.ZipFile(self.path)
