@@ -128,6 +128,7 @@ def replay(
             require_whole(bag, publish(bag, site, options, progress, stopping.is_set))
         return
     require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
+    checked = load_site(site)
     if record:
         if (out / "bag").resolve() in (bag.resolve(), bag.resolve().parent):
             raise ConfigError(f"{out / 'bag'} is the recording to replay; give another --out")
@@ -142,7 +143,7 @@ def replay(
     print_nodes(console, node_rows(summaries))
     print_outcome(console, summaries)
     if not stopping.is_set():
-        require_frames(bag, load_site(site), summaries, names)
+        require_frames(bag, checked, summaries, names)
     console.print(f"fuel map: {out / 'fuel_map.tif'}")
     require_whole(bag, summaries)
 
