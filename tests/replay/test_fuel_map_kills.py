@@ -83,7 +83,7 @@ def acknowledged(site: Path, folder: Path, numbers: list[int], kill_after: int |
     return [int(line) for line in lines if line.endswith("\n")]
 
 
-@pytest.mark.parametrize("cycles", [2, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cycles", [2, pytest.param(40, marks=pytest.mark.slow)])
 def test_state_is_that_of_a_run_without_kills(tmp_path: Path, cycles: int) -> None:
     site, rng, frames = write_site(tmp_path), random.Random(cycles), 0
     for cycle in range(cycles + 1):
