@@ -35,7 +35,7 @@ from ltm_lab.simulator.works import Houses
 _SIDES = ((4_000.0, 4.0), (12_000.0, 16.0), (80_000.0, 90.0))
 """Side and least cell size in metres of the ground near a camera, around it, and out to the horizon."""
 _CLEAR_M = 15.0
-"""Radius in metres around a camera without plants: nobody mounts a camera behind a bush."""
+"""Radius in metres around a camera within which no plants are drawn; they would hide the view."""
 _WIDEST = 960
 """Maximum width of a rendered image in pixels; metrics compare squares of 256 and 299 pixels."""
 

@@ -15,7 +15,7 @@ def drained(inbox: Inbox) -> list[tuple[str, bytes]]:
     return found
 
 
-def test_a_tower_that_floods_delays_nobody_s_frames() -> None:
+def test_a_tower_that_floods_delays_no_other_towers_frames() -> None:
     health = Health()
     inbox = Inbox(["alta", "bear", "crow"], health)
     for number in range(50):
@@ -48,10 +48,10 @@ def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() ->
     health = Health()
     inbox = Inbox(["alta"], health, most=8 * KEPT_BYTES)
     for number in range(1000):
-        inbox.put(f"nobody{number}", b"")
+        inbox.put(f"unknown{number}", b"")
     inbox.put("alta", b"")
     came = [tower for tower, _ in drained(inbox)]
-    assert came == ["nobody0", "alta", *(f"nobody{number}" for number in range(1, 7))]
+    assert came == ["unknown0", "alta", *(f"unknown{number}" for number in range(1, 7))]
     assert health.dropped == {"overload": 993}
     assert "most of them from unknown towers" in health.last_error
     inbox.put("alta" + 60_000 * "x", b"")
