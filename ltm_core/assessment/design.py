@@ -1,9 +1,9 @@
 """Draw a stratified random sample of map cells that is spread over the area.
 
-Strata are the map's classes, split into changed and unchanged cells. Within a stratum the cells are ordered along a
-Z-order curve, which is cut into equal segments with a random start; of each segment about SEGMENT random cells are
-drawn. Every cell of a stratum has the same chance. Shorter segments would spread the cells better, but then intervals
-would be too wide, because their standard errors are those of a sample without segments."""
+Strata are the map's classes, split into changed and unchanged cells. Within an unchanged stratum the cells are ordered
+along a Z-order curve, which is cut into equal segments with a random start; of each segment about SEGMENT random cells
+are drawn. Every cell of a stratum has the same chance. Standard errors are those of a sample without segments. Shorter
+segments, or segments of changed cells, whose errors are far from the true change, would make intervals too wide."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def drawn(
     for key, size, count in zip(found.tolist(), sizes.tolist(), counts, strict=True):
         rows, columns = np.nonzero(observed & (keys == key))
         order = np.roll(np.argsort(z_order(rows, columns), kind="stable"), rng.integers(size))
-        segments = max(1, count // SEGMENT)
+        segments = 1 if key % 2 else max(1, count // SEGMENT)
         parts = zip(np.array_split(order, segments), np.array_split(np.arange(count), segments), strict=True)
         chosen = np.concatenate([rng.choice(cells, len(share), replace=False) for cells, share in parts])
         name = names[key // 2] + (", changed" if key % 2 else "")
@@ -115,6 +115,6 @@ def drawn(
 def z_order(rows: Int64Array, columns: Int64Array) -> Int64Array:
     """Return (N,) places of cells on a Z-order curve: the bits of row and column, interleaved."""
     code = np.zeros(len(rows), np.int64)
-    for bit in range(31):
+    for bit in range(int(max(rows.max(), columns.max())).bit_length()):
         code |= ((columns >> bit) & 1) << (2 * bit) | ((rows >> bit) & 1) << (2 * bit + 1)
     return code

@@ -3,14 +3,15 @@
 Every figure is a share of cells that have one property among those that have another. Estimates and standard errors
 are those of Stehman (2014, Int. J. Remote Sens. 35), which for strata equal to map classes are those of Olofsson et al.
 (2014, Remote Sens. Environ. 148), with the correction for finite populations. These errors are 0 if a sample shows no
-error, so that intervals count one more success and one more failure (as Agresti and Coull 1998, Am. Stat. 52), each in
-the stratum in which a cell weighs most. They are quantiles of the beta distribution (as Korn and Graubard 1998, Surv.
-Methodol. 24) with the mean and variance of the share after all other cells are drawn from Dirichlet distributions.
-`ltm-lab eval assessment` counts how many intervals contain the truth."""
+error, so that intervals count half a success and half a failure more (Jeffreys' prior), each in the stratum in which a
+cell weighs most. They are quantiles of the beta distribution (as Korn and Graubard 1998, Surv. Methodol. 24) with the
+mean and variance of the share after all other cells are drawn from Dirichlet distributions. `ltm-lab eval assessment`
+counts how many intervals contain the truth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,21 +19,32 @@ from scipy.special import betaincinv
 
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 
+FEWEST_EVENTS: Final = 7.0
+"""Events below which the number of events takes so few values that no rule gives intervals of 93 to 97 % for every true
+share: the best one for Poisson counts, the mid-P interval, fails up to 6.6 expected events."""
+
 
 @dataclass(frozen=True)
 class Estimate:
     """A share with its standard error and 95 % interval; `cells`: sampled cells that it rests on. NaN if there are
-    none."""
+    none. `events`: effective number of sampled cells with the rarer outcome, such as errors of a good map."""
 
     value: float
     error: float
     low: float
     high: float
     cells: int
+    events: float
+
+    @property
+    def approximate(self) -> bool:
+        """Return whether the interval rests on too few events to contain the truth in 93 to 97 % of the samples."""
+        return self.low < self.high and self.events < FEWEST_EVENTS
 
     def times(self, factor: float) -> Estimate:
         """Return the estimate in another unit, such as hectares."""
-        return Estimate(factor * self.value, factor * self.error, factor * self.low, factor * self.high, self.cells)
+        scaled = {name: factor * getattr(self, name) for name in ("value", "error", "low", "high")}
+        return replace(self, **scaled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +62,23 @@ class StratifiedSample:
         observed in a stratum. The other one is the reference's."""
         shown, inside = np.asarray(part, np.bool_), np.asarray(whole, np.bool_)
         if not inside.any():
-            return Estimate(np.nan, np.nan, np.nan, np.nan, 0)
+            return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0.0)
         hit = shown & inside
         counts = self._totals(np.ones(len(hit)))
         total = float(self.sizes @ (self._totals(inside) / counts))
         share = float(self.sizes @ (self._totals(hit) / counts)) / total
         residual = hit - share * inside
-        squares = self._totals((residual - (self._totals(residual) / counts)[self.stratum]) ** 2)
-        spread = squares / np.maximum(counts - 1, 1)
-        error = float(np.sqrt((self.sizes**2.0 * spread / counts * (1 - counts / self.sizes)).sum())) / total
+        deviation = np.round(residual - (self._totals(residual) / counts)[self.stratum], 12)
+        spread = self._totals(deviation**2) / np.maximum(counts - 1, 1)
+        unsampled = 1 - counts / self.sizes
+        error = float(np.sqrt((self.sizes**2.0 * spread / counts * unsampled).sum())) / total
+        # The inverse square of a skewness in which no two errors cancel: n equal weights of rare outcomes give n.
+        weighed = (self.sizes / counts)[self.stratum] * np.abs(deviation)
+        second, third = (float(unsampled[self.stratum] @ weighed**power) for power in (2, 3))
+        events = second**3 / third**2 if third else 0.0
         known = inside if of_map == "whole" else shown
         low, high = self._interval(hit, inside & ~shown, known, known if of_map == "whole" else ~known)
-        return Estimate(share, error, min(low, share), max(high, share), int(inside.sum()))
+        return Estimate(share, error, min(low, share), max(high, share), int(inside.sum()), events)
 
     def _totals(self, values: BoolArray | Float64Array) -> Float64Array:
         """Return the sum of values, (N,), of each stratum."""
@@ -77,8 +94,8 @@ class StratifiedSample:
         for found, possible in ((hits, may_hit), (misses, may_miss)):
             if possible.any():
                 heaviest = np.argmax(np.where(self._totals(possible) > 0, self.sizes * rest / sampled**2, -1.0))
-                found[heaviest] += 1
-                cells[heaviest] += 1
+                found[heaviest] += 0.5
+                cells[heaviest] += 0.5
         p, q = hits / cells, misses / cells
         of_hits, of_misses = float(hit.sum() + rest @ p), float(miss.sum() + rest @ q)
         total = of_hits + of_misses

@@ -1,8 +1,7 @@
 """Repeat an accuracy assessment with simulated interpreters and count how often its 95 % intervals contain the truth.
 
 The maps are a rendered one (prior, map and true life forms) and drawn ones of clustered classes with known errors. The
-truth of an interval is what the interpreter would answer in a census of the map. If few events are expected, such as
-errors of a good map, an estimate takes few values, and the coverage of every method jumps with the true value.
+truth of an interval is what the interpreter would answer in a census of the map.
 """
 
 from __future__ import annotations
@@ -14,15 +13,13 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ltm_core.assessment.design import Sample, drawn
+from ltm_core.assessment.design import drawn
 from ltm_core.assessment.estimation import Estimate, StratifiedSample
-from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.life_form import LifeForm
 from ltm_ros.assessment.plan import NAMES, read_map_plan
 
-FEWEST_EVENTS: Final = 3.0
-"""Expected events below which a figure's coverage depends on its few possible values."""
 _SIDE: Final = 120
 _FORMS: Final = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 
@@ -40,8 +37,8 @@ class Population:
 
 @dataclass(frozen=True)
 class Coverage:
-    """One figure over all samples: its true value, share of the intervals that contain it, mean half-width. `events`:
-    expected number of sampled cells with the outcome that is rarer in their stratum, as if all had the same weight."""
+    """One figure over all samples: its true value, median events, share of the intervals that contain the true value,
+    and mean half-width."""
 
     population: str
     figure: str
@@ -122,29 +119,12 @@ def coverage(population: Population, cells: int, samples: int, seed: int = 1) ->
         for name, (part, whole, of_map) in pairs.items():
             found[name].append(stratified.ratio(part[at], whole[at], of_map))
     rows = []
-    for name, (part, whole, _) in pairs.items():
-        truth = truths[name]
+    for name, truth in truths.items():
         low, high = (np.array([getattr(one, end) for one in found[name]]) for end in ("low", "high"))
         covered = float(((low <= truth) & (truth <= high)).mean())
-        events = _events(
-            sample,
-            [inside & (of.map == s.map_class) & (changed == s.changed) for s in sample.strata],
-            (part & whole) - truth * whole,
-        )
+        events = float(np.median([one.events for one in found[name]]))
         rows.append(Coverage(of.name, name, truth, events, covered, float((high - low).mean()) / 2))
     return rows
-
-
-def _events(sample: Sample, where: list[BoolArray], residual: Float64Array) -> float:
-    """Return the effective number of events of a ratio; `where`: (H, W) cells of each stratum."""
-    first = second = 0.0
-    for stratum, cells in zip(sample.strata, where, strict=True):
-        values = residual[cells]
-        top = float((values == values.max()).mean())
-        rarer = stratum.sampled * min(top, 1 - top)
-        weight = stratum.cells / stratum.sampled * float(np.ptp(values))
-        first, second = first + weight * rarer, second + weight**2 * rarer
-    return first**2 / second if second else np.inf
 
 
 def _classes(rng: np.random.Generator) -> UInt8Array:

@@ -77,10 +77,11 @@ def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequenc
 
 
 def interval(estimate: Any, scale: float = 100, digits: int = 1) -> str:
-    """Return the 95 % interval of an estimate as text, in percent by default."""
+    """Return the 95 % interval of an estimate as text, in percent by default; "≈": approximate."""
     if estimate.cells == 0:
         return ""
-    return f"{scale * estimate.low:,.{digits}f} to {scale * estimate.high:,.{digits}f}"
+    mark = "≈ " if estimate.approximate else ""
+    return f"{mark}{scale * estimate.low:,.{digits}f} to {scale * estimate.high:,.{digits}f}"
 
 
 def keep_accuracy(plan: MapPlan, figures: Figures) -> None:

@@ -16,7 +16,7 @@ def assessment(
     ] = None,
     truth: Annotated[Path | None, typer.Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
     cells: Annotated[int, typer.Option(min=20, help="Sampled cells.")] = 300,
-    samples: Annotated[int, typer.Option(min=10, help="Number of samples.")] = 500,
+    samples: Annotated[int, typer.Option(min=10, help="Number of samples.")] = 5000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
     json_path: JsonFile = None,
 ) -> None:
@@ -28,7 +28,8 @@ def assessment(
 
     from rich.console import Console
 
-    from ltm_lab.evaluation.assessment_trial import FEWEST_EVENTS, coverage, drawn_population, rendered_population
+    from ltm_core.assessment.estimation import FEWEST_EVENTS
+    from ltm_lab.evaluation.assessment_trial import coverage, drawn_population, rendered_population
     from ltm_ros.cli.output import print_table
     from ltm_ros.pages import write_figures
 
@@ -52,13 +53,15 @@ def assessment(
     ]
     columns = ("map", "figure", ">true value", ">intervals that contain it", ">half-width", ">events")
     print_table(console, f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
-    means = []
-    for population in populations:
-        judged = [r.covered for r in found if r.population == population.name and r.events >= FEWEST_EVENTS]
-        ends = (min(judged), sum(judged) / len(judged), max(judged)) if judged else ()
-        means.append((population.name, str(len(judged)), *(f"{100 * v:.1f} %" for v in ends)))
-    title = f"Figures with at least {FEWEST_EVENTS:.0f} events"
-    print_table(console, title, ("map", ">figures", ">lowest", ">mean", ">highest"), means)
+    bounds = (0.0, 3.0, FEWEST_EVENTS, float("inf"))
+    bands = []
+    for low, high in zip(bounds, bounds[1:], strict=False):
+        covered = [r.covered for r in found if low <= r.events < high]
+        ends = (min(covered), sum(covered) / len(covered), max(covered)) if covered else ()
+        within = sum(0.93 <= share <= 0.97 for share in covered)
+        bands.append((f"{low:g} to {high:g}", f"{within} of {len(covered)}", *(f"{100 * v:.1f} %" for v in ends)))
+    columns = (">events", ">in 93 to 97 %", ">lowest", ">mean", ">highest")
+    print_table(console, "Figures by events", columns, bands)
     if json_path is not None:
         write_figures(
             json_path, {"samples": samples, "cells": cells, "seed": seed, "coverage": [asdict(row) for row in found]}

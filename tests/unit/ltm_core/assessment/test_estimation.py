@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import beta
 
 from ltm_core.assessment.estimation import StratifiedSample, assessed, joined, kappa
 
@@ -57,9 +58,11 @@ def test_a_census_has_no_error_and_a_sample_without_errors_has_an_interval() -> 
     whole = StratifiedSample(stratum, np.array([20])).ratio(right, right, "whole")
     assert (whole.value, whole.low, whole.high) == (1, 1, 1)
     part = StratifiedSample(stratum, np.array([100_000])).ratio(right, right, "whole")
-    # One more success and failure: the 2.5 % quantile of Beta(21, 1) is the 21st root.
+    # Jeffreys' interval: the 2.5 % quantile of Beta(20.5, 0.5).
     assert (part.value, part.high) == (1, 1)
-    assert part.low == pytest.approx(0.025 ** (1 / 21), abs=1e-3)
+    assert part.low == pytest.approx(beta.ppf(0.025, 20.5, 0.5), abs=1e-3)
+    assert part.approximate
+    assert not whole.approximate
 
 
 def test_an_unseen_error_counts_in_the_stratum_where_a_cell_weighs_most() -> None:
@@ -71,8 +74,21 @@ def test_an_unseen_error_counts_in_the_stratum_where_a_cell_weighs_most() -> Non
     ]
     assert low[1] == pytest.approx(low[2], rel=1e-9)
     # Beta's quantiles with the mean and variance that one unseen error of half, and of 3/4, of a cell's weight gives.
-    assert low[0] == pytest.approx(0.919, abs=0.002)
+    assert low[0] == pytest.approx(0.942, abs=0.002)
     assert low[1] == pytest.approx(1 - 1.5 * (1 - low[0]), abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("errors", "sizes", "events"),
+    [(10, (1, 1), 20.0), (10, (1, 3), 10 * (1 + 9) ** 3 / (1 + 27) ** 2), (3, (1, 1), 6.0)],
+)
+def test_events_are_the_effective_number_of_errors(errors: int, sizes: tuple[int, int], events: float) -> None:
+    """Two strata with as many errors: those of equal weight are counted, others less."""
+    right = np.tile(np.arange(10**4) >= errors, 2)
+    sample = StratifiedSample(np.repeat([0, 1], 10**4), 10**8 * np.array(sizes))
+    found = sample.ratio(right, np.ones_like(right), "whole")
+    assert found.events == pytest.approx(events, rel=0.01)
+    assert found.approximate == (errors == 3)
 
 
 def test_the_standard_error_is_that_of_random_sampling_in_strata() -> None:
