@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import LifeForm
@@ -71,13 +71,13 @@ class SampledCell:
 @dataclass(frozen=True)
 class Plan:
     """The part of a plan that interpreters may know. `cells`: in the order in which they are shown. `site`: path of the
-    site file; empty: not stated."""
+    site file."""
 
     folder: Path
     crs: str
     cell_m: float
     cells: tuple[SampledCell, ...]
-    site: str = ""
+    site: str
 
     def answers_file(self, interpreter: str) -> Path:
         """Return the file of an interpreter. Raises ConfigError for a name that cannot be a file's."""
@@ -100,42 +100,20 @@ def read_plan(folder: Path) -> Plan:
     path = folder / "plan.json"
     try:
         about = json.loads(read_text(path, LARGEST_TABLE, ConfigError))
-        crs, cell_m, site = str(about["crs"]), float(about["cell_m"]), str(about.get("site", ""))
+        crs, cell_m, site = str(about["crs"]), float(about["cell_m"]), str(about["site"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{path}: is not a plan ({error}); make one with `ltm assess plan`") from error
     if not 0 < cell_m < math.inf:
         raise ConfigError(f"{path}: cell_m is {cell_m}; make the plan again with `ltm assess plan`")
-    columns = {field.name: float if field.type == "float" else int for field in fields(SampledCell)}
-    table = folder / "cells.csv"
-    cells = []
-    for number, row in enumerate(_rows(table, columns), 2):
-        try:
-            cells.append(SampledCell(**{name: kind(row[name]) for name, kind in columns.items()}))  # type: ignore[arg-type]
-        except ValueError as error:
-            raise ConfigError(f"{table}: line {number}: {error}; make the plan again with `ltm assess plan`") from error
-    if len({cell.cell for cell in cells}) != len(cells) or not cells:
-        raise ConfigError(f"{table}: has no cells, or a cell twice; make the plan again with `ltm assess plan`")
+    cells = _records(folder / "cells.csv", SampledCell, "make the plan again with `ltm assess plan`")
+    if not cells:
+        raise ConfigError(f"{folder}/cells.csv: has no cells; make the plan again with `ltm assess plan`")
     return Plan(folder, crs, cell_m, tuple(cells), site)
 
 
 def read_answers(path: Path) -> list[Answer]:
     """Read an interpreter's answers, at most one for each cell. Raises ConfigError with the line of an invalid one."""
-    answers: dict[int, Answer] = {}
-    for number, row in enumerate(_rows(path, [field.name for field in fields(Answer)]), 2):
-        try:
-            answer = Answer(
-                int(row["cell"]),
-                row["life_form"],
-                cast(Certainty, row["certainty"]),
-                float(row["seconds"]),
-                row["time"],
-            )
-        except (ValueError, ConfigError) as error:
-            raise ConfigError(f"{path}: line {number}: {error}") from error
-        if answer.cell in answers:
-            raise ConfigError(f"{path}: line {number}: cell {answer.cell} has two answers; delete one")
-        answers[answer.cell] = answer
-    return list(answers.values())
+    return _records(path, Answer, "correct or delete this line")
 
 
 def write_answers(path: Path, answers: Iterable[Answer]) -> None:
@@ -178,6 +156,24 @@ def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
 
 
 _PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")
+
+
+_Row = TypeVar("_Row", Answer, SampledCell)
+
+
+def _records(path: Path, kind: type[_Row], remedy: str) -> list[_Row]:
+    """Return the rows of a CSV file, at most one for each cell. Raises ConfigError with the line of an invalid one."""
+    kinds = {field.name: {"int": int, "float": float}.get(str(field.type), str) for field in fields(kind)}
+    found: dict[int, _Row] = {}
+    for number, row in enumerate(_rows(path, kinds), 2):
+        try:
+            record = kind(**{name: parse(row[name]) for name, parse in kinds.items()})
+            if record.cell in found:
+                raise ValueError(f"cell {record.cell} is listed twice")
+        except (ValueError, ConfigError) as error:
+            raise ConfigError(f"{path}: line {number}: {error}; {remedy}") from error
+        found[record.cell] = record
+    return list(found.values())
 
 
 def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:

@@ -14,7 +14,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Int64Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import NODATA
-from ltm_ros.assessment.answers_io import Answer, read_answers, read_field_plots
+from ltm_ros.assessment.answers_io import Answer, SampledCell, read_answers, read_field_plots
 from ltm_ros.assessment.plan import NAMES, MapPlan, agrees_with_prior
 
 
@@ -30,14 +30,14 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Figures of a plan. `classes`: ids of the life forms that occur. `rows`, `columns`, `reference`: (N,) of the cells
-    that count. `changes`: Estimates by name; empty without a prior map. `unanswered`, `hidden`, `learned`: numbers of
-    cells without an answer, that cannot be seen, and that the network learned from; these do not count."""
+    """Figures of a plan. `classes`: ids of the life forms that occur. `cells`: those that count; `mapped`, `reference`:
+    (N,) their life forms. `changes`: Estimates by name; empty without a prior map. `unanswered`, `hidden`, `learned`:
+    numbers of cells without an answer, that cannot be seen, and that the network learned from; these do not count."""
 
     interpreter: str
     classes: tuple[int, ...]
-    rows: Int64Array
-    columns: Int64Array
+    cells: tuple[SampledCell, ...]
+    mapped: UInt8Array
     reference: UInt8Array
     sample: StratifiedSample
     map: Accuracy
@@ -50,9 +50,10 @@ class Figures:
     unsure: int
     plots: int
 
-    def right(self, plan: MapPlan) -> BoolArray:
+    @property
+    def right(self) -> BoolArray:
         """Return (N,) whether the map is right in the cells that count."""
-        return np.asarray(plan.map.life_form[self.rows, self.columns] == self.reference, np.bool_)
+        return np.asarray(self.mapped == self.reference, np.bool_)
 
     def as_json(self, plan: MapPlan) -> dict[str, Any]:
         """Return the figures for `report.json`; areas in hectares."""
@@ -72,7 +73,7 @@ class Figures:
         return {
             "plan": plan.about,
             "interpreter": self.interpreter,
-            "cells": len(self.rows),
+            "cells": len(self.cells),
             "unanswered": self.unanswered,
             "cannot_be_seen": self.hidden,
             "used_for_learning": self.learned,
@@ -89,7 +90,7 @@ class Figures:
         overall = self.map.overall
         return (
             f"overall accuracy {100 * overall.value:.1f} % (95 % interval {100 * overall.low:.1f} to "
-            f"{100 * overall.high:.1f} %), stratified sample of {len(self.rows)} observed cells, map as of "
+            f"{100 * overall.high:.1f} %), stratified sample of {len(self.cells)} observed cells, map as of "
             f"{plan.about['map']['as_of']}"
         )
 
@@ -125,8 +126,8 @@ def compute_figures(plan: MapPlan, plots: Path | None) -> Figures:
     return Figures(
         first or "field plots",
         classes,
-        rows,
-        columns,
+        tuple(cell for cell, _ in counted),
+        mapped,
         reference,
         sample,
         assessed(sample, of_map, codes, len(classes)),

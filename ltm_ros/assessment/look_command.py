@@ -41,7 +41,7 @@ def look(
     from ltm_ros.labelling.server import serve
 
     sampled = read_plan(plan)
-    path = site or Path(sampled.site or "site.yaml")
+    path = site or Path(sampled.site)
     loaded = load_site(path)
     require_files([sampled.answers_file(interpreter)], what="answers")
     session = LookSession(sampled, loaded, PhotoIndex(loaded, recordings), interpreter, imagery)
@@ -60,7 +60,7 @@ def learn(plan: PlanFolder, recordings: Recordings, site: SiteFile = None) -> No
     from ltm_ros.assessment.learning import learn as learn_from
 
     sampled = read_plan(plan)
-    path = site or Path(sampled.site or "site.yaml")
+    path = site or Path(sampled.site)
     loaded = load_site(path)
     require_folder(plan)
     found = learn_from(sampled, PhotoIndex(loaded, recordings))

@@ -1,11 +1,10 @@
 """Plan an accuracy assessment: draw the sample of a fuel map's cells, and write and read the folder of the plan.
 
-`plan.json` has the design, `cells.csv` the sampled cells for interpreters, `strata.csv` the map's answers, which they
-must not see, and `map.npz` the assessed map, so that later updates of the map do not change the assessment."""
+`plan.json` has the design, `cells.csv` the sampled cells for interpreters, and `map.npz` the assessed map, so that
+later updates of the map do not change the assessment."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
@@ -19,13 +18,13 @@ from ltm_core.assessment.design import Stratum, drawn
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Int16Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
-from ltm_core.fuel.life_form import LifeForm, forms_of
+from ltm_core.fuel.life_form import forms_of
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.disk_io import require_folder
-from ltm_ros.assessment.answers_io import Plan, read_plan, write_table
+from ltm_ros.assessment.answers_io import FORM_NAMES, Plan, read_plan, write_table
 from ltm_ros.fuel_map.source import FuelSource
 
-NAMES: Final = ("", *(form.name.lower() for form in LifeForm))
+NAMES: Final = ("", *FORM_NAMES)
 """Names of the life forms by id."""
 STORES: Final = ("fuel_map.ltm", "state/fuel_map.ltm", "map/fuel_map.ltm")
 
@@ -90,16 +89,6 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     formats = {"cell": "d", "row": "d", "column": "d", "lon": ".7f", "lat": ".7f", "x": ".2f", "y": ".2f"}
     rows = ({name: format(v, kind) for (name, kind), v in zip(formats.items(), one, strict=True)} for one in places)
     write_table(out / "cells.csv", list(formats), rows)
-    at = sample.rows, sample.columns
-    answers = {
-        "cell": cells.tolist(),
-        "stratum": [sample.strata[index].name for index in sample.stratum.tolist()],
-        "map_class": [NAMES[form] for form in map_.life_form[at].tolist()],
-        "prior_class": [NAMES[form] if form != UNSEEN else "" for form in map_.prior_form[at].tolist()],
-        "changed": map_.changed[at].astype(int).tolist(),
-    }
-    lines = zip(*answers.values(), strict=True)
-    write_table(out / "strata.csv", list(answers), (dict(zip(answers, line, strict=True)) for line in lines))
     np.savez_compressed(out / "map.npz", **vars(map_))
     (out / "plan.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     return about
@@ -142,11 +131,10 @@ def read_map_plan(folder: Path) -> MapPlan:
         grid = GridGeometry(x_min, y_max, shown.cell_m, width, height, shown.crs)
         with np.load(folder / "map.npz", allow_pickle=False) as stored:
             map_ = AssessedMap(*(stored[name] for name in AssessedMap.__dataclass_fields__))
-        with (folder / "strata.csv").open(encoding="utf-8", newline="") as table:
-            named = {int(row["cell"]): row["stratum"] for row in csv.DictReader(table)}
-        index = {stratum.name: k for k, stratum in enumerate(strata)}
-        stratum = {cell.cell: index[named[cell.cell]] for cell in shown.cells}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        index = {(stratum.map_class, stratum.changed): k for k, stratum in enumerate(strata)}
+        forms, changed = map_.life_form, map_.changed
+        stratum = {c.cell: index[forms[c.row, c.column], changed[c.row, c.column]] for c in shown.cells}
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigError(f"{folder}: is not a complete plan ({error}); make one with `ltm assess plan`") from error
     if map_.life_form.shape != grid.shape:
         raise ConfigError(f"{folder}/map.npz: has {map_.life_form.shape} cells, the plan {grid.shape}; make a new plan")

@@ -51,9 +51,10 @@ class WrongCell:
 
 def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequence[Path]) -> dict[str, Any]:
     """Write the page; return figures that need photos: accuracy by range, incidence and camera. Raises LtmError."""
-    site = load_site(Path(plan.about["site"]))
-    seen = _photos_of(plan, figures, site, recordings) if recordings else None
-    tables = [] if seen is None else _tables(figures, figures.right(plan), seen)
+    site = load_site(Path(plan.shown.site))
+    index = PhotoIndex(site, recordings) if recordings else None
+    seen = [index.best(cell, plan.shown.cell_m) for cell in figures.cells] if index else None
+    tables = [] if seen is None else _tables(figures, seen)
     page = render_page(
         "assessment.html",
         {
@@ -68,8 +69,8 @@ def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequenc
         hectares=sum(s.cells for s in plan.strata) * plan.shown.cell_m**2 / 1e4,
         maps=_maps(plan, figures, site),
         tables=tables,
-        wrong=[] if seen is None else _wrong(plan, figures, seen),
-        errors=int((~figures.right(plan)).sum()),
+        wrong=[] if seen is None else _wrong(figures, seen),
+        errors=int((~figures.right).sum()),
     )
     with written_whole(out) as partial:
         partial.write_text(page, encoding="utf-8")
@@ -99,9 +100,8 @@ def _maps(plan: MapPlan, figures: Figures, site: Site) -> list[tuple[str, RgbIma
     canvas = canvas_of(site, dem, grid, places, seen_window(grid, map_.observed, places))
     palette = life_form_labels(LabelSet.load(config_path(site.labels)))
     verdicts = np.full(grid.shape, UNSEEN, np.uint8)
-    wrong = ~figures.right(plan)
-    for row, column, verdict in zip(figures.rows, figures.columns, wrong, strict=True):
-        near = np.s_[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    for cell, verdict in zip(figures.cells, ~figures.right, strict=True):
+        near = np.s_[max(cell.row - 1, 0) : cell.row + 2, max(cell.column - 1, 0) : cell.column + 2]
         verdicts[near] = np.where(verdicts[near] == 1, 1, int(verdict))  # an error stays visible among others
     shown, before = (np.where(map_.observed, one, UNSEEN).astype(np.uint8) for one in (map_.life_form, map_.prior_form))
     return [
@@ -109,14 +109,6 @@ def _maps(plan: MapPlan, figures: Figures, site: Site) -> list[tuple[str, RgbIma
         ("Updated map. Outlined: changed cells", canvas.classes(shown, palette, map_.changed & map_.observed)),
         ("Sampled cells, drawn larger than they are", canvas.classes(verdicts, _VERDICTS)),
     ]
-
-
-def _photos_of(plan: MapPlan, figures: Figures, site: Site, recordings: Sequence[Path]) -> list[list[CellPhoto]]:
-    """Return the best photos of each cell that counts."""
-    index = PhotoIndex(site, recordings)
-    cells = {(cell.row, cell.column): cell for cell in plan.shown.cells}
-    pairs = zip(figures.rows.tolist(), figures.columns.tolist(), strict=True)
-    return [index.best(cells[place], plan.shown.cell_m) for place in pairs]
 
 
 def _cropped(photo: CellPhoto) -> RgbImage:
@@ -131,31 +123,31 @@ def _cropped(photo: CellPhoto) -> RgbImage:
     return fit(picture[top : top + side, left : left + side], _CROP)
 
 
-def _wrong(plan: MapPlan, figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[WrongCell]:
+def _wrong(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[WrongCell]:
     """Return the first errors in the order of the sample, which is random."""
     found = []
-    for index in np.flatnonzero(~figures.right(plan))[:_SHOWN_ERRORS].tolist():
-        row, column = int(figures.rows[index]), int(figures.columns[index])
+    for index in np.flatnonzero(~figures.right)[:_SHOWN_ERRORS].tolist():
+        cell = figures.cells[index]
         photos = tuple(
             (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", _cropped(p))
             for p in seen[index]
         )
-        mapped = NAMES[plan.map.life_form[row, column]]
-        found.append(WrongCell(row, column, mapped, NAMES[figures.reference[index]], photos))
+        mapped, reference = NAMES[figures.mapped[index]], NAMES[figures.reference[index]]
+        found.append(WrongCell(cell.row, cell.column, mapped, reference, photos))
     return found
 
 
 Row = tuple[str, int, Any]
 
 
-def _tables(figures: Figures, right: BoolArray, seen: Sequence[Sequence[CellPhoto]]) -> list[tuple[str, list[Row]]]:
+def _tables(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[tuple[str, list[Row]]]:
     """Return accuracies by range, incidence and camera of each cell's best photo, and of cells without a photo."""
 
     def best(value: Callable[[CellPhoto], float]) -> Float64Array:
         return np.array([min((value(p) for p in photos), default=np.nan) for photos in seen])
 
     def row(name: str, inside: BoolArray) -> Row:
-        return name, int(inside.sum()), figures.sample.ratio(right, inside, "whole")
+        return name, int(inside.sum()), figures.sample.ratio(figures.right, inside, "whole")
 
     def bins(values: Float64Array, edges: Sequence[float], unit: str) -> list[Row]:
         rows, low = [], 0.0

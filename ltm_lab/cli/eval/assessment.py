@@ -25,6 +25,7 @@ def assessment(
     An interpreter's errors bias all figures: the interval is of what he would answer in all cells.
     """
     from dataclasses import asdict
+    from itertools import pairwise
 
     from rich.console import Console
 
@@ -55,7 +56,7 @@ def assessment(
     print_table(console, f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
     bounds = (0.0, 3.0, FEWEST_EVENTS, float("inf"))
     bands = []
-    for low, high in zip(bounds, bounds[1:], strict=False):
+    for low, high in pairwise(bounds):
         covered = [r.covered for r in found if low <= r.events < high]
         ends = (min(covered), sum(covered) / len(covered), max(covered)) if covered else ()
         within = sum(0.93 <= share <= 0.97 for share in covered)

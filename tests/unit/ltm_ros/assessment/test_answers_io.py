@@ -30,7 +30,7 @@ def plan(tmp_path: Path) -> Plan:
     """Two cells of 30 m side by side, and one 300 m to the east; (LON, LAT) lies in the first."""
     x, y = (float(value) for value in SiteFrame(CRS).from_lonlat(LON, LAT))
     rows = [f"{n},0,{n},{LON},{LAT},{x + east},{y}" for n, east in ((7, 0.0), (3, 30.0), (9, 300.0))]
-    (tmp_path / "plan.json").write_text(json.dumps({"version": 1, "crs": CRS, "cell_m": 30}))
+    (tmp_path / "plan.json").write_text(json.dumps({"version": 1, "crs": CRS, "cell_m": 30, "site": "site.yaml"}))
     (tmp_path / "cells.csv").write_text("\n".join(["cell,row,column,lon,lat,x,y", *rows]) + "\n")
     return read_plan(tmp_path)
 

@@ -72,9 +72,9 @@ def test_hidden_learned_and_missing_cells_do_not_count_and_plots_replace_answers
     plot = tmp_path / "plots.csv"
     plot.write_text(f"lon,lat,life form,date\n{cells[0].lon},{cells[0].lat},water,2026-05-01\n")
     figures = compute_figures(plan, plot)
-    assert len(figures.rows) == 90 - 5 - 2 + 1
+    assert len(figures.cells) == 90 - 5 - 2 + 1
     assert (figures.unanswered, figures.hidden, figures.learned, figures.plots) == (10, 4, 2, 1)
-    assert figures.right(plan).sum() == len(figures.rows) - 1
+    assert figures.right.sum() == len(figures.cells) - 1
     assert [(a.name, a.cells, a.share, a.kappa) for a in figures.agreements] == [("b", 15, 1.0, 1.0)]
 
 
@@ -123,4 +123,4 @@ def test_exports_of_an_assessed_map_carry_its_accuracy(plan: MapPlan, tmp_path: 
         keep_accuracy(assessed, figures)
         tag = of_store.provenance(source.layers, None).tags()["accuracy"]
     assert "100.0 %" in tag
-    assert f"{len(figures.rows)} observed cells" in tag
+    assert f"{len(figures.cells)} observed cells" in tag

@@ -36,7 +36,7 @@ def answer(cell: int, form: str, certainty: Certainty = "sure") -> Answer:
 @pytest.fixture
 def plan(tmp_path: Path) -> Plan:
     cells = tuple(SampledCell(10 + n, 0, n, 0.0, 0.0, 0.0, 0.0) for n in range(10))
-    return Plan(tmp_path, "EPSG:32611", 30.0, cells)
+    return Plan(tmp_path, "EPSG:32611", 30.0, cells, "site.yaml")
 
 
 def test_half_of_the_agreed_answers_become_areas_and_leave_the_report(plan: Plan) -> None:

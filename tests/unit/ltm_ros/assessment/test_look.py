@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import http.client
 import json
 import shutil
@@ -62,9 +61,10 @@ def sampled(site: Site, photos: PhotoIndex) -> tuple[list[SampledCell], list[str
 
 @pytest.fixture
 def plan(tmp_path: Path, site: Site, sampled: tuple[list[SampledCell], list[str]]) -> Plan:
+    """A plan without the map: the page cannot show the map's answer."""
     folder = tmp_path / "plan"
     folder.mkdir()
-    (folder / "plan.json").write_text(json.dumps({"version": 1, "crs": site.crs, "cell_m": 30.0}))
+    (folder / "plan.json").write_text(json.dumps({"version": 1, "crs": site.crs, "cell_m": 30.0, "site": "site.yaml"}))
     write_table(folder / "cells.csv", list(vars(sampled[0][0])), map(vars, sampled[0]))
     return read_plan(folder)
 
@@ -116,22 +116,10 @@ def test_an_invalid_answer_is_rejected_and_nothing_written(
     assert not (plan.folder / "answers").exists()
 
 
-@pytest.mark.parametrize(
-    "path", ["answer/20", "answer/-1", "photo/0/3", "../cells.csv", "strata.csv", "photo/0/..%2f0"]
-)
+@pytest.mark.parametrize("path", ["answer/20", "answer/-1", "photo/0/3", "../cells.csv", "map.npz", "photo/0/..%2f0"])
 def test_only_places_of_the_plan_have_an_address(server: LookServer, path: str) -> None:
     assert ask(server, path)[0] == 404
     assert ask(server, path, "PUT", {"life_form": "grass", "certainty": "sure", "seconds": 1})[0] == 404
-
-
-def test_the_maps_answer_is_never_read(plan: Plan, server: LookServer) -> None:
-    """The strata hold the map's classes: the page works without the file, and no response depends on it."""
-    before = [ask(server, path) for path in ("", "cells", "cell/0")]
-    with (plan.folder / "strata.csv").open("w") as file:
-        csv.writer(file).writerows([["cell", "map_class"], *([cell.cell, "map_says"] for cell in plan.cells)])
-    after = [ask(server, path) for path in ("", "cells", "cell/0")]
-    assert before[1:] == after[1:]
-    assert not any(b"map_says" in body for _, body in after)
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", "a b", ".hidden", "x" * 41, "a\n", "é"])
