@@ -81,7 +81,7 @@ def interval(estimate: Any, scale: float = 100, digits: int = 1) -> str:
     """Return the 95 % interval of an estimate as text, in percent by default; "≈": approximate."""
     if estimate.cells == 0:
         return ""
-    mark = "≈ " if estimate.approximate else ""
+    mark = "≈\u00a0" if estimate.approximate else ""
     return f"{mark}{scale * estimate.low:,.{digits}f} to {scale * estimate.high:,.{digits}f}"
 
 
