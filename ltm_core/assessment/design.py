@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import BoolArray, Float64Array, Int64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Int64Array, UInt8Array
 
 FEWEST: Final = 4
 """Fewest sampled cells of a stratum that has as many."""
@@ -64,24 +64,12 @@ def allocated(cells: Sequence[int], changed: Sequence[bool], wanted: int) -> lis
     Half of the sample is divided equally between strata, where changed ones count twice; the other half goes by the
     strata's sizes. A stratum that is smaller than its share is taken whole, and the others get the rest."""
     sizes = np.asarray(cells, np.int64)
-    wanted = min(wanted, int(sizes.sum()))
     equal = np.where(np.asarray(changed, np.bool_), 2.0, 1.0)
     shares = equal / equal.sum() + sizes / sizes.sum()
-    # Raise the common factor until the shares, cut at sizes, fill the sample.
-    low, high = 0.0, float(2 * sizes.max() / shares.min() + FEWEST)
-    for _ in range(60):
-        factor = (low + high) / 2
-        total = int(_cut(shares * factor, sizes).sum())
-        low, high = (factor, high) if total <= wanted else (low, factor)
-    counts = _cut(shares * low, sizes)
-    for index in np.argsort(counts / shares, kind="stable"):  # what rounding left over
-        if counts.sum() < wanted and counts[index] < sizes[index]:
-            counts[index] += 1
+    counts = np.minimum(FEWEST, sizes)
+    while counts.sum() < min(wanted, int(sizes.sum())):
+        counts[np.argmin(np.where(counts < sizes, (counts + 1) / shares, np.inf))] += 1
     return [int(count) for count in counts]
-
-
-def _cut(shares: Float64Array, sizes: Int64Array) -> Int64Array:
-    return np.minimum(sizes, np.maximum(FEWEST, shares.astype(np.int64)))
 
 
 def drawn(

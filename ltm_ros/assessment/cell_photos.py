@@ -64,10 +64,6 @@ class _Shot:
     pose: Pose
     jpeg: bytes
 
-    @property
-    def day(self) -> int:
-        return self.stamp_ns // _DAY_NS
-
 
 class PhotoIndex:
     """The clear photos of recordings, or of an archive's, in folders at any depth, with their poses. Raises
@@ -164,7 +160,7 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
 
     def value(one: _Found) -> float:
         same_camera = sum(other[1].camera_name == one[1].camera_name for other in chosen)
-        same_day = sum(other[1].day == one[1].day for other in chosen)
+        same_day = sum(other[1].stamp_ns // _DAY_NS == one[1].stamp_ns // _DAY_NS for other in chosen)
         return one[0] * _SAME_CAMERA**same_camera * _SAME_DAY**same_day
 
     for number in range(PHOTOS):
