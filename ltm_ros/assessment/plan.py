@@ -20,6 +20,7 @@ from ltm_core.base.types import BoolArray, Int16Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import forms_of
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.config_io import load_arrays
 from ltm_core.storage.disk_io import require_folder
 from ltm_ros.assessment.answers_io import FORM_NAMES, Plan, read_plan, write_table
 from ltm_ros.fuel_map.source import FuelSource
@@ -129,15 +130,16 @@ def read_map_plan(folder: Path) -> MapPlan:
         )
         x_min, y_max, width, height = about["grid"]
         grid = GridGeometry(x_min, y_max, shown.cell_m, width, height, shown.crs)
-        with np.load(folder / "map.npz", allow_pickle=False) as stored:
-            map_ = AssessedMap(*(stored[name] for name in AssessedMap.__dataclass_fields__))
+        names = list(AssessedMap.__dataclass_fields__)
+        layers = load_arrays(folder / "map.npz", names, 2 * width * height + 1024, ConfigError)
+        if wrong := next((array.shape for array in layers if array.shape != grid.shape), None):
+            raise ConfigError(f"{folder}/map.npz: has {wrong} cells, the plan {grid.shape}; make a new plan")
+        map_ = AssessedMap(*layers)
         index = {(stratum.map_class, stratum.changed): k for k, stratum in enumerate(strata)}
         forms, changed = map_.life_form, map_.changed
         stratum = {c.cell: index[forms[c.row, c.column], changed[c.row, c.column]] for c in shown.cells}
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigError(f"{folder}: is not a complete plan ({error}); make one with `ltm assess plan`") from error
-    if map_.life_form.shape != grid.shape:
-        raise ConfigError(f"{folder}/map.npz: has {map_.life_form.shape} cells, the plan {grid.shape}; make a new plan")
     return MapPlan(shown, about, strata, stratum, grid, map_)
 
 

@@ -111,6 +111,17 @@ def test_the_map_of_a_plan_is_that_of_its_day(plan: MapPlan) -> None:
     assert sum(s.cells for s in plan.strata) == np.count_nonzero(observed)
 
 
+def test_a_damaged_or_smaller_map_of_a_plan_is_rejected(plan: MapPlan) -> None:
+    path = plan.shown.folder / "map.npz"
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ConfigError, match=r"map\.npz"):
+        read_map_plan(plan.shown.folder)
+    np.savez_compressed(path, **{name: layer[1:] for name, layer in vars(plan.map).items()})
+    with pytest.raises(ConfigError, match=r"map\.npz"):
+        read_map_plan(plan.shown.folder)
+
+
 def test_exports_of_an_assessed_map_carry_its_accuracy(plan: MapPlan, tmp_path: Path) -> None:
     write_answers(plan.shown.answers_file("first"), [answer(c.cell, true_form(c)) for c in plan.shown.cells])
     store = tmp_path / "fuel_map.ltm"
