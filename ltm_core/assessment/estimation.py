@@ -20,8 +20,8 @@ from scipy.special import betaincinv
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 
 FEWEST_EVENTS: Final = 7.0
-"""Events below which the number of events takes so few values that no rule gives intervals of 93 to 97 % for every true
-share: the best one for Poisson counts, the mid-P interval, fails up to 6.6 expected events."""
+"""Events below which an interval is approximate: their number takes so few values that coverage jumps with the true
+share. That of the mid-P interval of Poisson counts leaves 93 to 97 % up to 6.6 expected events."""
 
 
 @dataclass(frozen=True)

@@ -91,13 +91,6 @@ def test_events_are_the_effective_number_of_errors(errors: int, sizes: tuple[int
     assert found.approximate == (errors == 3)
 
 
-def test_the_standard_error_is_that_of_random_sampling_in_strata() -> None:
-    right = np.arange(100) >= 30
-    sample = StratifiedSample(np.zeros(100, np.int64), np.array([10**6]))
-    found = sample.ratio(right, np.ones(100, np.bool_), "whole")
-    assert found.error == pytest.approx(np.sqrt(0.3 * 0.7 / 99), rel=1e-3)
-
-
 def test_strata_without_answers_are_joined() -> None:
     sample = joined(np.array([0, 0, 0, 2, 2, 3]), [500, 40, 60, 1])
     assert sample.sizes.tolist() == [500, 100, 1]
