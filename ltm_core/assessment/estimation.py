@@ -145,25 +145,16 @@ def assessed(sample: StratifiedSample, mapped: Int64Array, reference: Int64Array
 def joined(stratum: Int64Array, sizes: ArrayLike) -> StratifiedSample:
     """Return the sample of the answered cells, (N,), among strata of `sizes` cells (H,). A stratum with fewer than two
     answered cells, unless all its cells were answered, is joined with its smallest neighbour in order of strata."""
-    merged = [[index] for index in range(len(np.asarray(sizes)))]
     each = np.asarray(sizes, np.int64)
-    counts = np.bincount(stratum, minlength=len(each))
-
-    def lacking(group: list[int]) -> bool:
-        answered, cells = int(counts[group].sum()), int(each[group].sum())
-        return answered < min(2, cells)
-
-    while (
-        len(merged) > 1 and (short := next((g for g, group in enumerate(merged) if lacking(group)), None)) is not None
-    ):
-        beside = [g for g in (short - 1, short + 1) if 0 <= g < len(merged)]
-        other = min(beside, key=lambda g: int(each[merged[g]].sum()))
-        low, high = sorted((short, other))
-        merged[low : high + 1] = [merged[low] + merged[high]]
-    group_of = np.zeros(len(each), np.int64)
-    for index, group in enumerate(merged):
-        group_of[group] = index
-    return StratifiedSample(group_of[stratum], np.bincount(group_of, each, len(merged)).astype(np.int64))
+    group = np.arange(len(each))
+    while True:
+        cells = np.bincount(group, each).astype(np.int64)
+        lacking = np.flatnonzero(np.bincount(group[stratum], minlength=len(cells)) < np.minimum(2, cells))
+        if len(cells) == 1 or len(lacking) == 0:
+            return StratifiedSample(group[stratum], cells)
+        beside = [g for g in (lacking[0] - 1, lacking[0] + 1) if 0 <= g < len(cells)]
+        other = min(beside, key=lambda g: int(cells[g]))
+        group[group >= max(lacking[0], other)] -= 1
 
 
 def kappa(first: Int64Array, second: Int64Array, classes: int) -> tuple[float, float]:

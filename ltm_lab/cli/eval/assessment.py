@@ -60,7 +60,8 @@ def assessment(
         covered = [r.covered for r in found if low <= r.events < high]
         ends = (min(covered), sum(covered) / len(covered), max(covered)) if covered else ()
         within = sum(0.93 <= share <= 0.97 for share in covered)
-        bands.append((f"{low:g} to {high:g}", f"{within} of {len(covered)}", *(f"{100 * v:.1f} %" for v in ends)))
+        events = f"{low:g} to {high:g}" if high < float("inf") else f"{low:g} or more"
+        bands.append((events, f"{within} of {len(covered)}", *(f"{100 * v:.1f} %" for v in ends)))
     columns = (">events", ">in 93 to 97 %", ">lowest", ">mean", ">highest")
     print_table(console, "Figures by events", columns, bands)
     if json_path is not None:
