@@ -5,7 +5,8 @@
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
 3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the image, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
-   leaves the pose open, whether they are of the same one. Otherwise the prior pose stays."""
+   leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
+4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`)."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
 )
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
-from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
+from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon, terrain_horizon
 from ltm_core.raster.dem import Dem
@@ -106,6 +107,9 @@ def find_pose(
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
         result = _decided(result, alone, together, config.verdict)
+    settles = evidence.plants >= config.settling.least_plants
+    if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
+        result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
     search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
     trend = skyline_bending(search, config)
     least = _BENT_SIGMAS[result.accepted]
@@ -184,6 +188,25 @@ def _decided(
         if other is not None and other.accepted:
             return other
     return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
+
+
+def _settled(
+    found: _JudgedPose,
+    evidence: PictureEvidence,
+    terrain: SearchTerrain,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> _JudgedPose:
+    """Return an open view's pose settled on its ridges alone, whose errors are correlated by what grows there; as it
+    was where ridges leave it open."""
+    best, *others = found.hypotheses
+    refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
+    kept = terrain.above([replace(best, refined=refined)])
+    if not kept or refined.sigma_deg[0] > config.settling.most_azimuth_sigma_deg:
+        return found
+    return _JudgedPose([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
 def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:

@@ -145,6 +145,26 @@ class ContourConfig(StrictModel):
         return (1 - self.outliers) / self.outliers * 0.75 * search
 
 
+class SettlingConfig(StrictModel):
+    """Correlation between neighbouring places of ridges (`ridge_settling`)."""
+
+    least_plants: float = Field(0.3, ge=0, le=1)
+    """Minimum share of trees and shrubs in the land for this step; nothing rises above the DEM on bare ground."""
+    share: float = Field(0.6, ge=0, le=1)
+    """Share of the variance of the cover on a ridge that plants of a stand have in common."""
+    stand: float = Field(150.0, gt=0)
+    """Correlation length in metres of the stand part."""
+    plant: float = Field(5.0, gt=0)
+    """Correlation length in metres of the remaining variance, the shape of single plants."""
+    doubt: float = Field(2.0, gt=0)
+    """Factor on the variance of a pose, because some edges belong to something else."""
+    most_azimuth_sigma_deg: float = Field(0.3, gt=0)
+    """Maximum standard deviation of the azimuth in degrees; less certain poses keep the solution of skyline and ridges.
+    """
+    most_points: int = Field(250, ge=1)
+    """Maximum number of ridge points in a view; all are compared with each other."""
+
+
 class SearchConfig(StrictModel):
     """Extent of the search for poses."""
 
@@ -259,6 +279,7 @@ class PicturePoseConfig(StrictModel):
 
     skyline: SkylineConfig = SkylineConfig()
     contours: ContourConfig = ContourConfig()
+    settling: SettlingConfig = SettlingConfig()
     search: SearchConfig = SearchConfig()
     verdict: VerdictConfig = VerdictConfig()
     working_width: int = Field(1280, gt=63)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltm_core.base.kernels import kernel
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
@@ -39,6 +39,26 @@ class SkylineObservations(Observations):
     veiled: float
     open: float
     free: float
+
+
+@dataclass(frozen=True, eq=False)
+class RidgeObservations(Observations):
+    """`shared` (N,): px, the part of sigma that neighbouring places share, what grows there; `ground` (N, 2): where,
+    metres of the map from the place that ridges were predicted from."""
+
+    shared: Float64Array
+    ground: Float64Array
+
+    def only(self, kept: IndexArray) -> RidgeObservations:
+        """Return those places (K,) only."""
+        return RidgeObservations(
+            self.error[kept],
+            self.slopes[kept],
+            self.sigma[kept],
+            self.weight[kept],
+            self.shared[kept],
+            self.ground[kept],
+        )
 
 
 def _projected(
@@ -181,7 +201,7 @@ def ridge_observations(
     origin: Float64Array,
     search: float,
     config: PicturePoseConfig,
-) -> Observations | None:
+) -> RidgeObservations | None:
     """Return the distances across ridges, from the nearest edge to the predicted place, pixels."""
     if len(ridges.range) == 0:
         return None
@@ -207,13 +227,15 @@ def ridge_observations(
     metre = camera.fy / ranges
     pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
-    grown = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
-    sigma = np.sqrt((noise.sigma_px * unit) ** 2 + (uneven * metre) ** 2 + grown**2)
+    shared = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
+    sigma = np.sqrt((noise.sigma_px * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
     correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)
     weight = np.minimum(1.0, step / correlation) * np.minimum(strength, 2.0) / 2.0
     rows = np.einsum("mi,mij->mj", normal, slopes)
-    return Observations(-found, rows, sigma, weight)
+    away = ridges.here[kept, :2]
+    ground = away * (ranges / np.hypot(away[:, 0], away[:, 1]))[:, None]
+    return RidgeObservations(-found, rows, sigma, weight, shared, ground)
 
 
 @kernel(nogil=True)

@@ -1,22 +1,34 @@
-"""Refine a pose by least squares over the skyline and the ridges of a photo, from a start within about a degree.
+"""Refine a pose by least squares over the skyline and the ridges of a photo.
+
+Least squares of a pose over a photo's skyline and the ridges within it, from a start that is right but for a degree.
 
 Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
-the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`."""
+the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
+
+Settles a pose on the ridges in its image, whose errors neighbouring places share.
+
+What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
+(`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
+ground does. Here errors are a Gaussian process over the ground, so that the shape of a ridge counts for more than its
+height: least squares whitened by the covariance of all places with each other."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
+    RidgeObservations,
     ridge_observations,
     skyline_observations,
 )
@@ -69,6 +81,13 @@ class RefinedPose:
         return azimuth, pitch, roll
 
 
+PictureSystem = Callable[
+    [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
+    tuple[Float64Array, Float64Array],
+]
+"""Function with the results of `picture_system`."""
+
+
 def refine(
     start: Pose,
     camera: Camera,
@@ -79,12 +98,14 @@ def refine(
     focal_sigma: float,
     config: PicturePoseConfig,
     rounds: tuple[tuple[float, float], ...] = ROUNDS,
+    system: PictureSystem | None = None,
 ) -> RefinedPose:
-    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it."""
+    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it. `system`: else `picture_system`."""
+    system = picture_system if system is None else system
     pose, focal = start, math.log(camera.fx / evidence.camera.fx)
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
-        normal, gradient = picture_system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
+        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
         normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
@@ -93,7 +114,7 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = camera.zoomed(math.exp(step[6]))
-    normal, gradient = picture_system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, True)
+    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, True)
     fit = skyline_fit(pose, camera, evidence, horizon, config)
     normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
@@ -180,3 +201,66 @@ def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
     # of this, would state more than images err by.
     return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
+
+
+_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
+"""Rounds as in `pose_refinement.ROUNDS`."""
+_LEAST_FITTING = 0.02
+"""Minimum fit of an edge; others cost time and add nothing."""
+
+
+def settled_on_ridges(
+    refined: RefinedPose,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    focal_sigma: float,
+    config: PicturePoseConfig,
+) -> RefinedPose:
+    """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
+    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
+    unseen = replace(evidence, skyline=None)
+    found = refine(
+        refined.pose, refined.camera, unseen, horizon, around, prior, focal_sigma, config, _ROUNDS, ridge_system
+    )
+    return replace(found, covariance=config.settling.doubt * found.covariance, skyline=refined.skyline)
+
+
+def ridge_system(
+    pose: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    ridges: ContourDirections,
+    search: float,
+    wide: float,
+    config: PicturePoseConfig,
+    expected: bool = False,
+) -> tuple[Float64Array, Float64Array]:
+    """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
+    rows = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
+    if rows is None:
+        return normal, gradient
+    fits = fitting(rows, config.contours.odds(search), expected)
+    kept = np.flatnonzero((rows.weight > 0) & (fits > _LEAST_FITTING))
+    if len(kept) < FEWEST:
+        return normal, gradient
+    rows = rows.only(kept)
+    root = np.linalg.cholesky(shared_covariance(rows, fits[kept], config.settling))
+    whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error]), lower=True, check_finite=False)
+    slopes, error = whitened[:, :7], whitened[:, 7]
+    return normal + slopes.T @ slopes, slopes.T @ error
+
+
+def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
+    """Return (N, N), px^2, the covariance of the errors of `rows`, each of which `fits` (N,) so far; unlikely ones get
+    a larger variance."""
+    x, y = rows.ground.T
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)
+    covariance = rows.shared[:, None] * rows.shared * together
+    own = rows.sigma**2 - rows.shared**2 + np.maximum(1 / np.maximum(fits, 1e-3) - 1, 0.0) * rows.sigma**2
+    covariance[np.diag_indices(len(own))] += own
+    return np.asarray(covariance, np.float64)

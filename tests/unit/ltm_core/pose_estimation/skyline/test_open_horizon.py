@@ -7,13 +7,13 @@ import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
-from ltm_core.pose_estimation.skyline.pose_refinement import skyline_fit
+from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
@@ -104,3 +104,24 @@ def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
     search = search_of(picture)
     assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.most_variance
     assert search.verdict.word == "ambiguous"
+
+
+@cache
+def among_shrubs() -> PictureEvidence:
+    """The same, by its labels with shrubs on all of its land."""
+    photo, labels = view(TRUE)
+    labels[labels != Label.SKY] = Label.SHRUB
+    return picture_evidence(photo, labels, CAMERA)
+
+
+def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
+    evidence = among_shrubs()
+    found = find_pose(evidence, OPEN, PRIOR)
+    assert found.verdict.word == "accepted", found.verdict.reason
+    best = found.hypotheses[0].refined
+    again = settled_on_ridges(best, evidence, found.horizon, PRIOR, 0.0, CONFIG)
+    away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
+    assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
+    assert found.verdict.sigma_deg == pytest.approx(
+        tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
+    )
