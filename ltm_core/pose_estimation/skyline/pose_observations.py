@@ -162,22 +162,16 @@ def skyline_observations(
         + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
     wider = sigma * wide
-    # Of two edges the lower may be the horizon's: the upper is of land beyond it, or of none. Compared by the root of
-    # Student's power, 5/2.
-    low = v - skyline.crest_v
-    doubt = np.where(above > 0, 1.0, (1 - noise.no_land) / noise.no_land) ** 0.4
-    lower = (skyline.crest_v > skyline.v) & (1 + (error / wider) ** 2 / 4 > doubt * (1 + (low / wider) ** 2 / 4))
-    upper, error = error, np.where(lower, low, error)
     own = noise.own_crest / wider / (1 + (error / wider) ** 2 / 4) ** 2.5
-    beyond = (upper > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
-    error = np.where(beyond, np.maximum(0.0, upper - above), error)
+    beyond = (error > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
+    error = np.where(beyond, np.maximum(0.0, error - above), error)
     free = beyond & (error == 0.0)
     # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
     front = horizon.front_range[seen][near]
     over = camera.fy / np.where(front > 0, front, 1.0)
     fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (height + lift) * metre
     before, before_sigma = noise.cover.at(skyline.cover, front)
-    behind = v + fallen - before * over - skyline.crest_v
+    behind = v + fallen - before * over - skyline.v
     spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
     error, sigma, metre = (
