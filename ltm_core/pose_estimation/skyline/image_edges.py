@@ -72,14 +72,13 @@ _SHARP_PX = 0.45
 class ImageSkyline:
     """The sky's lower edge in up to COLUMNS columns of an image.
 
-    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below it. `covered_u`:
-    (C,) columns that are land up to the image's upper edge. `spacing`: pixels between columns."""
+    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below it. `spacing`:
+    pixels between columns."""
 
     u: Float64Array
     v: Float64Array
     sigma_px: Float64Array
     cover: UInt8Array
-    covered_u: Float64Array
     spacing: float
 
     def only(self, kept: BoolArray) -> ImageSkyline:
@@ -95,8 +94,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
     top = _first_land(sky, columns, _RUN)
-    # A column without any sky says that the terrain covers it; one whose "sky" starts below land is a hole in trees.
-    covered = top <= 1
+    # A column without any sky is covered by the terrain; one whose "sky" starts below land is a hole in trees.
     edge = (top > 1) & (top < height - _RUN)
     u, rows = columns[edge], top[edge]
     reach = max(3.0, _REACH * width)
@@ -108,7 +106,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     blurred = 0.5 * reach / (1.0 + (sharpness / _FAINT) ** 2)
     fine = max(1.0, width / 1280)
     sigma = np.asarray(np.hypot(_SHARP_PX * fine, blurred), np.float64)
-    return ImageSkyline(u.astype(np.float64), v, sigma, labels[below, u], columns[covered].astype(np.float64), spacing)
+    return ImageSkyline(u.astype(np.float64), v, sigma, labels[below, u], spacing)
 
 
 def _vertical_gradient(photo: UInt8Array) -> Float32Array:

@@ -36,17 +36,7 @@ _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
 """Degrees around each of the coarse grid's best poses at which finer edges are used."""
-_ROUNDS = (
-    (16.0, 1.0),
-    (12.0, 1.0),
-    (10.0, 1.0),
-    (8.0, 1.0),
-    (6.0, 1.0),
-    (5.0, 1.0),
-    (4.0, 1.0),
-    (4.0, 1.0),
-    (4.0, 1.0),
-)
+_ROUNDS = tuple((reach, 1.0) for reach in (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 4.0))
 _SETTLING = ((4.0, 1.0),) * 12
 """Rounds of both, as in `pose_refinement.ROUNDS`."""
 

@@ -12,7 +12,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, pic
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 63.4, 2.3, 1.0), 1.5, 0.6, 0.6)
