@@ -59,7 +59,7 @@ def _splat(
     per_metre: float,
     sums: Float64Array,
 ) -> None:
-    """Add density times area, area, lift times both and the best fit to `sums` (4, H, W). `origin`: of the fan, cells."""
+    """Add density x area, area, lift x both and the best fit to `sums` (4, H, W). `origin`: of the fan in cells."""
     total, area, lift, fit = sums[0], sums[1], sums[2], sums[3]
     height, width = total.shape
     for a in range(density.shape[0]):

@@ -17,13 +17,7 @@ from ltm_core.fuel.life_form import GrowthLimits
 from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
-from ltm_core.site.source_config import (
-    NetworkSettings,
-    PtzConfig,
-    SecretConfig,
-    SnapshotConfig,
-    SourceConfig,
-)
+from ltm_core.site.source_config import NetworkSettings, PtzConfig, SecretConfig, SnapshotConfig, SourceConfig
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 

@@ -101,10 +101,7 @@ LARGEST_KEPT = 32 << 10
 labels, models and site many times, and copying values is faster than parsing."""
 _KEPT = 64
 
-_BROKEN = (
-    *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
-    *(OverflowError, RecursionError),
-)
+_BROKEN = (*(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError), *(OverflowError, RecursionError))
 """Errors that PyYAML raises, including unintended ones: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError),
 `!!bool x` (KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
 

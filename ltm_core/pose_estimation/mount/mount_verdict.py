@@ -85,10 +85,7 @@ def judge_mount(
     if max(apart, default=0.0) > config.mount_apart_deg:
         return "ambiguous", f"an image accepted by itself is {max(apart):.1f} deg from the mount's pose"
     if seen.open > config.open_share and not _told_alone(pictures, found, config):
-        return (
-            "ambiguous",
-            "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount",
-        )
+        return ("ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount")
     if away > config.contradiction:
         return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
     return "accepted", f"{len(pictures)} images agree"

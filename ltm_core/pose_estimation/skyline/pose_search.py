@@ -42,11 +42,7 @@ _SETTLING = ((4.0, 1.0),) * 12
 
 
 def search_ridges(
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
+    evidence: PictureEvidence, horizon: TerrainHorizon, prior: PosePrior, config: PicturePoseConfig, focal_sigma: float
 ) -> list[Hypothesis]:
     """Return hypotheses in order of cost; none if too few ridges may be in view."""
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
@@ -167,11 +163,7 @@ _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 
 def poses_on_skyline(
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
+    evidence: PictureEvidence, horizon: TerrainHorizon, prior: PosePrior, config: PicturePoseConfig, focal_sigma: float
 ) -> list[Hypothesis]:
     """Return hypotheses in order of cost for an image with a skyline."""
     s, skyline = config.search, evidence.skyline
@@ -238,10 +230,7 @@ def poses_on_skyline(
 
 
 def _best_over_pitch(
-    rotations: Float64Array,
-    ridges: ContourDirections,
-    camera: Camera,
-    evidence: PictureEvidence,
+    rotations: Float64Array, ridges: ContourDirections, camera: Camera, evidence: PictureEvidence
 ) -> Float64Array:
     """Return the ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
     best = np.full(len(rotations), -np.inf)
