@@ -172,9 +172,9 @@ def terrain_horizon(
             f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
             "camera's position and its crs, or give a DEM that surrounds it"
         )
-    tangent, rng, cell, at_edge, *others = rows.T.copy()
+    tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
     contours = link_contours(start, step, points, found)
-    return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, *others, contours)
+    return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, bound, front, front_range, contours)
 
 
 def _read_only(elevation: Float32Array) -> Float32Array:
