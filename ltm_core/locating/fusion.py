@@ -110,10 +110,9 @@ class Fused:
         return float(self.misfit.min())
 
 
-def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """Fuse all sights at the resolution that their common places need. `turned`: sights of a camera that is turned by
-    an unknown angle."""
-    shared = _shared([*sights, *turned])
+def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight]) -> Fused:
+    """Fuse all sights at the resolution that their common places need."""
+    shared = _shared(sights)
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
     found = _fused(terrain, sights, shared, window)
@@ -130,9 +129,8 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
         wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        others = [terrain.look_turned(sight, bounds, wanted) for sight in turned]
-        resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
-        found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
+        resolution = max(wanted, *(sight.cell for sight in closer))
+        found = _fused(terrain, closer, shared, covering(bounds, resolution))
     return found
 
 
@@ -188,12 +186,11 @@ def _fused(
     sights: Sequence[Sight],
     shared: Mapping[str, float],
     window: GridGeometry,
-    turned: Sequence[Sight] = (),
 ) -> Fused:
     by_camera: dict[str, list[SightRaster]] = {}
     positions: dict[str, Float64Array] = {}
     possible = np.ones(window.shape, np.bool_)
-    for sight in (*sights, *turned):
+    for sight in sights:
         raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
         by_camera.setdefault(sight.name, []).append(raster)
         positions[sight.name] = sight.position
@@ -204,7 +201,6 @@ def _fused(
         return Fused(window, misfit, weight, lift, -math.inf)
     x, y = window.to_map(rows, cols)
     fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
-    loose = {sight.name for sight in turned}
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
         for raster in rasters:
@@ -212,8 +208,7 @@ def _fused(
             here = np.log(raster.density[rows, cols])
             density += here * part
             evidence += here / len(rasters)
-            if name not in loose:  # what it marks may be something else
-                raised = np.maximum(raised, raster.lift[rows, cols])
+            raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         noticed = np.log1p(squared / terrain.config.detection_range**2)
         density -= noticed / shared[name]
