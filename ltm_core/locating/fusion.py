@@ -182,10 +182,7 @@ def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
 
 
 def _fused(
-    terrain: LocatingTerrain,
-    sights: Sequence[Sight],
-    shared: Mapping[str, float],
-    window: GridGeometry,
+    terrain: LocatingTerrain, sights: Sequence[Sight], shared: Mapping[str, float], window: GridGeometry
 ) -> Fused:
     by_camera: dict[str, list[SightRaster]] = {}
     positions: dict[str, Float64Array] = {}

@@ -220,11 +220,6 @@ class PictureEvidence:
         return self.found.coarse
 
     @property
-    def unseen(self) -> PictureEvidence:
-        """Return a copy whose edges are not computed yet, to measure the time."""
-        return replace(self, found=replace(self.found))
-
-    @property
     def plants(self) -> float:
         """Return the share of trees and shrubs in the land."""
         land = self.labels != np.uint8(Label.SKY)

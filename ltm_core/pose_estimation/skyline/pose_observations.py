@@ -17,8 +17,21 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+
+@dataclass(frozen=True, eq=False)
+class PoseProblem:
+    """What a pose is fitted by: the evidence in its image, the terrain from the prior position, the prior pose, and the
+    standard deviation of the focal length's logarithm; 0 holds it."""
+
+    evidence: PictureEvidence
+    horizon: TerrainHorizon
+    prior: PosePrior
+    config: PicturePoseConfig
+    focal_sigma: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +123,10 @@ def _project(
             slopes[k, j, 6] = pixels[k, j] - lens[2 + j]
 
 
-def skyline_observations(
-    pose: Pose,
-    camera: Camera,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    wide: float,
-    config: PicturePoseConfig,
-) -> SkylineObservations | None:
-    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline."""
-    skyline, noise = evidence.skyline, config.skyline
+def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:
+    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline. `wide`: factor of
+    the sigmas."""
+    skyline, noise, horizon = problem.evidence.skyline, problem.config.skyline, problem.horizon
     if skyline is None or len(skyline.u) < 8:
         return None
     azimuths = horizon.azimuths
@@ -188,17 +195,13 @@ def skyline_observations(
 
 
 def ridge_observations(
-    pose: Pose,
-    camera: Camera,
-    evidence: PictureEvidence,
-    ridges: ContourDirections,
-    origin: Float64Array,
-    search: float,
-    config: PicturePoseConfig,
+    pose: Pose, camera: Camera, problem: PoseProblem, ridges: ContourDirections, search: float
 ) -> RidgeObservations | None:
-    """Return the distances across ridges, from the nearest edge to the predicted place, pixels."""
+    """Return the distances across ridges, from the nearest edge within `search` pixels (at width 640) to the predicted
+    place, pixels."""
     if len(ridges.range) == 0:
         return None
+    evidence, config, origin = problem.evidence, problem.config, problem.horizon.position
     noise, edges = config.contours, evidence.edges
     pixels, slopes, ahead = _projected(ridges.here, ridges.range, pose, camera, origin)
     shift = (pose.position - origin) / ridges.range[:, None]

@@ -11,7 +11,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
@@ -26,7 +26,7 @@ def exact() -> PictureEvidence:
 def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
     """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
     horizon = terrain().horizon_for(evidence.camera, PRIOR, PicturePoseConfig())
-    rows = skyline_observations(TRUE, evidence.camera, evidence, horizon, 1.0, PicturePoseConfig())
+    rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, PicturePoseConfig()), 1.0)
     assert rows is not None
     assert evidence.skyline is not None
     v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma
