@@ -23,7 +23,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
-from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, ground_along, smoke_along
+from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import pixel_rays
 
@@ -119,6 +119,10 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
 DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
 """Standard deviations of sideways drift in radians for which azimuths are computed."""
 NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
+TURN_SCALE = math.radians(2.0)
+MOST_TURNED = math.radians(15.0)
+"""Scale and cut-off of the Cauchy distribution of an unnoticed turn of a camera. Small slips are only slightly more
+frequent than large ones, and the distribution of their size is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +158,28 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
     return DirectionTable(density, np.where(none, middle, mean), np.where(none, variance, spread))
 
 
+def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
+    """Return the table of a camera turned by an unknown angle: the marked slope, and an equally uncertain azimuth."""
+    middle = float(directions.azimuth @ directions.weights)
+    turned = turn_density(directions, azimuths - middle)
+    shape = (len(azimuths), len(KNOTS))
+    slope, variance = _slope(directions)
+    density = np.broadcast_to(turned[:, None], shape)[None].copy()
+    return DirectionTable(density, np.full(shape, slope), np.broadcast_to(variance, shape).copy())
+
+
+def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
+    """Return the density of azimuths at an angle from the marked one, for a camera turned by an unknown angle."""
+    middle = float(directions.azimuth @ directions.weights)
+    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
+    return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
+
+
+def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
+    """Return the density of the angle by which a turned camera is turned."""
+    return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
+
+
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
     """Return the marked slope, and its variance (J,), over all marked places."""
     slope = float(directions.slope @ directions.weights)
@@ -165,6 +191,8 @@ LEVEL_SHARE = 0.1
 """Minimum standard deviation of heights between nodes, as a share of the raster's cell size."""
 APART_CELLS = 4.0
 """Distance in cells beyond which height errors of a raster are independent."""
+OTHERWISE = 0.2
+"""Share of wrong cameras whose slope is wrong too."""
 OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
 """Density of the slope of a wrong camera: that of a normal distribution with a sigma of two degrees."""
 
@@ -196,12 +224,13 @@ def sight_likelihood(
     apart: Float64Array,
     smoke: bool,
     lean: float = 0.0,
+    turned: bool = False,
 ) -> SightLikelihood:
     """Return the likelihood of each sample given the mark.
 
     `height`: of the camera, metres. `variances`: of the terrain's heights, by raster of the stack, square metres;
     `apart`: metres beyond which their errors are independent. `smoke`: the lowest visible part of smoke is marked, else
-    something on the ground. `lean`: `LocatingConfig.plume_lean`."""
+    something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`."""
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
     terrain = RayTerrain(fan.heights, fan.levels, fan.ranges, knots, height, bend)
@@ -209,11 +238,21 @@ def sight_likelihood(
     density, fit, lifts = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     if not smoke:
         ground_along(terrain, marked, variances, density, fit, lifts)
-        azimuth = table.density[0][:, knots]
-        peak = table.density[0].max(axis=0)[knots]
-        return SightLikelihood(density * azimuth, (fit * (azimuth / peak)).astype(np.float32), lifts)
-    hidden, hidden_fit, unseen = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    found = SmokeDensities(density, hidden, fit, hidden_fit, unseen, lifts)
-    smoke_along(terrain, marked, HeightErrors(variances, apart), NEXT_DRIFT[0] / lean if lean > 0 else math.inf, found)
-    add_drifted(terrain, marked, Drifts(fan.widths, table.density, table.density.max(axis=1), lean, NEXT_DRIFT), found)
-    return SightLikelihood(density, fit, lifts)
+    else:
+        hidden, hidden_fit, unseen = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        found = SmokeDensities(density, hidden, fit, hidden_fit, unseen, lifts)
+        rise = math.inf if turned or lean <= 0 else NEXT_DRIFT[0] / lean
+        smoke_along(terrain, marked, HeightErrors(variances, apart), rise, found)
+        if turned:
+            add_smeared(terrain, marked, fan.azimuths, lean, found)
+        else:
+            drifting = Drifts(fan.widths, table.density, table.density.max(axis=1), lean, NEXT_DRIFT)
+            add_drifted(terrain, marked, drifting, found)
+            return SightLikelihood(density, fit, lifts)
+    azimuth = table.density[0][:, knots]
+    if turned:
+        known = np.isfinite(fan.heights)
+        density = (1 - OTHERWISE) * density + OTHERWISE * known * OTHER_SLOPE
+        fit = np.where(known, np.maximum(fit, OTHERWISE), 0.0).astype(np.float32)
+    peak = table.density[0].max(axis=0)[knots]
+    return SightLikelihood(density * azimuth, (fit * (azimuth / peak)).astype(np.float32), lifts)

@@ -110,9 +110,10 @@ class Fused:
         return float(self.misfit.min())
 
 
-def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight]) -> Fused:
-    """Fuse all sights at the resolution that their common places need."""
-    shared = _shared(sights)
+def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
+    """Fuse all sights at the resolution that their common places need. `turned`: sights of a camera that is turned by
+    an unknown angle."""
+    shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
     found = _fused(terrain, sights, shared, window)
@@ -129,8 +130,9 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight]) -> Fused:
         wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        resolution = max(wanted, *(sight.cell for sight in closer))
-        found = _fused(terrain, closer, shared, covering(bounds, resolution))
+        others = [terrain.look_turned(sight, bounds, wanted) for sight in turned]
+        resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
+        found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
     return found
 
 
@@ -182,12 +184,16 @@ def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
 
 
 def _fused(
-    terrain: LocatingTerrain, sights: Sequence[Sight], shared: Mapping[str, float], window: GridGeometry
+    terrain: LocatingTerrain,
+    sights: Sequence[Sight],
+    shared: Mapping[str, float],
+    window: GridGeometry,
+    turned: Sequence[Sight] = (),
 ) -> Fused:
     by_camera: dict[str, list[SightRaster]] = {}
     positions: dict[str, Float64Array] = {}
     possible = np.ones(window.shape, np.bool_)
-    for sight in sights:
+    for sight in (*sights, *turned):
         raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
         by_camera.setdefault(sight.name, []).append(raster)
         positions[sight.name] = sight.position
@@ -198,6 +204,7 @@ def _fused(
         return Fused(window, misfit, weight, lift, -math.inf)
     x, y = window.to_map(rows, cols)
     fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
+    loose = {sight.name for sight in turned}
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
         for raster in rasters:
@@ -205,7 +212,8 @@ def _fused(
             here = np.log(raster.density[rows, cols])
             density += here * part
             evidence += here / len(rasters)
-            raised = np.maximum(raised, raster.lift[rows, cols])
+            if name not in loose:  # what it marks may be something else
+                raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         noticed = np.log1p(squared / terrain.config.detection_range**2)
         density -= noticed / shared[name]

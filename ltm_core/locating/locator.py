@@ -6,7 +6,7 @@ S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) 
     p(x | m) ~ S(max_c lift_c(x)) prod_c D(r_c(x)) p(m_c | x)
 
 The prior is flat over the ground. Densities of sightings of one camera, and of cameras that look in one direction, are
-averaged geometrically, because they share errors. The cameras disagree if the evidence that one of them marks at random
+averaged geometrically, because they share errors. The cameras disagree if the evidence that one of them is turned
 exceeds that of none by `wrong_odds`; the answer is then the mixture of what the others say without each.
 
 `misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have."""
@@ -202,8 +202,8 @@ def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
 MOST_SIGHTINGS = 64
 _NEGLIGIBLE = 0.02
 """Probability of a wrong camera below which the solution without it is ignored."""
-_WRONG = OTHER_SLOPE / math.radians(30.0)
-"""Density of the marks of a wrong camera: turned by any angle up to 15 degrees, or of another object."""
+_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
+"""Density of marks, in any azimuth, of the one in fifty wrong cameras that mark another object."""
 
 
 @dataclass(frozen=True)
@@ -256,13 +256,18 @@ class Locator:
         if len(names) == 1:
             return _location(fused, None)
         limit = math.log(self.config.wrong_odds)
-        without = [fused_closely(terrain, [s for s in sights if s.name != name]) for name in names]
-        marks = np.array([sum(s.name == name for s in sights) for name in names])
-        evidences = np.array([part.log_evidence for part in without]) + marks * math.log(_WRONG)
+        parted = {
+            name: ([s for s in sights if s.name != name], [s for s in sights if s.name == name]) for name in names
+        }
+        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
+        evidences = np.array([part.log_evidence for part in turned])
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
         if not statistic > limit:
             return _location(fused, CameraAgreement(statistic, limit, {}))
-        chances = _shares(evidences)
+        # What a wrong camera marks may be another thing, in any direction.
+        without = [fused_closely(terrain, others) for others, _ in parted.values()]
+        elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
+        chances = _shares(np.logaddexp(evidences, elsewhere))
         agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)

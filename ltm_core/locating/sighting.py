@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,15 @@ from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.locating.directions import (
+    MOST_TURNED,
+    DirectionTable,
     MarkedDirections,
     SightLikelihood,
     direction_table,
     level_errors,
     marked_directions,
     sight_likelihood,
+    turned_table,
 )
 from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
@@ -123,6 +126,22 @@ class LocatingTerrain:
         spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
 
+    def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
+        """Return the sighting as in `look_closer` for a camera turned by an unknown angle."""
+        around = float(sight.directions.azimuth @ sight.directions.weights)
+        low, high = _azimuths_of(sight.position, bounds, around)
+        low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
+        if high <= low:
+            low, high = around - MOST_TURNED, around + MOST_TURNED
+        near, far = ranges_of(sight.position, bounds)
+        far = min(far, float(sight.fan.ranges[-1]))
+        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
+        azimuths = np.linspace(low, high, count)
+        fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        table = turned_table(sight.directions, azimuths)
+        likelihood = self._likelihood(sight.sighting, fan, table, turned=True)
+        return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
+
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
         """Return the probability that a plume is higher."""
         if not self.smoke:
@@ -144,12 +163,17 @@ class LocatingTerrain:
 
     def _sight(self, sighting: Sighting, directions: MarkedDirections, fan: SightFan, cell: float) -> Sight:
         table = direction_table(directions, fan.azimuths, self._drifts)
+        return Sight(sighting, directions, fan, self._likelihood(sighting, fan, table), cell)
+
+    def _likelihood(
+        self, sighting: Sighting, fan: SightFan, table: DirectionTable, turned: bool = False
+    ) -> SightLikelihood:
         height, lean = float(sighting.pose.position[2]), self.config.plume_lean
         errors = level_errors(self.dem, self.config)
-        found = sight_likelihood(fan, table, height, self.bend, *errors, self.smoke, lean)
+        found = sight_likelihood(fan, table, height, self.bend, *errors, self.smoke, lean, turned)
         near = fan.ranges < self.config.min_range
         found.density[:, near], found.fit[:, near] = 0.0, 0.0
-        return Sight(sighting, directions, fan, found, cell)
+        return found
 
     def _check(self, sight: Sight) -> None:
         """Raise RegionError where nothing on the ground explains the mark."""
