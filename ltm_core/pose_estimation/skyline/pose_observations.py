@@ -6,7 +6,7 @@ those of `skyline_search`."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -64,14 +64,7 @@ class RidgeObservations(Observations):
 
     def only(self, kept: IndexArray) -> RidgeObservations:
         """Return those places (K,) only."""
-        return RidgeObservations(
-            self.error[kept],
-            self.slopes[kept],
-            self.sigma[kept],
-            self.weight[kept],
-            self.shared[kept],
-            self.ground[kept],
-        )
+        return RidgeObservations(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 def _projected(
@@ -79,24 +72,17 @@ def _projected(
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
     """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
     front."""
-    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
-    ahead = np.empty(len(ranges), np.bool_)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    _project(directions, ranges, pose.position - origin, pose.rotation, lens, pixels, slopes, ahead)
+    pixels, slopes, ahead = _project(directions, ranges, pose.position - origin, pose.rotation, lens)
     return pixels, slopes, ahead
 
 
 @kernel(nogil=True)
 def _project(
-    directions: Float64Array,
-    ranges: Float64Array,
-    moved: Float64Array,
-    rotation: Float64Array,
-    lens: Float64Array,
-    pixels: Float64Array,
-    slopes: Float64Array,
-    ahead: BoolArray,
-) -> None:
+    directions: Float64Array, ranges: Float64Array, moved: Float64Array, rotation: Float64Array, lens: Float64Array
+) -> tuple[Float64Array, Float64Array, BoolArray]:
+    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
+    ahead = np.empty(len(ranges), np.bool_)
     d, across = np.empty(3), np.empty((2, 3))
     for k in range(len(ranges)):
         far = max(ranges[k], 1.0)
@@ -121,6 +107,7 @@ def _project(
                 # (b x d) w.
                 slopes[k, j, 3 + i] = across[j, following] * d[last] - across[j, last] * d[following]
             slopes[k, j, 6] = pixels[k, j] - lens[2 + j]
+    return pixels, slopes, ahead
 
 
 def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:

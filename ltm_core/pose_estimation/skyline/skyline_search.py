@@ -72,39 +72,13 @@ def search_azimuths(
     cover = config.cover.of(skyline.cover)
     columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
-    out = np.empty((len(azimuths), 3))
-    _search(
-        columns,
-        np.column_stack(
-            [
-                horizon.tangent,
-                horizon.range,
-                horizon.cell,
-                horizon.bound,
-                horizon.front_tangent,
-                horizon.front_range,
-                farness(horizon.range),
-                farness(horizon.front_range),
-            ]
-        ),
-        horizon.start,
-        horizon.step,
-        horizon.whole,
-        azimuths,
-        np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx]),
-        np.array(
-            [
-                config.dem_sigma,
-                config.cell_share,
-                config.cell_lift,
-                config.correlation,
-                config.odds,
-                column_weight(skyline, camera, config.independent),
-                config.own_crest,
-            ]
-        ),
-        out,
-    )
+    h, share = horizon, column_weight(skyline, camera, config.independent)
+    crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
+    crests += [farness(h.range), farness(h.front_range)]
+    setting = np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx])
+    c = config
+    noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
+    out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)
     return SkylineCosts(azimuths, out[:, COST], out[:, PITCH], out[:, ROLL])
 
 
@@ -122,9 +96,8 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
 @helper(inline="always")
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
-    return (1 - far) * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], (1 - far) * column[NEAR_SIGMA] + far * column[
-        FAR_SIGMA
-    ]
+    near = 1 - far
+    return near * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], near * column[NEAR_SIGMA] + far * column[FAR_SIGMA]
 
 
 @kernel(nogil=True)
@@ -137,8 +110,8 @@ def _search(
     azimuths: Float64Array,
     setting: Float64Array,
     noise: Float64Array,
-    out: Float64Array,
-) -> None:
+) -> Float64Array:
+    out = np.zeros((len(azimuths), 3))
     count = len(columns)
     total = len(horizon)
     half_step, position_sigma, pitch_sigma, roll_sigma, spacing = setting
@@ -182,7 +155,6 @@ def _search(
                 s = dem_sigma**2 + cover_sigma**2 + position_sigma**2
                 front_sigma[k] = np.sqrt(columns[k, EDGE_SIGMA] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
-        out[j, COST], out[j, PITCH], out[j, ROLL] = 0.0, 0.0, 0.0
         if len(used) < 8:
             continue
         # Robust fits of pitch and roll, from several starts; the cheapest is kept.
@@ -247,3 +219,4 @@ def _search(
             if cost < best:
                 best = cost
                 out[j, COST], out[j, PITCH], out[j, ROLL] = cost, a, b
+    return out
