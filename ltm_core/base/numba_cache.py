@@ -5,16 +5,11 @@ another file, has changed, the old machine code would be loaded and give wrong r
 all files that kernels may depend on: those that name numba or `base.kernels`, and what these import of the same
 package, at any depth. An edit elsewhere recompiles nothing.
 
-A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
-changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process
-marks nothing: after edit, kill and an exact undo of the edit, only deleting `ltm_core/__pycache__` helps.)
-
 A release carries folders compiled for two levels of x86-64, made by `packaging/precompile.py` and named by the state,
 the versions of Python and numba, and the level. The best that the processor can run is copied to where the cache is."""
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import hashlib
 import os
@@ -36,8 +31,6 @@ CPU_LEVELS: Final = {"x86-64-v3": _V3, "x86-64-v2": _V2}
 PRECOMPILED: Final = "precompiled"
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PREFIX = "ltm-kernels-"
-_MIXED = "mixed"
-"""Name of a file that marks a folder whose kernels may be from more than one state."""
 _KEPT = 3
 """Number of folders of earlier source states to keep, for processes that still run them."""
 _IMPORT = re.compile(rb"^\s*(?:import\s+([\w.]+)|from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*))", re.MULTILINE)
@@ -59,8 +52,6 @@ def use_own_cache(source: Path) -> Path | None:
     for parent in (beside, Path.home() / ".cache/ltm", Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}"):
         folder = parent / f"{_PREFIX}{state}{level and '-'}{level}"
         try:
-            while (folder / _MIXED).exists():  # in another user's folder: an error
-                folder = folder.with_name(f"{folder.name}x")
             if parent == beside:
                 parent.mkdir(parents=True, exist_ok=True)
             elif not _own(parent):
@@ -77,7 +68,6 @@ def use_own_cache(source: Path) -> Path | None:
             os.environ[_VARIABLE] = str(folder)
             if "numba" in sys.modules:
                 sys.modules["numba"].config.CACHE_DIR = str(folder)
-            atexit.register(_mark_if_changed, source, state, folder)
             _forget_former(parent, folder)
             return folder
     return None
@@ -85,7 +75,7 @@ def use_own_cache(source: Path) -> Path | None:
 
 def kernel_level(folder: Path) -> str:
     """Return the level of x86-64 that the kernels in a cache folder are compiled for; empty: this processor."""
-    return next((level for level in CPU_LEVELS if folder.name.rstrip("x").endswith(f"-{level}")), "")
+    return next((level for level in CPU_LEVELS if folder.name.endswith(f"-{level}")), "")
 
 
 def levels_of(flags: frozenset[str]) -> list[str]:
@@ -162,12 +152,6 @@ def _imports(text: bytes) -> Iterator[bytes]:
             yield package + b"." + name
 
 
-def _mark_if_changed(source: Path, state: str, folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        if _state(source) != state:
-            (folder / _MIXED).touch()
-
-
 def _own(folder: Path) -> bool:
     """Create a missing folder; return whether it is ours and inaccessible to other users. A link is not accepted,
     because its target may change."""
@@ -178,15 +162,7 @@ def _own(folder: Path) -> bool:
 
 
 def _forget_former(parent: Path, current: Path) -> None:
-    former = sorted((f for f in parent.glob(f"{_PREFIX}*") if f != current), key=_age)
-    for folder in former[:-_KEPT]:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _age(folder: Path) -> float:
-    """Return the time of the last change; 0 where another process, which starts just now too, has deleted the
-    folder."""
-    try:
-        return folder.stat().st_mtime
-    except FileNotFoundError:
-        return 0.0
+    with contextlib.suppress(FileNotFoundError):  # another process, which starts just now too, deletes them
+        former = sorted((f for f in parent.glob(f"{_PREFIX}*") if f != current), key=lambda f: f.stat().st_mtime)
+        for folder in former[:-_KEPT]:
+            shutil.rmtree(folder, ignore_errors=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
@@ -18,6 +19,23 @@ class StrictModel(BaseModel):
     """Base class of the parts of a YAML file: unknown keys are errors, and values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False)
+
+
+def beside(value: _T, folder: Path) -> _T:
+    """Return a section of a file, or a value in it, with all relative paths resolved against a folder."""
+    found: Any = value
+    if isinstance(value, Path):
+        found = folder / value
+    elif isinstance(value, BaseModel):
+        parts = {name: beside(part, folder) for name, part in value}
+        found = value.model_copy(
+            update={name: part for name, part in parts.items() if part is not getattr(value, name)}
+        )
+    elif isinstance(value, tuple):
+        found = tuple(beside(part, folder) for part in value)
+    elif isinstance(value, dict):
+        found = {key: beside(part, folder) for key, part in value.items()}
+    return found  # type: ignore[no-any-return]
 
 
 class DescribedModel(StrictModel):

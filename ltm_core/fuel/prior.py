@@ -88,12 +88,6 @@ class PriorConfig(StrictModel):
         named = [f"{name} {path.name}" for name, path in files]
         return ", ".join(([] if self.path is None else [self.path.name]) + named)
 
-    def below(self, folder: Path) -> PriorConfig:
-        """Return a copy with relative paths resolved against `folder`."""
-        paths = self.files() | ({} if self.path is None else {"path": self.path})
-        barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
-        return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})
-
 
 CANOPY_BANDS = ("cover", "height", "base_height", "bulk_density")
 

@@ -175,9 +175,7 @@ class SiteFrame:
     def to_lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Convert map (x, y) to WGS 84 degrees."""
         lon, lat = _from_wgs84(self.crs).transform(
-            np.asarray(x, np.float64) + self.x_origin,
-            np.asarray(y, np.float64) + self.y_origin,
-            direction="INVERSE",
+            np.asarray(x, np.float64) + self.x_origin, np.asarray(y, np.float64) + self.y_origin, direction="INVERSE"
         )
         return np.asarray(lon), np.asarray(lat)
 
@@ -205,12 +203,7 @@ def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0
     from pygeomag import GeoMag
 
     year = on.year + (on.timetuple().tm_yday - 1) / 365.25
-    epochs = {
-        2010: "wmm/WMM_2010.COF",
-        2015: "wmm/WMM_2015v2.COF",
-        2020: "wmm/WMM_2020.COF",
-        2025: "wmm/WMM_2025.COF",
-    }
+    epochs = {2010: "wmm/WMM_2010.COF", 2015: "wmm/WMM_2015v2.COF", 2020: "wmm/WMM_2020.COF", 2025: "wmm/WMM_2025.COF"}
     epoch = 5 * math.floor(year / 5)
     if epoch not in epochs:
         raise ConfigError(f"no World Magnetic Model for {on}; the models cover 2010-2029; give true-north azimuths")

@@ -104,11 +104,7 @@ class GridGeometry:
 
     @classmethod
     def snapped(
-        cls,
-        bounds: tuple[float, float, float, float],
-        resolution: float,
-        phase: float = 15.0,
-        crs: str | None = None,
+        cls, bounds: tuple[float, float, float, float], resolution: float, phase: float = 15.0, crs: str | None = None
     ) -> GridGeometry:
         """Return the smallest raster over `bounds` (x_min, y_min, x_max, y_max) whose cell edges lie at phase mod
         resolution.

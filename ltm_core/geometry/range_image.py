@@ -38,12 +38,7 @@ class RangeImage:
 
     @classmethod
     def from_depth(
-        cls,
-        depth: Float32Array,
-        camera: Camera,
-        pose: Pose,
-        bend: float = 0.0,
-        geometry: GridGeometry | None = None,
+        cls, depth: Float32Array, camera: Camera, pose: Pose, bend: float = 0.0, geometry: GridGeometry | None = None
     ) -> RangeImage:
         """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
         `depth()`."""

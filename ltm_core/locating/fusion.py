@@ -13,7 +13,7 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import SightLikelihood
-from ltm_core.locating.sight_fan import FanSamples, SightFan, SplatSums
+from ltm_core.locating.sight_fan import SightFan
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 
 
@@ -37,11 +37,10 @@ def sight_raster(
 ) -> SightRaster:
     """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its azimuth's
     share."""
-    samples = FanSamples(fan.ranges, fan.steps, fan.widths, np.sin(fan.azimuths), np.cos(fan.azimuths))
-    sums = SplatSums(*(np.zeros(window.shape) for _ in range(4)))
-    x0, y0 = (position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution
+    sums = np.zeros((4, *window.shape))
+    origin = np.array([position[0] - window.x_min, window.y_max - position[1]]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
-    _splat(samples, *densities, x0, y0, 1 / window.resolution, sums)
+    _splat(fan.ranges, fan.steps, fan.widths, fan.azimuths, *densities, origin, 1 / window.resolution, sums)
     total, area, lift, fit = sums
     with np.errstate(invalid="ignore", divide="ignore"):
         return SightRaster(np.where(area > 0, total / area, 0.0), fit, np.where(total > 0, lift / total, 0.0))
@@ -49,22 +48,25 @@ def sight_raster(
 
 @kernel(nogil=True)
 def _splat(
-    samples: FanSamples,
+    ranges: Float64Array,
+    steps: Float64Array,
+    widths: Float64Array,
+    azimuths: Float64Array,
     density: Float64Array,
     fits: Float32Array,
     lifts: Float32Array,
-    x0: float,
-    y0: float,
+    origin: Float64Array,
     per_metre: float,
-    sums: SplatSums,
+    sums: Float64Array,
 ) -> None:
-    ranges, steps, widths, sines, cosines = samples
-    total, area, lift, fit = sums
+    """Add density x area, area, lift x both and the best fit to `sums` (4, H, W). `origin`: of the fan in cells."""
+    total, area, lift, fit = sums[0], sums[1], sums[2], sums[3]
     height, width = total.shape
     for a in range(density.shape[0]):
+        sine, cosine = math.sin(azimuths[a]), math.cos(azimuths[a])
         for k in range(density.shape[1]):
             r = ranges[k] - 0.5 * steps[k]
-            x, y = x0 + sines[a] * r * per_metre, y0 - cosines[a] * r * per_metre
+            x, y = origin[0] + sine * r * per_metre, origin[1] - cosine * r * per_metre
             if not (0 <= x < width and 0 <= y < height):
                 continue
             i, j = int(y), int(x)

@@ -168,22 +168,3 @@ class Drifts(NamedTuple):
     peak: Float64Array
     lean: float
     next_drift: Float64Array
-
-
-class FanSamples(NamedTuple):
-    """Samples of a `SightFan`: `ranges`, `steps`: (R,); `widths`, `sines`, `cosines`: (A,) of its azimuths."""
-
-    ranges: Float64Array
-    steps: Float64Array
-    widths: Float64Array
-    sines: Float64Array
-    cosines: Float64Array
-
-
-class SplatSums(NamedTuple):
-    """Sums of a splat, (H, W) each, filled: density times area, area, lift times both, and the best fit."""
-
-    total: Float64Array
-    area: Float64Array
-    lift: Float64Array
-    fit: Float64Array

@@ -155,10 +155,7 @@ class LocatingTerrain:
         r, azimuth, fan = sight.fan.ranges[k], sight.fan.azimuths[a], sight.fan
         x, y = sight.position[0] + r * np.sin(azimuth), sight.position[1] + r * np.cos(azimuth)
         cell = _PER_CELL * max(float((fan.widths[a] * r).max()), float(fan.steps[k].max()))
-        return (
-            (float(x.min()) - cell, float(y.min()) - cell, float(x.max()) + cell, float(y.max()) + cell),
-            cell,
-        )
+        return ((float(x.min()) - cell, float(y.min()) - cell, float(x.max()) + cell, float(y.max()) + cell), cell)
 
     @property
     def _drifts(self) -> bool:

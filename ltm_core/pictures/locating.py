@@ -150,10 +150,7 @@ def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbI
 
 
 def _draw(
-    picture: RgbImage,
-    view: GridGeometry,
-    ellipses: Sequence[tuple[str, Ellipse]],
-    mean: tuple[float, float],
+    picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]], mean: tuple[float, float]
 ) -> None:
     for number, (_, ellipse) in enumerate(ellipses):
         outline = ellipse.outline(180)

@@ -15,7 +15,7 @@ from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import Label
@@ -87,10 +87,11 @@ def contradicted_share(
     if skyline is None or len(skyline.u) * skyline.spacing < _LEAST_SKYLINE * evidence.camera.width:
         return None
     try:
-        horizon = terrain.horizon_for(evidence.camera, PosePrior(pose, 1.0, 1.0, 1.0), config)
+        prior = PosePrior(pose, 1.0, 1.0, 1.0)
+        horizon = terrain.horizon_for(evidence.camera, prior, config)
     except PoseError:
         return None
-    rows = skyline_observations(pose, evidence.camera, evidence, horizon, 1.0, config)
+    rows = skyline_observations(pose, evidence.camera, PoseProblem(evidence, horizon, prior, config), 1.0)
     if rows is None:
         return None
     limit = np.maximum(_SIGMAS * rows.sigma, _LEAST * evidence.camera.fy)

@@ -11,7 +11,8 @@ from ltm_core.base.types import Float32Array, Float64Array
 
 
 @helper()
-def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
+def bilinear(nodes: Float32Array, row: float, col: float) -> float:
+    """Return the height at a fractional row and column, that of the nearest cell outside the nodes."""
     i = min(max(math.floor(row), 0), nodes.shape[0] - 2)
     j = min(max(math.floor(col), 0), nodes.shape[1] - 2)
     v, u = row - i, col - j
@@ -56,7 +57,7 @@ def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Flo
                         total += difference / distance
                         weight += 1.0 / distance
                 if weight > 0.0:
-                    fine[i, k] = _bilinear(coarse, rows[i], cols[k]) + total / weight
+                    fine[i, k] = bilinear(coarse, rows[i], cols[k]) + total / weight
             j = end
 
 
@@ -67,7 +68,7 @@ def _difference(
     """Fine less coarse at a node; 0 outside the raster, NaN where the coarser level is not known."""
     if not (0 <= i < fine.shape[0] and 0 <= j < fine.shape[1]):
         return 0.0
-    difference: float = fine[i, j] - _bilinear(coarse, rows[i], cols[j])
+    difference: float = fine[i, j] - bilinear(coarse, rows[i], cols[j])
     return difference
 
 
@@ -83,7 +84,7 @@ def blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Fl
                 j = max(j, width - deep)
             distance = min(to_row_edge, j, width - 1 - j)
             if distance < band:
-                there = _bilinear(coarse, rows[i], cols[j])
+                there = bilinear(coarse, rows[i], cols[j])
                 if there == there:
                     here = float(fine[i, j])
                     fine[i, j] = there if distance == 0 else here + (1.0 - distance / band) * (there - here)

@@ -109,8 +109,7 @@ def unit_of(source: Any, band: int, vertical: float | None, path: Path | str) ->
     if stated.lower() in ("", "unknown", "none", "n/a"):
         return 1.0 if vertical is None else vertical
     size = next(
-        (size for word, size in _UNITS.items() if re.match(rf"({word})(?=$|[ ,;()])", stated, re.IGNORECASE)),
-        None,
+        (size for word, size in _UNITS.items() if re.match(rf"({word})(?=$|[ ,;()])", stated, re.IGNORECASE)), None
     )
     if size is None:
         raise RasterError(f"{path}: band {band} is in {stated}, not a unit of height; give the raster of elevations")

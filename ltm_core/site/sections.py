@@ -18,6 +18,7 @@ from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.site.source_config import (
+    LoginSettings,
     NetworkSettings,
     PtzConfig,
     SecretConfig,
@@ -221,7 +222,7 @@ class HealthConfig(StrictModel):
         return self
 
 
-class AlertsConfig(StrictModel):
+class AlertsConfig(LoginSettings):
     """Receivers of a JSON message for each change of state of a camera, pose, node, disk, clock or outbox."""
 
     webhook: str | None = None
@@ -231,10 +232,6 @@ class AlertsConfig(StrictModel):
     mqtt: str | None = None
     """URL of an MQTT 5 broker, `mqtts://HOST:PORT`; messages go to the topic `ltm/SITE/alerts`. `mqtt://` is without
     TLS, and only for a broker on this computer."""
-    user: str | None = None
-    """User name at the broker."""
-    password: SecretConfig | None = None
-    """Place of the password at the broker."""
     ca: Path | None = None
     """Certificate of the broker's authority (PEM), relative to the site file; None: the system's authorities."""
     certificate: Path | None = None
@@ -258,8 +255,6 @@ class AlertsConfig(StrictModel):
             raise ValueError("the webhook contains {token}: give token: {credential: NAME} (or environment, file)")
         if (self.certificate is None) != (self.key is None):
             raise ValueError("give certificate and key together")
-        if self.password is not None and self.user is None:
-            raise ValueError("password needs user")
         if self.mqtt is not None and self.mqtt.startswith("mqtt://"):
             host = urlsplit(self.mqtt).hostname or ""
             if not is_loopback(host):

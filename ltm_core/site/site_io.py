@@ -11,109 +11,42 @@ from typing import Any
 import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.site.sections import AlertsConfig, CameraConfig, DemConfig
+from ltm_core.base.strict_model import beside
 from ltm_core.site.site import Site
-from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings, SecretConfig
 from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_text, read_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.uplink.config import broker_beside
 
 
 def load_site(path: Path | str) -> Site:
     """Read a site YAML; its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
-    site = load_yaml(path, Site)
-
-    def beside_the_file(dem: DemConfig) -> DemConfig:
-        return dem.model_copy(update={"path": path.parent / dem.path})
-
-    changes: dict[str, object] = {
-        "dem": beside_the_file(site.dem),
-        "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
-        "surface": None if site.surface is None else beside_the_file(site.surface),
-        "label_heads": None if site.label_heads is None else path.parent / site.label_heads,
-    }
+    site = beside(load_yaml(path, Site), path.parent)
+    changes: dict[str, object] = {}
     for name in ("model", "depth_model"):
-        beside = path.parent / getattr(site, name)
-        if beside.suffix == ".yaml" and is_file(beside):
-            changes[name] = str(beside)
-    changes["cameras"] = {
-        name: _source_beside(_with_mask(name, camera, path), path.parent) for name, camera in site.cameras.items()
-    }
-    if site.health is not None:
-        given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
-        files = {name: path.parent / file for name, file in given.items() if file is not None}
-        changes["health"] = site.health.model_copy(update=files)
-    if site.alerts is not None:
-        changes["alerts"] = _alerts_beside(site.alerts, path.parent)
-    if site.region is not None:
-        broker = broker_beside(site.region.broker, path.parent)
-        changes["region"] = site.region.model_copy(update={"broker": broker})
-    fuel: dict[str, object] = {}
-    if site.fuel.prior is not None:
-        fuel["prior"] = site.fuel.prior.below(path.parent)
+        file = path.parent / getattr(site, name)
+        if file.suffix == ".yaml" and is_file(file):
+            changes[name] = str(file)
     if site.fuel.label_errors is not None:
-        fuel["label_errors"] = str(path.parent / site.fuel.label_errors)
-    if fuel:
-        changes["fuel"] = site.fuel.model_copy(update=fuel)
+        changes["fuel"] = site.fuel.model_copy(update={"label_errors": str(path.parent / site.fuel.label_errors)})
+    for name, camera in site.cameras.items():
+        place = f"{path}: cameras.{name}"
+        _check_mask(camera.mask, f"{place}.mask", path.parent)
+        for view in camera.view_masks:
+            _check_mask(view.mask, f"{place}.view_masks.{view.name}", path.parent)
     return site.model_copy(update=changes)
 
 
-def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
-    """Resolve the masks' files against the site file's folder. Raises ConfigError."""
-    place = f"{site}: cameras.{name}"
-    changes: dict[str, object] = {}
-    if isinstance(camera.mask, Path):
-        changes["mask"] = _mask_file(camera.mask, f"{place}.mask", site.parent)
-    if any(isinstance(view.mask, Path) for view in camera.view_masks):
-        changes["view_masks"] = tuple(
-            view.model_copy(update={"mask": _mask_file(view.mask, f"{place}.view_masks.{view.name}", site.parent)})
-            if isinstance(view.mask, Path)
-            else view
-            for view in camera.view_masks
-        )
-    return camera.model_copy(update=changes) if changes else camera
-
-
-def _mask_file(path: Path, place: str, folder: Path) -> Path:
+def _check_mask(mask: object, place: str, folder: Path) -> None:
     """Check that a site, which may be from an untrusted source, names no file outside its folder. Raises
     ConfigError."""
+    if not isinstance(mask, Path):
+        return
     try:
-        file = (folder / path).resolve()
-        inside = file.is_relative_to(folder)
+        inside = mask.resolve().is_relative_to(folder)
     except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
-        raise ConfigError(f"{place}: {str(path)!r} is not a file ({error})") from error
+        raise ConfigError(f"{place}: {str(mask)!r} is not a file ({error})") from error
     if not inside:
-        raise ConfigError(f"{place}: {path} is outside the site's folder; copy the mask into {folder}")
-    return file
-
-
-def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
-    """Resolve the paths of a camera's source and PTZ head against the site file's folder."""
-    found: dict[str, object] = {}
-    for name, section in (("source", camera.source), ("ptz", camera.ptz)):
-        changes: dict[str, object] = {}
-        if isinstance(section, FolderConfig):
-            changes["path"] = folder / section.path
-        if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
-            changes["ca"] = folder / section.ca
-        if isinstance(section, NetworkSettings | PtzSettings) and section.password is not None:
-            changes["password"] = _secret_beside(section.password, folder)
-        if section is not None and changes:
-            found[name] = section.model_copy(update=changes)
-    return camera.model_copy(update=found) if found else camera
-
-
-def _secret_beside(secret: SecretConfig, folder: Path) -> SecretConfig:
-    return secret if secret.file is None else secret.model_copy(update={"file": folder / secret.file})
-
-
-def _alerts_beside(alerts: AlertsConfig, folder: Path) -> AlertsConfig:
-    files = {name: getattr(alerts, name) for name in ("ca", "certificate", "key")}
-    secrets = {name: getattr(alerts, name) for name in ("token", "password")}
-    found: dict[str, object] = {name: folder / file for name, file in files.items() if file is not None}
-    found |= {name: _secret_beside(secret, folder) for name, secret in secrets.items() if secret is not None}
-    return alerts.model_copy(update=found)
+        raise ConfigError(f"{place}: {mask} is outside the site's folder; copy the mask into {folder}")
 
 
 def write_camera(path: Path | str, camera: str, sections: dict[str, Any], replace: bool = True) -> None:

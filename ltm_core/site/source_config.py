@@ -45,6 +45,32 @@ class SecretConfig(StrictModel):
         return f"systemd credential {self.credential}" if self.file is None else f"file {self.file}"
 
 
+class LoginSettings(StrictModel):
+    """User and password for a camera, a PTZ head or a broker."""
+
+    user: str | None = None
+    """User name there."""
+    password: SecretConfig | None = None
+    """Place of its password."""
+
+    @model_validator(mode="after")
+    def _both(self) -> Self:
+        if self.password is not None and self.user is None:
+            raise ValueError("password needs user")
+        return self
+
+
+class HttpLogin(LoginSettings):
+    """How to log in to a device by HTTP, and which certificate it has."""
+
+    authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
+    """HTTP authentication; `auto`: digest if the device offers it, else basic."""
+    ca: Path | None = None
+    """PEM file with the certificate of the device or of its CA, used instead of the system's certificates."""
+    check_name: bool = True
+    """Whether the certificate must match the host of the URL; certificates of cameras often do not."""
+
+
 class SourceSettings(StrictModel):
     """Settings of all kinds of sources. Times in seconds."""
 
@@ -74,34 +100,17 @@ class SourceSettings(StrictModel):
         return self.stuck_after or max(120.0, 6 * self.period)
 
 
-class NetworkSettings(SourceSettings):
+class NetworkSettings(SourceSettings, LoginSettings):
     """Settings of kinds with a network connection. In the URL, `{user}` and `{password}` are replaced."""
 
     url: str
     """Address of the image or stream, without user and password."""
-    user: str | None = None
-    """User name for the camera."""
-    password: SecretConfig | None = None
-    """Place of the password for the camera."""
     timeout: Expert[float] = Field(10.0, gt=0, le=60)
     """Timeout in seconds for the connection and for each part of a response. A whole image may take three times as
     long."""
 
-    @model_validator(mode="after")
-    def _both(self) -> Self:
-        if self.password is not None and self.user is None:
-            raise ValueError("password needs user")
-        return self
 
-
-class HttpSettings(NetworkSettings):
-    authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
-    """HTTP authentication; `auto`: digest if the camera offers it, else basic."""
-    ca: Path | None = None
-    """PEM file with the certificate of the camera or of its CA, used instead of the system's certificates."""
-    check_name: bool = True
-    """Whether the certificate must match the host of the URL; certificates of cameras often do not."""
-
+class HttpSettings(NetworkSettings, HttpLogin):
     @field_validator("url")
     @classmethod
     def _url(cls, url: str) -> str:
@@ -256,22 +265,12 @@ class PatrolConfig(StrictModel):
     """Seconds that the PTZ head must have been still, so that the mast stops swinging and the lens can focus."""
 
 
-class PtzSettings(StrictModel):
+class PtzSettings(HttpLogin):
     """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
     `source`."""
 
     url: str | None = None
     """Address `http://HOST` or `https://HOST`, with the port."""
-    user: str | None = None
-    """User name for the PTZ head."""
-    password: SecretConfig | None = None
-    """Place of the password for the PTZ head."""
-    authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
-    """HTTP authentication; `auto`: digest if the camera offers it, else basic."""
-    ca: Path | None = None
-    """PEM file with the certificate of the PTZ head or of its CA."""
-    check_name: bool = True
-    """Whether the certificate must match the host of the URL."""
     timeout: Expert[float] = Field(5.0, gt=0, le=60)
     """Timeout in seconds for each request."""
     tolerance_deg: Expert[float | None] = Field(None, gt=0)
@@ -283,12 +282,6 @@ class PtzSettings(StrictModel):
     @classmethod
     def _url(cls, url: str | None) -> str | None:
         return None if url is None else url_without_secrets(url, ("http", "https"))
-
-    @model_validator(mode="after")
-    def _both(self) -> Self:
-        if self.password is not None and self.user is None:
-            raise ValueError("password needs user")
-        return self
 
 
 class VapixConfig(PtzSettings):

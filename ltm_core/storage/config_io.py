@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import tokenize
 import zipfile
 import zlib
@@ -13,13 +12,12 @@ from functools import lru_cache
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
-from yaml.composer import Composer
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.redaction import shown
@@ -101,23 +99,14 @@ LARGEST_KEPT = 32 << 10
 labels, models and site many times, and copying values is faster than parsing."""
 _KEPT = 64
 
-_BROKEN = (
-    *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
-    *(OverflowError, RecursionError),
-)
+_BROKEN = (*(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError), *(OverflowError, RecursionError))
 """Errors that PyYAML raises, including unintended ones: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError),
 `!!bool x` (KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
 
 
-if TYPE_CHECKING:
-    _AnyLoader = yaml.SafeLoader
-else:
-    _AnyLoader = object
-
-
-class _Bounds(_AnyLoader):
-    """Mixin of a loader that rejects repeated keys (PyYAML would drop all but the last, perhaps a whole camera), too
-    deep nesting and too many repetitions."""
+class _BoundedLoader(yaml.SafeLoader):
+    """Loader that rejects repeated keys (PyYAML would drop all but the last, perhaps a whole camera), too deep nesting
+    and too many repetitions."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
@@ -170,29 +159,7 @@ class _Bounds(_AnyLoader):
         return int(super().construct_yaml_int(node))
 
 
-class _BoundedLoader(_Bounds, yaml.SafeLoader):
-    """All in Python: its errors show the line that is wrong."""
-
-
-_BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
-_FAST: type[_Bounds] | None = None
-"""Loader of PyYAML with libyaml, if available."""
-_ALIKE = re.compile(r"(?s)(?!.*[|>][-+\d]*#)[\n \"->@-~]*")
-"""Texts that both parsers read alike. With tabs, question marks, non-ASCII characters or a comment at a block sign
-(`|#`), libyaml accepts what PyYAML rejects; and it reads `!` alone as a text, where PyYAML finds nothing."""
-if yaml.__with_libyaml__:
-
-    class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):
-        """Scans and parses in C, six times as fast: every node and command reads a dozen files when it starts. Nodes
-        are composed in Python, so that the bounds hold before C has gone down thousands of brackets."""
-
-        def __init__(self, stream: str) -> None:
-            yaml.CSafeLoader.__init__(self, stream)
-            Composer.__init__(self)
-            self._open, self._values = [], {}
-
-    _FastLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
-    _FAST = _FastLoader
+_BoundedLoader.add_constructor("tag:yaml.org,2002:int", _BoundedLoader.construct_yaml_int)
 
 
 def parse_yaml(text: str, place: str) -> Any:
@@ -242,12 +209,9 @@ def _composed(text: str, place: str) -> yaml.Node | None:
     return node
 
 
-def _read(text: str, place: str, take: Callable[[_Bounds], Any]) -> Any:
+def _read(text: str, place: str, take: Callable[[_BoundedLoader], Any]) -> Any:
     if len(text) > LARGEST_FILE:
         raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters)")
-    if _FAST is not None and _ALIKE.fullmatch(text):
-        with contextlib.suppress(*_BROKEN):  # said below in words that show the line
-            return take(_FAST(text))
     try:
         return take(_BoundedLoader(text))
     except _BROKEN as error:

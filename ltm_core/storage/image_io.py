@@ -1,26 +1,28 @@
-"""Decode compressed images. Only this file calls Pillow, libheif and OpenCV for that.
+"""Decode compressed images. Only this file calls Pillow, libheif, libjpeg and OpenCV for that.
 
-A decoder fills what a truncated image lacks with grey or green and reports nothing, so each image is checked here:
-filled-in pixels are labelled built or water, and would vote."""
+Decoders fill what a truncated image lacks with grey or green, which would be labelled built or water and vote. So each
+image is checked here; of JPEGs, libjpeg's own warnings say it."""
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.types import BoolArray, UInt8Array
-from ltm_core.storage.jpeg_data import Jpeg
+from ltm_core.base.types import UInt8Array
 
 # Pillow warns of large images and odd EXIF; what matters is checked here.
 warnings.filterwarnings("ignore", module=r"PIL|pillow_heif")
@@ -52,8 +54,14 @@ _MOST_SCANS = 200
 empty scans take minutes."""
 _MOST_ZEROS = 1024
 """Maximum number of zero bytes at the end of complete compressed data."""
-_FILL = 128
-"""Value that libjpeg gives to all channels of a block without data."""
+_HARMLESS = re.compile("extraneous bytes|unknown JFIF|unknown Adobe|Invalid SOS", re.IGNORECASE)
+"""Warnings of libjpeg about images that are complete."""
+_END = b"\xff\xd9"
+_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
+"""Marker of a JPEG apart from those within a scan."""
+_IMAGE_END = 0xD9
+_ARITHMETIC = range(0xC9, 0xD0)
+"""Frame headers of images with arithmetic codes, in which missing data cannot be detected; 0xCC is a table of such."""
 
 
 @contextmanager
@@ -143,8 +151,7 @@ def stated_size(data: bytes, what: str = "image") -> tuple[int, int]:
     """Return the (width, height) that an image's header states. Raises ImageError."""
     match image_format(data):
         case "jpeg":
-            header = Jpeg.of(data, what, header_only=True)
-            return header.width, header.height
+            return _jpeg_header(data, what)[:2]
         case "png" if data[12:16] == b"IHDR" and len(data) >= 24:
             width, height = struct.unpack_from(">II", data, 16)
             return width, height
@@ -170,7 +177,19 @@ def decode_rgb(data: bytes, what: str = "image", reduced: int = 1) -> UInt8Array
 def without_tail(data: bytes) -> bytes:
     """Return a JPEG without what follows its image: the video of a motion photo, or the second image of a pair. Other
     formats stay as they are."""
-    return Jpeg.of(data, "image").alone(data) if image_format(data) == "jpeg" else data
+    if image_format(data) == "jpeg":
+        for marker, end in _markers(data):
+            if marker == _IMAGE_END:
+                return data[:end]
+    return data
+
+
+def _markers(data: bytes) -> Iterator[tuple[int, int]]:
+    """Yield each marker of a JPEG and where it ends (ITU-T T.81, annex B)."""
+    at = 2
+    while mark := _MARKER.search(data, at):
+        yield mark[1][0], mark.end()
+        at = mark.end() + int.from_bytes(data[mark.end() : mark.end() + 2], "big")
 
 
 def _check_pixels(width: int, height: int, what: str) -> None:
@@ -246,49 +265,44 @@ def _missing_bytes(data: bytes) -> float:
     return 1 - held / end if end else 0.0
 
 
-def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
-    """Decode a JPEG, and check that the decoder filled in nothing.
+def _jpeg_header(data: bytes, what: str) -> tuple[int, int, str]:
+    """Return width, height and the colour space of a JPEG."""
+    try:
+        height, width, space, _ = simplejpeg.decode_jpeg_header(data)
+    except ValueError as error:
+        raise ImageError(f"{what} is corrupt: its header cannot be read ({error}); copy it again") from error
+    return width, height, space
 
-    If the image has one scan, blocks without data are grey. The rare image that has such blocks is decoded again, small
-    and with other data where data may be missing: only filled-in blocks change. Images of several scans are always
-    decoded twice."""
-    jpeg = Jpeg.of(data, what)
-    if len(jpeg.scans) > _MOST_SCANS:
-        raise ImageError(f"{what} has {len(jpeg.scans)} scans, at most {_MOST_SCANS} are decoded; save the image again")
-    _check_pixels(jpeg.width, jpeg.height, what)
-    missing = jpeg.unfinished
-    if jpeg.simple:
-        image = _by_opencv(jpeg.alone(data), what, reduced)
-        side = max(8 // reduced, 2)
-        grey = _grey_blocks(image, side)
-        if grey.any() and jpeg.restarts_as_expected(data):
-            step = side * reduced // 8
-            small = _by_pillow(jpeg.with_other_data(data), what, 8)[::step, ::step]
-            grey &= (small[: grey.shape[0], : grey.shape[1]][grey] != _FILL).any()
-        missing = float(grey.mean()) if grey.any() else 0.0
-    elif not missing:
-        image = _by_pillow(jpeg.alone(data), what, reduced)
-        other = _by_pillow(jpeg.with_other_data(data), what, reduced)
-        missing = 0.0 if np.array_equal(image, other) else float((image != other).any(axis=2).mean())
-    if missing:
-        raise ImageError(f"{what} is truncated: {missing:.1%} of the image are missing; send or copy it again")
-    return image
+
+def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
+    width, height, space = _jpeg_header(data, what)
+    _check_pixels(width, height, what)
+    if (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
+        raise ImageError(f"{what} has {scans} scans, at most {_MOST_SCANS} are decoded; save the image again")
+    if any(marker in _ARITHMETIC for marker, _ in islice(_markers(data), 100)):
+        raise ImageError(f"{what} is a JPEG with arithmetic codes or corrupt; save it again")
+    data = data.rstrip(b"\0")  # which an incomplete copy ends with, and which decode to blocks
+    inks = space in ("CMYK", "YCCK")
+    size = {"min_height": -(-height // reduced), "min_width": -(-width // reduced), "min_factor": reduced}
+
+    whole, strict = data, True
+    while True:
+        try:
+            pixels = simplejpeg.decode_jpeg(whole, "CMYK" if inks else "RGB", strict=strict, **size)
+        except ValueError as error:
+            reason = str(error)
+            if strict and _HARMLESS.search(reason):
+                strict = False
+            elif len(whole) == len(data) and reason.startswith("Premature end"):
+                whole = data + _END  # some cameras leave it out
+            else:
+                raise ImageError(f"{what} is truncated or corrupt ({reason}); send or copy it again") from error
+        else:
+            return _by_pillow(data, what, reduced) if inks else pixels
 
 
 def _by_pillow(data: bytes, what: str, reduced: int) -> UInt8Array:
-    """Decode a JPEG. Unlike OpenCV, Pillow prints no warning."""
+    """Decode a JPEG of printing inks."""
     with opened_picture(data, what) as image:
         image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))
         return np.asarray(image.convert("RGB"), np.uint8)
-
-
-def _grey_blocks(image: UInt8Array, side: int) -> BoolArray:
-    """Return which whole blocks of `side` x `side` pixels have the grey of missing data only, except near their edges,
-    which chroma interpolation blends."""
-    corner, rows, columns = image[side // 2 :: side, side // 2 :: side], *(n // side for n in image.shape[:2])
-    found = np.asarray((corner[..., 0] == _FILL) & (corner[..., 1] == _FILL), np.bool_)[:rows, :columns]
-    inner = slice(side // 4, side - side // 4)
-    blocks = image[: rows * side, : columns * side].reshape(rows, side, columns, side, 3)[:, inner, :, inner]
-    at = np.nonzero(found)
-    found[at] = (blocks[at[0], :, at[1]] == _FILL).all(axis=(1, 2, 3))
-    return found

@@ -23,9 +23,7 @@ from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.disk_io import DiskReserve
 from ltm_core.storage.tile_store_file import (
     KEPT_FRAMES,
-    MOST_FRAMES,
     TABLES,
-    Remembered,
     checked_rows,
     count_frames,
     create_store,
@@ -69,24 +67,17 @@ class TileStore:
         name: str,
         lock: int | None,
         kept_frames: int = KEPT_FRAMES,
-        most_frames: int = MOST_FRAMES,
         reserve: DiskReserve | None = None,
     ) -> None:
         self.schema = schema
         self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
         self._rows = partial(checked_rows, database, name)
-        self._remembered = Remembered(kept_frames, most_frames)
+        self._kept_frames = kept_frames
         self.strain = ""
         """Description of a full disk at the last commit, in words."""
 
     @classmethod
-    def open(
-        cls,
-        path: Path | str,
-        schema: StoreSchema,
-        kept_frames: int = KEPT_FRAMES,
-        most_frames: int = MOST_FRAMES,
-    ) -> TileStore:
+    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
         """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
@@ -109,7 +100,7 @@ class TileStore:
             except BaseException:
                 database.close()
                 raise
-            store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            store = cls(database, schema, str(path), lock, kept_frames, reserve)
             store._hold()
             return store
         except BaseException:
@@ -129,13 +120,11 @@ class TileStore:
         return cls(database, schema, str(path), None)
 
     @classmethod
-    def in_memory(
-        cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
-    ) -> TileStore:
+    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
         """Return a store in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)
-        return cls(database, schema, "memory", None, kept_frames, most_frames)
+        return cls(database, schema, "memory", None, kept_frames)
 
     def close(self) -> None:
         """Close the store. Idempotent."""
@@ -187,7 +176,7 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Return whether a frame is older than the stamps kept for its source (`tile_store_frames`)."""
+        """Return whether a frame is older than the stamps kept for its source."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
@@ -284,7 +273,7 @@ class TileStore:
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
         with transaction(self._db, self._name) as db:
-            count_frames(db, self._name, frames, not packed, self._remembered)
+            count_frames(db, self._name, frames, not packed, self._kept_frames)
             db.executemany(
                 "INSERT INTO changes (layer, stamp_ns, content) VALUES (?, ?, ?)",
                 [(c.layer, c.stamp_ns, c.pack()) for c in changes if len(c.rows)],

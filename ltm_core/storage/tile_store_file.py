@@ -9,7 +9,6 @@ import sqlite3
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -208,34 +207,20 @@ def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connectio
             raise
 
 
-KEPT_FRAMES = 20_000
-"""Minimum number of stamps kept per source, a week of a frame every 30 s; older frames are rejected, because they may
-have been counted."""
-KEPT_NS = 7 * 86_400 * 10**9
-"""Time before the newest stamp within which all stamps of a source are kept, so that thousands in one minute do not
-displace those of the same day."""
-MOST_FRAMES = 1_000_000
-"""Maximum number of stamps kept per source, some 30 MB, to limit the file size."""
+KEPT_FRAMES = 1_000_000
+"""Maximum number of stamps kept per source, some 30 MB and a year of a frame every 30 s; older frames are rejected,
+because they may have been counted. A limit by age would reject a camera whose clock was once set to another year."""
 
 
-@dataclass(frozen=True)
-class Remembered:
-    """Limits of the stamps kept per source: at least `frames`, those within `KEPT_NS`, at most `most`."""
-
-    frames: int = KEPT_FRAMES
-    most: int = MOST_FRAMES
-
-
-def count_frames(
-    db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool, bounds: Remembered
-) -> None:
+def count_frames(db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool, most: int) -> None:
     """Count frames within a transaction on the store `name`. `keep`: with payloads, until their tiles are written.
+    `most`: stamps kept per source.
 
     Raises ValueError where a frame has been counted already, ConfigError where the store is damaged."""
     _count(db, frames, keep)
     _touch(db, frames)
     for source in {frame.source for frame in frames}:
-        _forget(db, name, source, bounds)
+        _forget(db, name, source, most)
 
 
 def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) -> None:
@@ -280,38 +265,16 @@ def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
     )
 
 
-def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) -> None:
-    """Limit the stamps kept of a source to the newest `bounds.frames`, and those within `KEPT_NS` of the
-    newest, up to `bounds.most`.
-
-    A limit by age alone would reject a camera whose clock was once set to another year, or count its frames twice. A
-    limit by number alone would forget late frames of a camera that sends many."""
+def _forget(db: sqlite3.Connection, name: str, source: str, most: int) -> None:
+    """Limit the stamps kept of a source to about the `most` newest."""
     ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
-    ((newest,),) = checked_rows(db, name, "SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,), int)
-    old = _old_among(db, number, kept - bounds.frames, newest - KEPT_NS, bounds.frames)
-    spare = max(old, kept - bounds.most)
-    if spare <= min(bounds.frames, bounds.most) // 20:
+    spare = kept - most
+    if spare <= most // 20:
         return
-    found = checked_rows(
-        db,
-        name,
-        "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?",
-        (number, spare - 1),
-        int,
-    )
+    query = "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?"
+    found = checked_rows(db, name, query, (number, spare - 1), int)
     if not found:
         raise ConfigError(f"{name}: the store is damaged: {source} has no {spare} frames; restore it from a copy")
     ((horizon,),) = found
     db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
     db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
-
-
-def _old_among(db: sqlite3.Connection, number: int, spare: int, limit_ns: int, most: int) -> int:
-    """Return how many of a source's `spare` oldest frames are older than that; counts at most `most`."""
-    if spare <= 0:
-        return 0
-    (old,) = db.execute(
-        "SELECT count(*) FROM (SELECT 1 FROM frames WHERE source = ? AND stamp_ns < ? LIMIT ?)",
-        (number, limit_ns, min(spare, most)),
-    ).fetchone()
-    return int(old)

@@ -27,8 +27,6 @@ class Holes(NamedTuple):
 
     hole_first: Int64Array
     """Flat index (row * width + column) of a run's first node."""
-    hole_end: Int64Array
-    """Index after the last node of a run."""
     hole_outer: BoolArray
     """Whether a run belongs to an outer hole."""
     hole_start: Int64Array
@@ -50,7 +48,7 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
         pass
     outer = np.isinf(rim)
     np.minimum(ceilings, np.repeat(np.where(outer, highest, rim).astype(np.float32), end - first), out=ceilings)
-    return Holes(row * width + first, row * width + end, outer, start, ceilings)
+    return Holes(row * width + first, outer, start, ceilings)
 
 
 @helper()

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ltm_core.base.strict_model import Expert, StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel, beside
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.uplink.envelope import NAME
 
@@ -99,17 +99,4 @@ class RegionConfig(StrictModel):
 def load_region(path: Path | str) -> RegionConfig:
     """Load region.yaml; relative paths are resolved against the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
-    region = load_yaml(path, RegionConfig)
-    changes: dict[str, object] = {
-        "site": path.parent / region.site,
-        "folder": path.parent / region.folder,
-        "broker": broker_beside(region.broker, path.parent),
-    }
-    if region.export is not None:
-        changes["export"] = region.export.model_copy(update={"folder": path.parent / region.export.folder})
-    return region.model_copy(update=changes)
-
-
-def broker_beside(broker: BrokerConfig, folder: Path) -> BrokerConfig:
-    """Return the broker with the paths of its certificates resolved against a folder."""
-    return broker.model_copy(update={name: folder / getattr(broker, name) for name in ("ca", "certificate", "key")})
+    return beside(load_yaml(path, RegionConfig), path.parent)

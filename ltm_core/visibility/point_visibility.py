@@ -59,11 +59,7 @@ class PointVisibility:
     `tracing.TerrainTracer`; so is the memory. Raises RasterError for a DEM with infinite heights."""
 
     def __init__(
-        self,
-        dem: Dem,
-        curvature: bool = True,
-        refraction: float = 0.13,
-        possible: PossibleGround = PossibleGround(),
+        self, dem: Dem, curvature: bool = True, refraction: float = 0.13, possible: PossibleGround = PossibleGround()
     ) -> None:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)

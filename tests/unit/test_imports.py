@@ -26,7 +26,7 @@ PACKAGES = ("ltm_core", "ltm_msgs_py", "ltm_ros", "ltm_lab")
 TOWER = {
     "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
     "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
-    "httpx", "httpcore",
+    "httpx", "httpcore", "simplejpeg",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {

@@ -198,9 +198,8 @@ def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array
     total = 0.5 * float(away @ away)
     for p in pictures:
         pose, camera = p.pose(state), p.camera(state)
-        evidence, horizon = p.search.evidence, p.search.horizon
-        cost = skyline_fit(pose, camera, evidence, horizon, config).cost
-        z = ridge_strength(pose, p.ridges, horizon.step, camera, evidence.edges)
+        cost = skyline_fit(pose, camera, p.problem(config)).cost
+        z = ridge_strength(pose, p.ridges, p.search.horizon.step, camera, p.search.evidence.edges)
         cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
         total += cost / alike(p, pictures)
     return total
@@ -220,9 +219,7 @@ def _refined(
         for p in pictures:
             pose, camera = p.pose(state), p.camera(state)
             around = p.ridges.in_view(pose, camera, config.contours.most_points)
-            n, g = picture_system(
-                pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
-            )
+            n, g = picture_system(pose, camera, p.problem(config), around, search, wide, expected=last)
             shared = np.zeros((7, 8))
             shared[:6, :6] = np.eye(6)
             shared[3:6, 6] = pose.rotation[:, 0]

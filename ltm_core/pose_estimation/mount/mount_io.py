@@ -23,11 +23,7 @@ from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_io import read_point_rows
 from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 
-READING_COLUMNS: dict[str, Sequence[str]] = {
-    "pan": ("pan_deg", "pan"),
-    "tilt": ("tilt_deg", "tilt"),
-    "zoom": ("zoom",),
-}
+READING_COLUMNS: dict[str, Sequence[str]] = {"pan": ("pan_deg", "pan"), "tilt": ("tilt_deg", "tilt"), "zoom": ("zoom",)}
 
 
 def read_ptz_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> PtzPoints:

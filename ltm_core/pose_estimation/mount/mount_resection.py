@@ -211,11 +211,7 @@ class _Adjustment:
         return whole
 
     def _model(self, whole: Float64Array) -> MountModel:
-        return replace(
-            self._begun,
-            base=turned(self._begun.base, whole[3:6], whole[:3]),
-            tilt_zero=float(whole[6]),
-        )
+        return replace(self._begun, base=turned(self._begun.base, whole[3:6], whole[:3]), tilt_zero=float(whole[6]))
 
     def _residuals(self, state: Float64Array) -> Float64Array:
         """Return (N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""

@@ -22,6 +22,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
 from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
@@ -40,6 +41,9 @@ class MountPicture:
         stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
         return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
 
+    def problem(self, config: PicturePoseConfig) -> PoseProblem:
+        return PoseProblem(self.search.evidence, self.search.horizon, self.prior, config)
+
     def camera(self, state: Float64Array) -> Camera:
         """Return the camera with a correction (8,)."""
         return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
@@ -48,7 +52,7 @@ class MountPicture:
 def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
     """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
     fits = [
-        skyline_fit(p.pose(state), p.camera(state), p.search.evidence, p.search.horizon, config)
+        skyline_fit(p.pose(state), p.camera(state), p.problem(config))
         for p in pictures
         if p.search.evidence.skyline is not None
     ]
@@ -85,10 +89,7 @@ def judge_mount(
     if max(apart, default=0.0) > config.mount_apart_deg:
         return "ambiguous", f"an image accepted by itself is {max(apart):.1f} deg from the mount's pose"
     if seen.open > config.open_share and not _told_alone(pictures, found, config):
-        return (
-            "ambiguous",
-            "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount",
-        )
+        return ("ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount")
     if away > config.contradiction:
         return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
     return "accepted", f"{len(pictures)} images agree"

@@ -25,6 +25,7 @@ from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerr
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import search_reach
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, skyline_fit
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
@@ -170,14 +171,15 @@ class MountWatch:
             return False
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
+        problem = PoseProblem(evidence, horizon, prior, self._search)
         around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
         begun = [
-            refine(start, evidence.camera, evidence, horizon, around, prior, 0.0, self._search, _TRACKING)
+            refine(start, evidence.camera, problem, around, _TRACKING)
             for start in (pose, clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline))
             if start is not None
         ]
         found = min(begun, key=lambda refined: refined.cost)
-        here = skyline_fit(pose, evidence.camera, evidence, horizon, self._search).support
+        here = skyline_fit(pose, evidence.camera, problem).support
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.skyline.support
         least = self._search.verdict.clear_support
         if max(here, support) < least:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose, matrix_of_vector
+from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend
 from ltm_core.pose_estimation.points.control_points import ControlPoints, coarse_poses
 from ltm_core.pose_estimation.points.resection_adjustment import (
@@ -209,6 +209,7 @@ def _result(
         pose_covariance[3:, :3] = pose_covariance[:3, 3:].T
     elif sigma is not None:
         pose_covariance[:3, :3] = np.diag(sigma**2)
+    angles = pose_sigmas(fit.pose, pose_covariance)[3:].tolist()
     return Resection(
         points,
         fit.camera,
@@ -219,7 +220,7 @@ def _result(
         fit.residuals,
         fit.used,
         fit.sigma_px,
-        _angle_sigmas(fit.pose, fit.covariance[:3, :3]) | _parameter_sigmas(fit, fitted),
+        dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), angles, strict=True)) | _parameter_sigmas(fit, fitted),
         fit.covariance,
         pose_covariance,
     )
@@ -236,19 +237,6 @@ def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, floa
             axes = {"centre": ("cx", "cy"), "position": ("x", "y", "z")}.get(name, (name,))
             sigmas |= {axis: deviations.pop(0) for axis in axes}
     return sigmas
-
-
-def _angle_sigmas(pose: Pose, turns: Float64Array) -> dict[str, float]:
-    """Return the deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's
-    axes."""
-    step = 1e-6
-    slopes = np.empty((3, 3))
-    for axis in range(3):
-        moved = matrix_of_vector(step * np.eye(3)[axis]) @ pose.rotation
-        change = np.array(Pose(pose.position, moved).angles_deg) - np.array(pose.angles_deg)
-        slopes[:, axis] = ((change + 180) % 360 - 180) / step
-    deviations = np.sqrt(np.diag(slopes @ turns @ slopes.T))
-    return dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), map(float, deviations), strict=True))
 
 
 def _position_sigma(sigma: ArrayLike | None) -> Float64Array | None:

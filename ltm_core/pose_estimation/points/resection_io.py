@@ -16,6 +16,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, scale_problem
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import sigma_keys
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection
 from ltm_core.raster.dem import Dem
@@ -147,15 +148,9 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     ]
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
-    write_pose_file(path, result.camera, result.pose, _pose_sigmas(result), guess, frame, notes)
-
-
-def _pose_sigmas(result: Resection) -> dict[str, float]:
-    """By the keys of a pose file; none of a held position of unknown sigma."""
-    x, y, z = np.sqrt(np.diag(result.pose_covariance)[:3])
-    sigmas = {"position_sigma": max(x, y), "height_sigma": z}
-    sigmas |= {f"{angle}_sigma_deg": result.sigmas[f"{angle}_deg"] for angle in ("azimuth", "pitch", "roll")}
-    return {key: float(f"{sigma:.3g}") for key, sigma in sigmas.items() if sigma > 0}
+    write_pose_file(
+        path, result.camera, result.pose, sigma_keys(result.pose, result.pose_covariance), guess, frame, notes
+    )
 
 
 def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -123,18 +123,9 @@ def scores_and_counts(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the scores (P,) as in `contour_scores`, and how many points (P,) lie in view."""
     mean = edges.response.mean(axis=(1, 2), dtype=np.float64)
-    scores, counts = np.zeros(len(rotations)), np.zeros(len(rotations))
-    _scores(
-        np.ascontiguousarray(rotations, np.float64),
-        directions.here,
-        directions.following,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        edges.response,
-        edges.scale,
-        mean,
-        scores,
-        counts,
-    )
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    turns = np.ascontiguousarray(rotations, np.float64)
+    scores, counts = _scores(turns, directions.here, directions.following, lens, edges.response, edges.scale, mean)
     return scores, counts
 
 
@@ -147,9 +138,8 @@ def _scores(
     response: Float32Array,
     scale: float,
     mean: Float64Array,
-    scores: Float64Array,
-    counts: Float64Array,
-) -> None:
+) -> tuple[Float64Array, Float64Array]:
+    scores, counts = np.zeros(len(rotations)), np.zeros(len(rotations))
     fx, fy, cx, cy = lens
     height, width = response.shape[1], response.shape[2]
     for p in range(len(rotations)):
@@ -173,6 +163,7 @@ def _scores(
             total += response[o, int(v), int(u)] - mean[o]
             count += 1
         scores[p], counts[p] = total / math.sqrt(count + 20.0), count
+    return scores, counts
 
 
 _BORDER = 0.006
@@ -184,45 +175,25 @@ _LEAST_SKY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class PictureEdges:
-    """Edges of a photo, each computed on first use: `find` returns those at a width in pixels."""
-
-    find: Callable[[int], ImageContours]
-    config: ContourConfig
-
-    @cached_property
-    def fine(self) -> ImageContours:
-        """Return the edges to which ridges are fitted."""
-        return self.find(self.config.width)
-
-    @cached_property
-    def coarse(self) -> ImageContours:
-        """Return the edges by which poses are compared; tracking a pose does not need them."""
-        return self.find(self.config.coarse_width)
-
-
-@dataclass(frozen=True, eq=False)
 class PictureEvidence:
-    """Evidence in a photo, undistorted and at its working size: `skyline` (None: no sky), `found`, its edges, and the
-    labels (H, W) for the cover of ridges."""
+    """Evidence in a photo, undistorted and at its working size: `skyline` (None: no sky), the labels (H, W) for the
+    cover of ridges, and `find`, which returns the edges at a width in pixels, and keeps them."""
 
     camera: Camera
     labels: UInt8Array
     skyline: ImageSkyline | None
-    found: PictureEdges
+    find: Callable[[int], ImageContours]
+    config: ContourConfig
 
     @property
     def edges(self) -> ImageContours:
-        return self.found.fine
+        """Return the edges to which ridges are fitted."""
+        return self.find(self.config.width)
 
     @property
     def coarse_edges(self) -> ImageContours:
-        return self.found.coarse
-
-    @property
-    def unseen(self) -> PictureEvidence:
-        """Return a copy whose edges are not computed yet, to measure the time."""
-        return replace(self, found=replace(self.found))
+        """Return the edges by which poses are compared; tracking a pose does not need them."""
+        return self.find(self.config.coarse_width)
 
     @property
     def plants(self) -> float:
@@ -274,6 +245,7 @@ def picture_evidence(
         skyline = _beside(skyline, shut)
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
 
+    @cache
     def edges(pixels: int) -> ImageContours:
         # Of the sky what is well above the land alone: where it ends stands a crest's own edge, without which the crest
         # would be laid on what is below it.
@@ -281,7 +253,7 @@ def picture_evidence(
         clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         return image_contours(small, pixels, shut | clear)
 
-    return PictureEvidence(work, ids, skyline if found else None, PictureEdges(edges, config.contours))
+    return PictureEvidence(work, ids, skyline if found else None, edges, config.contours)
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
@@ -297,10 +269,8 @@ def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
 
 
 def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
-    """Without the columns where it may be the border of what is hidden (H, W), and without those that what is hidden
-    covers up to the image's upper edge."""
+    """Without the columns where it may be the border of what is hidden (H, W)."""
     reach = max(4, round(_BORDER * shut.shape[1]))
     tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
     v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)
-    kept = skyline.only(~tall[v, skyline.u.astype(np.intp)])
-    return replace(kept, covered_u=kept.covered_u[~shut[0, kept.covered_u.astype(np.intp)]])
+    return skyline.only(~tall[v, skyline.u.astype(np.intp)])

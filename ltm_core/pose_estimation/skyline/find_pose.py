@@ -28,7 +28,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     search_reach,
     widened_by_others,
 )
-from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
@@ -88,20 +88,20 @@ def find_pose(
     `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
     already. Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
+    problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:
-        hypotheses = _on_skyline(hypotheses, evidence, horizon, config)
+        hypotheses = _on_skyline(hypotheses, problem)
         return _JudgedPose(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
-        found = terrain.above(poses_on_skyline(evidence, horizon, prior, config, focal_sigma))
+        found = terrain.above(poses_on_skyline(problem))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
         found = terrain.above(merged_with_others(found, config.verdict))
     result = judged(found, False)
     if not found or _asks_ridges(result, config.verdict):
-        unseen = replace(evidence, skyline=None)
-        by_ridges = terrain.above(search_ridges(unseen, horizon, prior, config, focal_sigma))
+        by_ridges = terrain.above(search_ridges(problem))
         alone = judged(widened_by_others(by_ridges, config.verdict), True)
         both = mean_of_both(found[0], alone.hypotheses[0], config.verdict) if found and by_ridges else None
         mean = terrain.above([both]) if both is not None else []
@@ -109,9 +109,9 @@ def find_pose(
         result = _decided(result, alone, together, config.verdict)
     settles = evidence.plants >= config.settling.least_plants
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
-        result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
+        result = _settled(result, problem, terrain)
     search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
-    trend = skyline_bending(search, config)
+    trend = skyline_bending(search, problem)
     least = _BENT_SIGMAS[result.accepted]
     if trend is None or not least * trend.sigma < abs(trend.k) < _MOST_BENT / corner_radius(evidence.camera) ** 2:
         return search
@@ -127,7 +127,7 @@ _MOST_BENT = 0.6
 """Maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's."""
 
 
-def skyline_bending(search: PictureSearch, config: PicturePoseConfig) -> RadialTrend | None:
+def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend | None:
     """Return the k1 by which the skyline's misfits at the best hypothesis bend beyond angles and focal length; None
     without a skyline or hypothesis."""
     skyline = search.evidence.skyline
@@ -135,7 +135,7 @@ def skyline_bending(search: PictureSearch, config: PicturePoseConfig) -> RadialT
         return None
     best = search.hypotheses[0].refined
     camera = best.camera
-    rows = skyline_observations(best.pose, camera, search.evidence, search.horizon, 1.0, config)
+    rows = skyline_observations(best.pose, camera, problem, 1.0)
     if rows is None:
         return None
     x, y = (skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy
@@ -190,21 +190,13 @@ def _decided(
     return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
 
 
-def _settled(
-    found: _JudgedPose,
-    evidence: PictureEvidence,
-    terrain: SearchTerrain,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
-) -> _JudgedPose:
+def _settled(found: _JudgedPose, problem: PoseProblem, terrain: SearchTerrain) -> _JudgedPose:
     """Return an open view's pose settled on its ridges alone, whose errors are correlated by what grows there; as it
     was where ridges leave it open."""
     best, *others = found.hypotheses
-    refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
+    refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
-    if not kept or refined.sigma_deg[0] > config.settling.most_azimuth_sigma_deg:
+    if not kept or refined.sigma_deg[0] > problem.config.settling.most_azimuth_sigma_deg:
         return found
     return _JudgedPose([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
 
@@ -233,13 +225,11 @@ def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig)
     return abs(apart) <= math.radians(config.open_apart_deg)
 
 
-def _on_skyline(
-    hypotheses: list[Hypothesis], evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
-) -> list[Hypothesis]:
+def _on_skyline(hypotheses: list[Hypothesis], problem: PoseProblem) -> list[Hypothesis]:
     """Return the same, the first one with how the photo's skyline lies there: a mean lies where none of those fits that
     it is of, and ridges are sought without a skyline."""
     if not hypotheses:
         return hypotheses
     best, *others = hypotheses
-    fit = skyline_fit(best.refined.pose, best.refined.camera, evidence, horizon, config)
+    fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
     return [replace(best, refined=replace(best.refined, skyline=fit)), *others]

@@ -1,10 +1,4 @@
-"""Find the edges of a photo that poses are compared with: contours, and the sky's lower edge.
-
-Far land, pale before the sky, above the edge of nearer land that the strongest gradient takes for the sky's.
-
-Going down from clear sky, its upper edge is the first step of colour that stands out from what the sky does by itself,
-and from there on all is alike until the nearer land begins. An edge that is merely blurred, or slanted, grows darker
-all the way down."""
+"""Find the edges of a photo that poses are compared with: contours, and the sky's lower edge."""
 
 from __future__ import annotations
 
@@ -13,7 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ltm_core.base.kernels import helper, kernel
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.vision.label_rules import cie_lab
 from ltm_core.vision.labels import Label
@@ -61,102 +55,6 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
     return ImageContours(np.minimum(response, np.float32(4.0)), full_width / gu.shape[1])
 
 
-_ABOVE, _SKY = 12.0 / 640, 20.0 / 640
-"""Shares of the image width above the edge of nearer land: within the first, pale land is searched; above it, to the
-second, the sky's variation is measured."""
-_LEAST_STEP, _STEPS = 3.0, 6.7
-"""Minimum contrast, in units of CIE Lab and in multiples of the sky's variation."""
-_PALE, _ALIKE = 25.0, (2.0, 2.0)
-"""Contrast to the sky above which it is not pale land, and the multiples of the step and of the variation."""
-_ACROSS = 5
-"""Width in pixels over which colours are averaged."""
-_THICK = 2.0
-"""Minimum height of pale land in pixels of an image 640 wide, in excess of the blur of a slanted edge."""
-
-
-def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
-    """Return rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at
-    rows `v`; `v` if there is none, or if fewer than three of five neighbouring columns agree. Columns must increase."""
-    if len(u) < 2:
-        return v
-    unit = photo.shape[1] / 640
-    above, sky, size = round(_ABOVE * photo.shape[1]), round(_SKY * photo.shape[1]), max(2, round(2 * unit))
-    ends = np.floor(v - unit).astype(np.int64)
-    seen = photo[: max(int(ends.max()) + size, 1)]  # what lies lower tells nothing
-    found = _first_step(np.asarray(cv2.blur(cie_lab(seen), (_ACROSS, 1)), np.float32), u, ends, above, sky, size)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(found, 2, constant_values=np.nan), 5)
-    agreed = np.isfinite(windows).sum(axis=1) >= 3
-    middle = np.full(len(u), np.nan)
-    middle[agreed] = np.nanmedian(windows[agreed], axis=1)
-    thick = v - found > _THICK * unit + _ACROSS * np.abs(np.gradient(v, u))
-    return np.where((np.abs(found - middle) < 2 * unit) & thick, found, v)
-
-
-@helper(inline="always")
-def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
-    """Return how far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
-    total = 0.0
-    for i in range(3):
-        away = 0.0
-        for row in range(size):
-            away += lab[a + row, column, i] - lab[b + row, column, i]
-        total += (away / size) ** 2
-    return float(np.sqrt(total))
-
-
-@helper()
-def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
-    """Return whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no
-    cloud."""
-    if lab[row : row + size, column, 0].mean() > lab[above + 1 : above + 1 + size, column, 0].mean():
-        return False  # air makes far land as light as the sky and no lighter
-    lowest, highest = np.inf, 0.0
-    sky = np.array([lab[above : above + size, column, i].mean() for i in range(3)])
-    for below in range(row, end + 1):
-        total = 0.0
-        for i in range(3):
-            total += (lab[below, column, i] - sky[i]) ** 2
-        lowest, highest = min(lowest, np.sqrt(total)), max(highest, np.sqrt(total))
-    return bool(lowest > 0.5 * step and highest < min(_PALE, _ALIKE[0] * step + _ALIKE[1]))
-
-
-@helper()
-def _median(values: Float64Array, count: int, ordered: Float64Array) -> float:
-    """Return the median of the first `count` values; `ordered` (count,) to work in. NumPy's takes a second to
-    compile."""
-    for n in range(count):
-        place = n
-        while place > 0 and ordered[place - 1] > values[n]:
-            ordered[place] = ordered[place - 1]
-            place -= 1
-        ordered[place] = values[n]
-    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2)
-
-
-@kernel(nogil=True)
-def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, sky: int, size: int) -> Float64Array:
-    """Of columns (K,) the row from which on all, down to `ends`, stands out from the sky alike; NaN without."""
-    found = np.full(len(u), np.nan)
-    skip = size // 2  # rows that an edge is blurred over
-    steps, ordered = np.zeros(above + sky + 1), np.empty(sky - size)
-    for k in range(len(u)):
-        column, end = u[k], ends[k]
-        top = end - above - sky
-        if top < size + skip + 2:
-            continue
-        for n in range(above + sky):
-            steps[n] = _apart(lab, column, top + n, top + n - size - skip, size)
-        least = max(_LEAST_STEP, _STEPS * _median(steps, sky - size, ordered))
-        for n in range(sky, above + sky):
-            if steps[n] > least and steps[n] >= steps[n + 1] and steps[n] >= steps[n - 1]:
-                row = top + n
-                cleared = _apart(lab, column, row, top, size) < 0.5 * steps[n]  # sky below a cloud
-                if not cleared and _is_pale(lab, column, row, end, row - size - skip - 1, size, steps[n]):
-                    found[k] = row - 0.25 - 0.5 * skip
-                break
-    return found
-
-
 COLUMNS = 240
 _RUN = 3
 """Number of consecutive rows of land that end the sky."""
@@ -166,36 +64,27 @@ it."""
 _FAINT = 2.0
 """Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
 haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""
-_SHARP_PX, _PALE_PX = 0.45, 0.5
-"""Standard deviation of sharp edges in pixels, and the additional one of pale land."""
+_SHARP_PX = 0.45
+"""Standard deviation of sharp edges in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImageSkyline:
     """The sky's lower edge in up to COLUMNS columns of an image.
 
-    `u`, `v`: (K,) pixels, where sky ends; `crest_v`: (K,) where nearer land begins below that, which is at `v` where no
-    pale land stands above it. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below the crest. `covered_u`: (C,)
-    columns that are land up to the image's upper edge. `spacing`: pixels between columns."""
+    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below it. `spacing`:
+    pixels between columns."""
 
     u: Float64Array
     v: Float64Array
-    crest_v: Float64Array
     sigma_px: Float64Array
     cover: UInt8Array
-    covered_u: Float64Array
     spacing: float
 
     def only(self, kept: BoolArray) -> ImageSkyline:
         """Return the skyline of those columns (K,) only."""
-        return replace(
-            self,
-            u=self.u[kept],
-            v=self.v[kept],
-            crest_v=self.crest_v[kept],
-            sigma_px=self.sigma_px[kept],
-            cover=self.cover[kept],
-        )
+        columns = {name: getattr(self, name)[kept] for name in ("u", "v", "sigma_px", "cover")}
+        return replace(self, **columns)
 
 
 def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
@@ -205,29 +94,19 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
     top = _first_land(sky, columns, _RUN)
-    # A column without any sky says that the terrain covers it; one whose "sky" starts below land is a hole in trees.
-    covered = top <= 1
+    # A column without any sky is covered by the terrain; one whose "sky" starts below land is a hole in trees.
     edge = (top > 1) & (top < height - _RUN)
     u, rows = columns[edge], top[edge]
     reach = max(3.0, _REACH * width)
     strength = _vertical_gradient(photo)
-    crest_v, sharpness = _sharpened(strength, u, rows, reach)
-    v = pale_edges(photo, u, crest_v)
+    v, sharpness = _sharpened(strength, u, rows, reach)
     # Below the labels' own edge, too: what stands between the two edges is called sky.
-    below = np.minimum(np.maximum(np.rint(crest_v).astype(np.int64), rows) + max(2, height // 180), height - 1)
+    below = np.minimum(np.maximum(np.rint(v).astype(np.int64), rows) + max(2, height // 180), height - 1)
     # Hardly an edge at all (haze, cloud on the crest): no better than the labels.
     blurred = 0.5 * reach / (1.0 + (sharpness / _FAINT) ** 2)
     fine = max(1.0, width / 1280)
-    sigma = np.hypot(_SHARP_PX * fine, np.where(v < crest_v, _PALE_PX * fine, blurred))
-    return ImageSkyline(
-        u.astype(np.float64),
-        v,
-        crest_v,
-        np.asarray(sigma, np.float64),
-        labels[below, u],
-        columns[covered].astype(np.float64),
-        spacing,
-    )
+    sigma = np.asarray(np.hypot(_SHARP_PX * fine, blurred), np.float64)
+    return ImageSkyline(u.astype(np.float64), v, sigma, labels[below, u], spacing)
 
 
 def _vertical_gradient(photo: UInt8Array) -> Float32Array:

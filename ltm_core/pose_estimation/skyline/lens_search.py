@@ -15,6 +15,7 @@ from ltm_core.pose_estimation.lens import LensPrior
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, refine
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline
@@ -56,6 +57,9 @@ def find_pose_and_lens(
     def with_k1(k1: float) -> Camera:
         return replace(camera, distortion=(k1, *camera.distortion[1:]))
 
+    def problem(evidence: PictureEvidence) -> PoseProblem:
+        return PoseProblem(evidence, horizon, prior, config, lens.focal)
+
     def trial(k1: float, refined: RefinedPose) -> _Trial:
         return _Trial(k1, refined, refined.cost + 0.5 * ((k1 - middle) / lens.k1) ** 2)
 
@@ -63,14 +67,14 @@ def find_pose_and_lens(
         evidence = evidence_of(with_k1(k1))
         pose, work = start.refined.pose, start.refined.camera
         around = ridges.in_view(pose, work, config.contours.most_points)
-        return trial(k1, refine(pose, work, evidence, horizon, around, prior, lens.focal, config))
+        return trial(k1, refine(pose, work, problem(evidence), around))
 
     trials: list[_Trial] = []
     for step in np.arange(-_REACH, _REACH + _STEP / 2, _STEP):
         k1 = middle + float(step) * lens.k1
         evidence = evidence_of(with_k1(k1))
         if evidence.skyline is not None:
-            found = terrain.above(poses_on_skyline(evidence, horizon, prior, config, lens.focal))
+            found = terrain.above(poses_on_skyline(problem(evidence)))
             trials += [trial(k1, h.refined) for h in found]
     if not trials:
         return find_pose(evidence_of(camera), terrain, prior, config, lens.focal, horizon), camera

@@ -106,8 +106,6 @@ class SkylineConfig(StrictModel):
     """Range in radians over which outliers are spread."""
     own_crest: float = Field(0.5, ge=0, lt=1)
     """Share of skylines that are the DEM's horizon where land beyond the DEM may rise above it."""
-    no_land: float = Field(0.2, gt=0, lt=1)
-    """Share of pale edges above a crest that are not land."""
     cover: CrestCover = BARE_EARTH
 
     @property

@@ -6,7 +6,7 @@ those of `skyline_search`."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -17,8 +17,21 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+
+@dataclass(frozen=True, eq=False)
+class PoseProblem:
+    """What a pose is fitted by: the evidence in its image, the terrain from the prior position, the prior pose, and the
+    standard deviation of the focal length's logarithm; 0 holds it."""
+
+    evidence: PictureEvidence
+    horizon: TerrainHorizon
+    prior: PosePrior
+    config: PicturePoseConfig
+    focal_sigma: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +64,7 @@ class RidgeObservations(Observations):
 
     def only(self, kept: IndexArray) -> RidgeObservations:
         """Return those places (K,) only."""
-        return RidgeObservations(
-            self.error[kept],
-            self.slopes[kept],
-            self.sigma[kept],
-            self.weight[kept],
-            self.shared[kept],
-            self.ground[kept],
-        )
+        return RidgeObservations(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 def _projected(
@@ -66,24 +72,17 @@ def _projected(
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
     """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
     front."""
-    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
-    ahead = np.empty(len(ranges), np.bool_)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    _project(directions, ranges, pose.position - origin, pose.rotation, lens, pixels, slopes, ahead)
+    pixels, slopes, ahead = _project(directions, ranges, pose.position - origin, pose.rotation, lens)
     return pixels, slopes, ahead
 
 
 @kernel(nogil=True)
 def _project(
-    directions: Float64Array,
-    ranges: Float64Array,
-    moved: Float64Array,
-    rotation: Float64Array,
-    lens: Float64Array,
-    pixels: Float64Array,
-    slopes: Float64Array,
-    ahead: BoolArray,
-) -> None:
+    directions: Float64Array, ranges: Float64Array, moved: Float64Array, rotation: Float64Array, lens: Float64Array
+) -> tuple[Float64Array, Float64Array, BoolArray]:
+    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
+    ahead = np.empty(len(ranges), np.bool_)
     d, across = np.empty(3), np.empty((2, 3))
     for k in range(len(ranges)):
         far = max(ranges[k], 1.0)
@@ -108,18 +107,13 @@ def _project(
                 # (b x d) w.
                 slopes[k, j, 3 + i] = across[j, following] * d[last] - across[j, last] * d[following]
             slopes[k, j, 6] = pixels[k, j] - lens[2 + j]
+    return pixels, slopes, ahead
 
 
-def skyline_observations(
-    pose: Pose,
-    camera: Camera,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    wide: float,
-    config: PicturePoseConfig,
-) -> SkylineObservations | None:
-    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline."""
-    skyline, noise = evidence.skyline, config.skyline
+def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:
+    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline. `wide`: factor of
+    the sigmas."""
+    skyline, noise, horizon = problem.evidence.skyline, problem.config.skyline, problem.horizon
     if skyline is None or len(skyline.u) < 8:
         return None
     azimuths = horizon.azimuths
@@ -162,22 +156,16 @@ def skyline_observations(
         + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
     wider = sigma * wide
-    # Of two edges the lower may be the horizon's: the upper is of land beyond it, or of none. Compared by the root of
-    # Student's power, 5/2.
-    low = v - skyline.crest_v
-    doubt = np.where(above > 0, 1.0, (1 - noise.no_land) / noise.no_land) ** 0.4
-    lower = (skyline.crest_v > skyline.v) & (1 + (error / wider) ** 2 / 4 > doubt * (1 + (low / wider) ** 2 / 4))
-    upper, error = error, np.where(lower, low, error)
     own = noise.own_crest / wider / (1 + (error / wider) ** 2 / 4) ** 2.5
-    beyond = (upper > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
-    error = np.where(beyond, np.maximum(0.0, upper - above), error)
+    beyond = (error > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
+    error = np.where(beyond, np.maximum(0.0, error - above), error)
     free = beyond & (error == 0.0)
     # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
     front = horizon.front_range[seen][near]
     over = camera.fy / np.where(front > 0, front, 1.0)
     fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (height + lift) * metre
     before, before_sigma = noise.cover.at(skyline.cover, front)
-    behind = v + fallen - before * over - skyline.crest_v
+    behind = v + fallen - before * over - skyline.v
     spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
     error, sigma, metre = (
@@ -194,17 +182,13 @@ def skyline_observations(
 
 
 def ridge_observations(
-    pose: Pose,
-    camera: Camera,
-    evidence: PictureEvidence,
-    ridges: ContourDirections,
-    origin: Float64Array,
-    search: float,
-    config: PicturePoseConfig,
+    pose: Pose, camera: Camera, problem: PoseProblem, ridges: ContourDirections, search: float
 ) -> RidgeObservations | None:
-    """Return the distances across ridges, from the nearest edge to the predicted place, pixels."""
+    """Return the distances across ridges, from the nearest edge within `search` pixels (at width 640) to the predicted
+    place, pixels."""
     if len(ridges.range) == 0:
         return None
+    evidence, config, origin = problem.evidence, problem.config, problem.horizon.position
     noise, edges = config.contours, evidence.edges
     pixels, slopes, ahead = _projected(ridges.here, ridges.range, pose, camera, origin)
     shift = (pose.position - origin) / ridges.range[:, None]

@@ -9,7 +9,14 @@ import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, axes_of_angles, matrix_of_vector, pose_covariance
+from ltm_core.geometry.pose import (
+    UNKNOWN_AZIMUTH_SIGMA_DEG,
+    Pose,
+    axes_of_angles,
+    matrix_of_vector,
+    pose_covariance,
+    pose_sigmas,
+)
 
 UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
 """Standard deviation of an unknown azimuth in degrees."""
@@ -40,11 +47,8 @@ class PosePrior:
     @classmethod
     def of_covariance(cls, pose: Pose, covariance: Float64Array) -> PosePrior:
         """Return the prior of a (6, 6) covariance as in `pose_covariance`. Raises PoseError if its angles have none."""
-        slopes = angle_slopes(pose)
-        angles = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
-        place = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
-        azimuth, pitch, roll = (float(a) for a in angles)
-        return cls(pose, azimuth, pitch, roll, float(max(place[0], place[1])), float(place[2]))
+        x, y, height, azimuth, pitch, roll = pose_sigmas(pose, covariance).tolist()
+        return cls(pose, azimuth, pitch, roll, max(x, y), height)
 
     @property
     def heading_known(self) -> bool:

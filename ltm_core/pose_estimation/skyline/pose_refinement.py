@@ -15,7 +15,6 @@ height: least squares whitened by the covariance of all places with each other."
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,17 +23,17 @@ from scipy.linalg import solve_triangular
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
+    PoseProblem,
     RidgeObservations,
     ridge_observations,
     skyline_observations,
 )
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
-from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
@@ -81,31 +80,21 @@ class RefinedPose:
         return azimuth, pitch, roll
 
 
-PictureSystem = Callable[
-    [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
-    tuple[Float64Array, Float64Array],
-]
-"""Function with the results of `picture_system`."""
-
-
 def refine(
     start: Pose,
     camera: Camera,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
+    problem: PoseProblem,
     ridges: ContourDirections,
-    prior: PosePrior,
-    focal_sigma: float,
-    config: PicturePoseConfig,
     rounds: tuple[tuple[float, float], ...] = ROUNDS,
-    system: PictureSystem | None = None,
+    alone: bool = False,
 ) -> RefinedPose:
-    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it. `system`: else `picture_system`."""
-    system = picture_system if system is None else system
-    pose, focal = start, math.log(camera.fx / evidence.camera.fx)
+    """Refine `start` by the skyline and `ridges`; `alone`: by ridges whose neighbouring places share errors."""
+    system = ridge_system if alone else picture_system
+    prior, focal_sigma = problem.prior, problem.focal_sigma
+    pose, focal = start, math.log(camera.fx / problem.evidence.camera.fx)
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
-        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
+        normal, gradient = system(pose, camera, problem, ridges, search, wide)
         normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
@@ -114,8 +103,8 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = camera.zoomed(math.exp(step[6]))
-    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, True)
-    fit = skyline_fit(pose, camera, evidence, horizon, config)
+    normal, gradient = system(pose, camera, problem, ridges, rounds[-1][0], 1.0, True)
+    fit = skyline_fit(pose, camera, problem)
     normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
@@ -127,28 +116,24 @@ def refine(
     return RefinedPose(pose, camera, covariance, cost, fit)
 
 
-def skyline_fit(
-    pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
-) -> SkylineFit:
+def skyline_fit(pose: Pose, camera: Camera, problem: PoseProblem) -> SkylineFit:
     """Return the fit of a photo's skyline alone."""
-    rows = skyline_observations(pose, camera, evidence, horizon, 1.0, config)
-    if rows is None:
+    rows = skyline_observations(pose, camera, problem, 1.0)
+    skyline, noise = problem.evidence.skyline, problem.config.skyline
+    if rows is None or skyline is None:
         return SkylineFit()
-    noise = config.skyline
     square = (rows.error / rows.sigma) ** 2
     q = 1 + square / 4
     odds = noise.odds * camera.fy / rows.sigma
     like = odds / q**2.5
     fits = rows.weight > 0
-    share = column_weight(evidence.skyline, camera, noise.independent) if evidence.skyline is not None else 0.0
-    cost = -share * float(np.log1p(like)[fits].sum())
+    cost = -column_weight(skyline, camera, noise.independent) * float(np.log1p(like)[fits].sum())
     inlier = like / (1 + like)
     # A crest so near, or so uncertain, that anything fits says nothing.
     supports = inlier * (rows.sigma < _TELLING * camera.fy)
-    total = len(evidence.skyline.u) if evidence.skyline is not None else 1
     counted = rows.weight * inlier
     variance = (noise.stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (noise.stated + counted.sum())
-    told = max(total, 1) * max(1.0 - rows.free, _LEAST_TOLD)
+    told = len(skyline.u) * max(1.0 - rows.free, _LEAST_TOLD)
     return SkylineFit(cost, float(supports[fits].sum()) / told, rows.veiled, float(variance), rows.open)
 
 
@@ -172,18 +157,16 @@ def _with_prior(
 def picture_system(
     pose: Pose,
     camera: Camera,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
+    problem: PoseProblem,
     ridges: ContourDirections,
     search: float,
     wide: float,
-    config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the normal matrix (7, 7) and gradient (7,) of the image's cost."""
-    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
-    skyline = skyline_observations(pose, camera, evidence, horizon, wide, config)
-    contours = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
+    normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
+    skyline = skyline_observations(pose, camera, problem, wide)
+    contours = ridge_observations(pose, camera, problem, ridges, search)
     for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, config.contours.odds(search))):
         if rows is None or len(rows.error) < FEWEST:
             continue
@@ -209,38 +192,28 @@ _LEAST_FITTING = 0.02
 """Minimum fit of an edge; others cost time and add nothing."""
 
 
-def settled_on_ridges(
-    refined: RefinedPose,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    focal_sigma: float,
-    config: PicturePoseConfig,
-) -> RefinedPose:
+def settled_on_ridges(refined: RefinedPose, problem: PoseProblem) -> RefinedPose:
     """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
-    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    config = problem.config
+    ridges = ContourDirections.of(problem.horizon, config.contours.nearest, with_horizon=True)
     around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
-    unseen = replace(evidence, skyline=None)
-    found = refine(
-        refined.pose, refined.camera, unseen, horizon, around, prior, focal_sigma, config, _ROUNDS, ridge_system
-    )
+    unseen = replace(problem, evidence=replace(problem.evidence, skyline=None))
+    found = refine(refined.pose, refined.camera, unseen, around, _ROUNDS, alone=True)
     return replace(found, covariance=config.settling.doubt * found.covariance, skyline=refined.skyline)
 
 
 def ridge_system(
     pose: Pose,
     camera: Camera,
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
+    problem: PoseProblem,
     ridges: ContourDirections,
     search: float,
     wide: float,
-    config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
-    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
-    rows = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
+    normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
+    rows = ridge_observations(pose, camera, problem, ridges, search)
     if rows is None:
         return normal, gradient
     fits = fitting(rows, config.contours.odds(search), expected)

@@ -19,10 +19,10 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
 )
 from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
-from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 18
 _ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
@@ -36,29 +36,14 @@ _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
 """Degrees around each of the coarse grid's best poses at which finer edges are used."""
-_ROUNDS = (
-    (16.0, 1.0),
-    (12.0, 1.0),
-    (10.0, 1.0),
-    (8.0, 1.0),
-    (6.0, 1.0),
-    (5.0, 1.0),
-    (4.0, 1.0),
-    (4.0, 1.0),
-    (4.0, 1.0),
-)
+_ROUNDS = tuple((reach, 1.0) for reach in (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 4.0))
 _SETTLING = ((4.0, 1.0),) * 12
 """Rounds of both, as in `pose_refinement.ROUNDS`."""
 
 
-def search_ridges(
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
-) -> list[Hypothesis]:
-    """Return hypotheses in order of cost; none if too few ridges may be in view."""
+def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
+    """Return hypotheses in order of cost, without the skyline; none if too few ridges may be in view."""
+    evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
     config = config.model_copy(
         update={
@@ -66,6 +51,7 @@ def search_ridges(
             "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
         }
     )
+    problem = replace(problem, evidence=replace(evidence, skyline=None), config=config)
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     if len(ridges.range) < 30:
         return []
@@ -84,7 +70,7 @@ def search_ridges(
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
-    for factor in focal_candidates(focal_sigma):
+    for factor in focal_candidates(problem.focal_sigma):
         lens = camera.zoomed(factor)
         scores = contour_scores(rotations_of(grid), few, lens, coarse)
         scores = scores - _prior_cost(grid, prior)
@@ -98,7 +84,7 @@ def search_ridges(
 
     def refined_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> RefinedPose:
         around = ridges.in_view(start, lens, _MOST_POINTS)
-        refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, rounds)
+        refined = refine(start, lens, problem, around, rounds)
         covariance = refined.covariance.copy()
         covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *_FLOOR_DEG)[3:, 3:]
         return replace(refined, covariance=covariance)
@@ -176,14 +162,9 @@ _SKYLINE_SETTLING = ((3.0, 1.0),) * 6
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 
-def poses_on_skyline(
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
-) -> list[Hypothesis]:
+def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost for an image with a skyline."""
+    evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
     s, skyline = config.search, evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
     reach = search_reach(prior, config)
@@ -195,7 +176,7 @@ def poses_on_skyline(
     coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
-    for factor in focal_candidates(focal_sigma):
+    for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
         costs = search_azimuths(
             skyline,
@@ -229,7 +210,7 @@ def poses_on_skyline(
 
     def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
         around = ridges.in_view(pose, camera, config.contours.most_points)
-        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config, rounds)
+        refined = refine(pose, camera, problem, around, rounds)
         score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
         return Hypothesis(refined, refined.cost + ridge, (score - usual) / spread)
@@ -248,10 +229,7 @@ def poses_on_skyline(
 
 
 def _best_over_pitch(
-    rotations: Float64Array,
-    ridges: ContourDirections,
-    camera: Camera,
-    evidence: PictureEvidence,
+    rotations: Float64Array, ridges: ContourDirections, camera: Camera, evidence: PictureEvidence
 ) -> Float64Array:
     """Return the ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
     best = np.full(len(rotations), -np.inf)

@@ -4,10 +4,8 @@ A column's misfit is a mixture: Student's t (four degrees of freedom) about the 
 The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
 ever so uncertain. Where land beyond the DEM may stand over the horizon, that is the skyline as often as not, and else
 all skylines between it and the bound of that land are alike likely. Where trees on a nearer crest may hide the horizon,
-either is what is seen. Where pale land stands above the edge of nearer land (`pale_land`), that crest is at the lower
-edge, and the horizon at the upper one, or at the lower where the pale land may lie beyond it, or be none. Neighbouring
-columns are alike: all of an image count as a few, and in the fit and its covariance those within one correlation
-length of a crest count as one."""
+either is what is seen. Neighbouring columns are alike: all of an image count as a few, and in the fit and its
+covariance those within one correlation length of a crest count as one."""
 
 from __future__ import annotations
 
@@ -32,7 +30,6 @@ AWAY, TANGENT = 0, 1  # azimuth from the optical axis (rad), tangent of the elev
 BY_PITCH, BY_ROLL = 2, 3  # change of the tangent per radian of pitch and of roll
 EDGE_SIGMA = 4  # standard deviation of the edge, as a tangent
 NEAR_HEIGHT, NEAR_SIGMA, FAR_HEIGHT, FAR_SIGMA = 5, 6, 7, 8  # what grows on a near and on a far crest (m)
-DROP = 9  # from the skyline down to the crest below pale land, as a tangent
 # Columns of the terrain's horizon, one row for each azimuth.
 H_TANGENT, H_RANGE, H_CELL, H_BOUND = 0, 1, 2, 3  # tangent, range and cell size (m), bound of land beyond the DEM
 FRONT_TANGENT, FRONT_RANGE = 4, 5  # of a nearer crest, whose trees may hide the horizon
@@ -73,44 +70,15 @@ def search_azimuths(
     by_pitch = (_level(rays, pitch_deg + small, roll_deg)[1] - tangent) / np.radians(small)
     by_roll = (_level(rays, pitch_deg, roll_deg + small)[1] - tangent) / np.radians(small)
     cover = config.cover.of(skyline.cover)
-    crest = rays + np.outer((skyline.crest_v - skyline.v) / camera.fy, (0.0, 1.0, 0.0))
-    drop = _level(crest, pitch_deg, roll_deg)[1] - tangent
-    columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover, drop])
+    columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
-    out = np.empty((len(azimuths), 3))
-    _search(
-        columns,
-        np.column_stack(
-            [
-                horizon.tangent,
-                horizon.range,
-                horizon.cell,
-                horizon.bound,
-                horizon.front_tangent,
-                horizon.front_range,
-                farness(horizon.range),
-                farness(horizon.front_range),
-            ]
-        ),
-        horizon.start,
-        horizon.step,
-        horizon.whole,
-        azimuths,
-        np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx]),
-        np.array(
-            [
-                config.dem_sigma,
-                config.cell_share,
-                config.cell_lift,
-                config.correlation,
-                config.odds,
-                column_weight(skyline, camera, config.independent),
-                config.own_crest,
-                config.no_land,
-            ]
-        ),
-        out,
-    )
+    h, share = horizon, column_weight(skyline, camera, config.independent)
+    crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
+    crests += [farness(h.range), farness(h.front_range)]
+    setting = np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx])
+    c = config
+    noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
+    out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)
     return SkylineCosts(azimuths, out[:, COST], out[:, PITCH], out[:, ROLL])
 
 
@@ -128,9 +96,8 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
 @helper(inline="always")
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
-    return (1 - far) * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], (1 - far) * column[NEAR_SIGMA] + far * column[
-        FAR_SIGMA
-    ]
+    near = 1 - far
+    return near * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], near * column[NEAR_SIGMA] + far * column[FAR_SIGMA]
 
 
 @kernel(nogil=True)
@@ -143,12 +110,12 @@ def _search(
     azimuths: Float64Array,
     setting: Float64Array,
     noise: Float64Array,
-    out: Float64Array,
-) -> None:
+) -> Float64Array:
+    out = np.zeros((len(azimuths), 3))
     count = len(columns)
     total = len(horizon)
     half_step, position_sigma, pitch_sigma, roll_sigma, spacing = setting
-    dem_sigma, cell_share, cell_lift, correlation, odds, share, own, no_land = noise
+    dem_sigma, cell_share, cell_lift, correlation, odds, share, own = noise
     error, sigma = np.empty(count), np.empty(count)
     gap, weight = np.empty(count), np.empty(count)
     front, front_sigma = np.empty(count), np.empty(count)
@@ -184,11 +151,10 @@ def _search(
             r = horizon[i, FRONT_RANGE]
             if r > 0.0:
                 height, cover_sigma = _cover(columns[k], horizon[i, FRONT_FARNESS])
-                front[k] = columns[k, TANGENT] + columns[k, DROP] - horizon[i, FRONT_TANGENT] - height / r
+                front[k] = columns[k, TANGENT] - horizon[i, FRONT_TANGENT] - height / r
                 s = dem_sigma**2 + cover_sigma**2 + position_sigma**2
                 front_sigma[k] = np.sqrt(columns[k, EDGE_SIGMA] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
-        out[j, COST], out[j, PITCH], out[j, ROLL] = 0.0, 0.0, 0.0
         if len(used) < 8:
             continue
         # Robust fits of pitch and roll, from several starts; the cheapest is kept.
@@ -210,18 +176,12 @@ def _search(
                     s = sigma[k] * wide
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
-                    drop = columns[k, DROP]
                     if gap[k] > 0 and e > 0:
-                        low = e + drop if e + drop > -e else e
-                        q = 1 + low * low / (4 * s * s)
+                        q = 1 + e * e / (4 * s * s)
                         if own / s / (q * q * np.sqrt(q)) > (1 - own) / (s + 0.375 * gap[k]):
-                            free, target = low, error[k] + low - e
+                            free, target = e, error[k]
                         elif free == 0.0:
                             continue
-                    elif gap[k] == 0.0 and drop < 0:
-                        q, q2 = 1 + e * e / (4 * s * s), 1 + (e + drop) ** 2 / (4 * s * s)
-                        if (1 - no_land) / (q * q * np.sqrt(q)) < no_land / (q2 * q2 * np.sqrt(q2)):
-                            free, target = e + drop, error[k] + drop
                     q = 1 + free * free / (4 * s * s)
                     like = odds / s / (q * q * np.sqrt(q))
                     w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
@@ -248,12 +208,8 @@ def _search(
                 q = 1 + free * free / (4 * sigma[k] ** 2)
                 like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
                 if gap[k] > 0:
-                    low = min(abs(e), abs(e + columns[k, DROP]))
-                    q = 1 + low * low / (4 * sigma[k] ** 2)
+                    q = 1 + e * e / (4 * sigma[k] ** 2)
                     like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
-                elif columns[k, DROP] < 0:
-                    q = 1 + (e + columns[k, DROP]) ** 2 / (4 * sigma[k] ** 2)
-                    like = (1 - no_land) * like + no_land * odds / sigma[k] / (q * q * np.sqrt(q))
                 if front_sigma[k] > 0.0:
                     q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (
                         4 * front_sigma[k] ** 2
@@ -263,3 +219,4 @@ def _search(
             if cost < best:
                 best = cost
                 out[j, COST], out[j, PITCH], out[j, ROLL] = cost, a, b
+    return out

@@ -1,6 +1,4 @@
-"""Compute the skyline and the ridges that the terrain shows from one place.
-
-What the terrain shows of itself from one place: the horizon all round, and the ridges below it.
+"""Compute what the terrain shows of itself from one place: the horizon all round, and the ridges below it.
 
 Directions are (azimuth, tangent): the tangent of a point at height h and horizontal range r is that of the ray which
 meets it, (h - z0) / r - bend r (`geodesy.ray_bend`). Along each azimuth the running maximum of the tangent is the
@@ -15,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltm_core.base.errors import PoseError
-from ltm_core.base.kernels import helper, kernel
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.raster.dem import Dem
+from ltm_core.raster.dem_seam_kernels import bilinear
 from ltm_core.tracing.possible_ground import PossibleGround
 
 _MOST_RISE = 4.0
@@ -30,13 +29,12 @@ _SHORTEST = math.radians(0.6)
 
 @dataclass(frozen=True, eq=False)
 class OccludingContours:
-    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the DEM's
-    `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side and the DEM's `cell` there,
+    metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
 
     azimuth: Float64Array
     tangent: Float64Array
     range: Float64Array
-    behind: Float64Array
     cell: Float64Array
     following: Int64Array
 
@@ -45,8 +43,8 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind, cell),
-    from one azimuth to the next; contours shorter than 0.6 degrees are dropped."""
+    """Link points (N, K, 3) of N azimuths, of which `found` (N,) are set, each (tangent, range, cell), from one azimuth
+    to the next; contours shorter than 0.6 degrees are dropped."""
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
     rows, cols = np.nonzero(kept)
@@ -55,12 +53,14 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
     after = following[rows, cols]
     ends = (after < 0) | (rows + 1 >= len(found))
     linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
-    t, r, behind, cell = (values.copy() for values in points[rows, cols].T)
-    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, behind, cell, linked)
+    t, r, cell = (values.copy() for values in points[rows, cols].T)
+    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, cell, linked)
 
 
 X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
 """Columns of the geometry of rasters, finest first (metres)."""
+TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)
+"""Columns of a swept horizon, one row for each azimuth, in the order of the fields of `TerrainHorizon`."""
 
 
 @kernel(nogil=True)
@@ -161,47 +161,20 @@ def terrain_horizon(
     levels = dem.levels
     geometry = np.array([[g.x_min, g.y_max, g.resolution] for g in (level.geometry for level in levels)])
     top = max(float(np.nanmax(level.elevation)) for level in levels)
-    tangent, rng, cell, bound, front, front_range = (np.empty(count) for _ in range(6))
-    points = np.empty((count, _MOST_CONTOURS, 4))
-    found, at_edge = np.zeros(count, np.int32), np.zeros(count, np.bool_)
-    _sweep(
-        tuple(_read_only(level.elevation) for level in levels),
-        geometry,
-        np.array(position, np.float64),
-        bend,
-        start,
-        step,
-        _reach(levels, position),
-        np.array([possible.steepest, possible.limit(top)]),
-        tangent,
-        rng,
-        cell,
-        at_edge,
-        bound,
-        front,
-        front_range,
-        points,
-        found,
-    )
-    if not (rng > 0).any():
+    rows, points = np.empty((count, 7)), np.empty((count, _MOST_CONTOURS, 3))
+    found = np.zeros(count, np.int32)
+    elevations = tuple(_read_only(level.elevation) for level in levels)
+    place, beyond = np.array(position, np.float64), np.array([possible.steepest, possible.limit(top)])
+    _sweep(elevations, geometry, place, bend, start, step, _reach(levels, position), beyond, rows, points, found)
+    if not (rows[:, RANGE] > 0).any():
         x, y, _ = (float(v) for v in position)
         raise PoseError(
             f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
             "camera's position and its crs, or give a DEM that surrounds it"
         )
-    return TerrainHorizon(
-        np.array(position, np.float64),
-        start,
-        step,
-        tangent,
-        rng,
-        cell,
-        at_edge,
-        bound,
-        front,
-        front_range,
-        link_contours(start, step, points, found),
-    )
+    tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
+    contours = link_contours(start, step, points, found)
+    return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, bound, front, front_range, contours)
 
 
 def _read_only(elevation: Float32Array) -> Float32Array:
@@ -217,19 +190,6 @@ def _reach(levels: tuple[Dem, ...], position: Float64Array) -> float:
     return min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
 
 
-@helper(inline="always")
-def _height(elevation: Float32Array, row: float, col: float) -> float:
-    r0, c0 = int(row), int(col)
-    if r0 > elevation.shape[0] - 2:
-        r0 = elevation.shape[0] - 2
-    if c0 > elevation.shape[1] - 2:
-        c0 = elevation.shape[1] - 2
-    fr, fc = row - r0, col - c0
-    north = (1 - fc) * elevation[r0, c0] + fc * elevation[r0, c0 + 1]
-    south = (1 - fc) * elevation[r0 + 1, c0] + fc * elevation[r0 + 1, c0 + 1]
-    return float((1 - fr) * north + fr * south)
-
-
 @kernel(nogil=True)
 def _sweep(
     levels: tuple[Float32Array, ...],
@@ -240,21 +200,16 @@ def _sweep(
     step: float,
     reach: float,
     possible: Float64Array,
-    tangent: Float64Array,
-    rng: Float64Array,
-    cell: Float64Array,
-    at_edge: BoolArray,
-    bound: Float64Array,
-    front: Float64Array,
-    front_range: Float64Array,
+    rows: Float64Array,
     points: Float64Array,
     found: Int32Array,
 ) -> None:
-    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, range behind, cell)."""
+    """Fill the rows of the horizon, and of each azimuth the contour points (tangent, range, cell) and how many there
+    are."""
     ox, oy, oz = position
     steepest, limit = possible
     most = points.shape[1]
-    for k in range(len(tangent)):
+    for k in range(len(rows)):
         azimuth = start + step * k
         sx, sy = math.sin(azimuth), math.cos(azimuth)
         highest, at, at_cell = -math.inf, 0.0, 0.0
@@ -272,7 +227,7 @@ def _sweep(
                 row = (geometry[i, Y_MAX] - y) / geometry[i, RESOLUTION] - 0.5
                 elevation = levels[i]
                 if row >= 0.0 and col >= 0.0 and row <= elevation.shape[0] - 1 and col <= elevation.shape[1] - 1:
-                    h, size = _height(elevation, row, col), geometry[i, RESOLUTION]
+                    h, size = bilinear(elevation, row, col), geometry[i, RESOLUTION]
                     break
             if h == h:
                 last_r, last_h = r, h
@@ -281,18 +236,17 @@ def _sweep(
                     raised, raised_at, raised_t = t + _TREES / r, r, t
                 if t > highest:
                     if hidden and r > 1.08 * at and r - at > 5 * at_cell and n < most:
-                        points[k, n, 0], points[k, n, 1], points[k, n, 2], points[k, n, 3] = highest, at, r, at_cell
+                        points[k, n, 0], points[k, n, 1], points[k, n, 2] = highest, at, at_cell
                         n += 1
                     highest, at, at_cell = t, r, size
                     hidden = False
                 else:
                     hidden = True
             r += max(0.6 * size, 0.0008 * r)
-        tangent[k], rng[k], cell[k] = highest, at, at_cell
-        at_edge[k] = last_r - at < 3 * at_cell + 0.005 * at
+        rows[k, TANGENT], rows[k, RANGE], rows[k, CELL] = highest, at, at_cell
+        rows[k, AT_EDGE] = 1.0 if last_r - at < 3 * at_cell + 0.005 * at else 0.0
         found[k] = n
-        front[k] = raised_t
-        front_range[k] = raised_at if raised_at < 0.8 * at else 0.0
+        rows[k, FRONT_TANGENT], rows[k, FRONT_RANGE] = raised_t, raised_at if raised_at < 0.8 * at else 0.0
         # The highest that land beyond the last known ground may reach.
         top = -math.inf
         if last_r > 0.0 and limit > -1e3:
@@ -301,4 +255,4 @@ def _sweep(
                 h = min(last_h + steepest * (r - last_r), limit)
                 top = max(top, (h - oz) / r - bend * r)
                 r += max(30.0, 0.02 * r)
-        bound[k] = max(top, highest)
+        rows[k, BOUND] = max(top, highest)

@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cache
+from inspect import unwrap
 from itertools import islice
 from pathlib import Path
 
@@ -47,7 +49,7 @@ class PreparedFrame:
     @property
     def unseen(self) -> PictureEvidence:
         """Return the evidence with edges that are not computed yet, to measure the time."""
-        return replace(self.evidence, found=replace(self.evidence.found))
+        return replace(self.evidence, find=cache(unwrap(self.evidence.find)))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
 from ltm_core.raster.dem import Dem
@@ -101,9 +102,9 @@ class Placement:
         evidence = picture_evidence(photo, labels, placed.camera, config)
         if evidence.skyline is None:
             return None
-        terrain = SearchTerrain(self.dem, self.bend)
-        horizon = terrain.horizon_for(evidence.camera, PosePrior(placed.pose, 1.0), config)
-        return skyline_fit(placed.pose, evidence.camera, evidence, horizon, config)
+        prior = PosePrior(placed.pose, 1.0)
+        horizon = SearchTerrain(self.dem, self.bend).horizon_for(evidence.camera, prior, config)
+        return skyline_fit(placed.pose, evidence.camera, PoseProblem(evidence, horizon, prior, config))
 
 
 def readings(

@@ -17,7 +17,7 @@ def test_a_half_grey_image_of_a_bag_is_rejected(shared_data: Path) -> None:
     shapes = []
     for number, image in enumerate(images):
         if number == 1:
-            with pytest.raises(ImageError, match=r"is truncated: 3\d\.\d% of the image"):
+            with pytest.raises(ImageError, match="truncated or corrupt"):
                 compressed_to_rgb(image)
         else:
             shapes.append(compressed_to_rgb(image).shape)

@@ -42,11 +42,11 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def answer(folder: Path, first: str = "", meanwhile: str = "") -> str:
-    """What a process prints that calls the kernel; it does `first`, and `meanwhile` before it loads any kernel."""
+def answer(folder: Path, first: str = "") -> str:
+    """What a process prints that calls the kernel; it does `first`."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     paths = [str(folder), *filter(None, sys.path)]
-    code = f"{first}\nimport kernels\n{meanwhile}\nfrom kernels.caller import caller; print(caller(1.0))"
+    code = f"{first}\nimport kernels\nfrom kernels.caller import caller; print(caller(1.0))"
     run = [sys.executable, "-c", code]
     environment["PYTHONPATH"] = os.pathsep.join(paths)
     return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
@@ -63,15 +63,6 @@ def test_a_constant_that_a_kernel_has_through_other_modules_reaches_it(tmp_path:
     assert answer(tmp_path) == "2.0"
     (package / "origin.py").write_text(ORIGIN.format(offset=0.25))
     assert answer(tmp_path) == "2.25"
-
-
-def test_what_was_compiled_while_the_source_changed_is_given_to_nobody(tmp_path: Path, package: Path) -> None:
-    """A process has said which state it found when a kernel is edited, and compiles that; then the edit is undone."""
-    called = package / "called.py"
-    edit = f"import pathlib; pathlib.Path({str(called)!r}).write_text({CALLED.format(term=10.0)!r})"
-    assert answer(tmp_path, meanwhile=edit) == "11.0"
-    called.write_text(CALLED.format(term=1.0))
-    assert answer(tmp_path) == "2.0"
 
 
 def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

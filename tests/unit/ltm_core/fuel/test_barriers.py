@@ -11,6 +11,7 @@ import pytest
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.strict_model import beside
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import BarrierConfig, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
@@ -63,7 +64,7 @@ def test_areas_by_the_share_of_the_cell_and_lines_without_gaps(tmp_path: Path) -
 
 def test_paths_are_taken_from_the_site_file(tmp_path: Path) -> None:
     config = PriorConfig.model_validate({"path": "f.tif", "barriers": [{"path": "r.geojson", "kind": "road"}]})
-    assert config.below(tmp_path).barriers[0].path == tmp_path / "r.geojson"
+    assert beside(config, tmp_path).barriers[0].path == tmp_path / "r.geojson"
 
 
 def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -14,8 +14,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster import prepared_heights_io as module
 from ltm_core.raster.dem import Dem, prepare_heights
 from ltm_core.raster.dem_stack import DemStack
-from ltm_core.raster.prepared_heights_io import heights_path
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
 
 GRID = GridGeometry(480_000.0, 4_151_000.0, 10.0, 70, 45, "EPSG:26911")
 
@@ -38,6 +36,11 @@ def raster(tmp_path: Path) -> Path:
     return tmp_path / "dem.tif"
 
 
+def prepared_of(raster: Path) -> Path:
+    (found,) = raster.parent.glob("dem.tif.*.ltm-heights.npy")
+    return found
+
+
 def is_mapped(dem: Dem) -> bool:
     """Whether the elevations lie in a file's pages."""
     address = dem.elevation.ctypes.data
@@ -45,19 +48,19 @@ def is_mapped(dem: Dem) -> bool:
         found = re.match(r"([0-9a-f]+)-([0-9a-f]+) ", line)
         assert found is not None
         if int(found[1], 16) <= address < int(found[2], 16):
-            return line.endswith(".ltm-heights")
+            return line.endswith(".ltm-heights.npy")
     raise AssertionError(f"no mapping holds {address:x}")
 
 
 def test_prepared_heights_are_those_of_the_raster(raster: Path) -> None:
     decoded = Dem.open(raster)
-    assert prepare_heights(raster) == heights_path(raster)
+    assert prepare_heights(raster) == prepared_of(raster)
     mapped = Dem.open(raster)
     assert (is_mapped(decoded), is_mapped(mapped)) == (False, True)
     np.testing.assert_array_equal(mapped.elevation, decoded.elevation)
     assert mapped.geometry == decoded.geometry
     assert (mapped.elevation.dtype, mapped.elevation.flags.c_contiguous) == (np.dtype(np.float32), True)
-    assert [path.name for path in raster.parent.iterdir() if path.name.startswith(".")] == []
+    assert len(list(raster.parent.iterdir())) == 2
     assert prepare_heights(raster) is None, "it is there already"
 
 
@@ -77,7 +80,7 @@ def test_what_is_written_to_mapped_heights_stays_in_the_process(raster: Path) ->
 @pytest.mark.parametrize("what", ["content", "date kept", "replaced", "sidecar", "version", "cut", "header"])
 def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare_heights(raster)
-    prepared, before = heights_path(raster), raster.stat()
+    prepared, before = prepared_of(raster), raster.stat()
     expected = heights()
     if what in ("content", "date kept"):
         expected = heights(900.0)
@@ -101,7 +104,7 @@ def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeyp
     found = Dem.open(raster)
     assert not is_mapped(found)
     np.testing.assert_array_equal(found.elevation, expected.elevation)
-    assert prepare_heights(raster) == prepared
+    assert prepare_heights(raster) == prepared_of(raster)
     assert is_mapped(Dem.open(raster))
     np.testing.assert_array_equal(Dem.open(raster).elevation, expected.elevation)
 
@@ -110,21 +113,21 @@ def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeyp
 def test_who_may_not_read_the_raster_may_not_read_its_heights(raster: Path, mode: int) -> None:
     raster.chmod(mode)
     prepare_heights(raster)
-    assert stat.S_IMODE(heights_path(raster).stat().st_mode) == mode & 0o644
+    assert stat.S_IMODE(prepared_of(raster).stat().st_mode) == mode & 0o644
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives files away, which takes root")
 def test_heights_of_a_stranger_are_not_believed(raster: Path) -> None:
     """Who may write into the folder, and not the raster."""
     prepare_heights(raster)
-    os.chown(heights_path(raster), 4711, -1)
+    os.chown(prepared_of(raster), 4711, -1)
     assert not is_mapped(Dem.open(raster))
-    assert prepare_heights(raster) == heights_path(raster)
+    assert prepare_heights(raster) == prepared_of(raster)
     assert is_mapped(Dem.open(raster))
-    for path in (raster, heights_path(raster)):
+    for path in (raster, prepared_of(raster)):
         os.chown(path, 4711, -1)
     prepare_heights(raster)
-    os.chown(heights_path(raster), 4711, -1)
+    os.chown(prepared_of(raster), 4711, -1)
     assert is_mapped(Dem.open(raster)), "the raster's owner may"
 
 
@@ -141,42 +144,12 @@ def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert sorted(path.name for path in raster.parent.iterdir()) == ["dem.tif"]
 
 
-def test_a_terrain_with_changed_cells_owns_only_the_pages_of_these(raster: Path) -> None:
-    """And is as if it had been copied, also where the file has changed since, or the heights were written to."""
-    prepare_heights(raster)
-    given = Dem.open(raster)
-    cells = np.array([3, 3], np.int32), np.array([7, 8], np.int32)
-    nan = np.full(2, np.nan, np.float32)
-    surface = ConfirmedSurface(given.geometry, *cells, np.array([1.0, 2.0], np.float32), nan)
-    found = surface.surface_over(given)
-    expected = given.elevation.copy()
-    expected[cells] = 1.0, 2.0
-    assert is_mapped(found)
-    np.testing.assert_array_equal(found.elevation, expected)
-    np.testing.assert_array_equal(Dem.open(raster).elevation, given.elevation)
-    given.elevation[40, 60] = 5.0
-    written = surface.surface_over(given)
-    assert (is_mapped(written), written.elevation[40, 60]) == (True, 5.0)
-    heights_path(raster).unlink()
-    assert not is_mapped(surface.surface_over(given))
-
-
-def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
-    left, of_another = (raster.with_name(f".dem.tif.ltm-heights.{pid}") for pid in (2**22 + 1, os.getppid()))
-    for path in (left, of_another):
-        path.write_bytes(b"cut short")
-    prepare_heights(raster)
-    assert (left.exists(), of_another.exists()) == (False, True)
-
-
 @pytest.mark.parametrize("why", ["too small", "no room"])
 def test_what_another_state_left_does_not_stay(raster: Path, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare_heights(raster)
     heights(900.0).save(raster.with_name("other.tif"))
     raster.with_name("other.tif").replace(raster)
+    raster.with_name("dem.tif.0123.ltm-heights.npykilled").write_bytes(b"cut short")
     monkeypatch.setattr(module, *{"too small": ("LEAST_CELLS", 1 << 40), "no room": ("SPARE_BYTES", 1 << 60)}[why])
     assert prepare_heights(raster) is None
-    assert not heights_path(raster).exists()
-    heights_path(raster).write_bytes(b"of somebody else")
-    assert prepare_heights(raster) is None
-    assert heights_path(raster).exists()
+    assert [path.name for path in raster.parent.iterdir()] == ["dem.tif"]

@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import random
 from pathlib import Path
 
 import pytest
-import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import FuelConfig
@@ -90,8 +88,6 @@ def billion(levels: int) -> str:
         "[" * 900 + "]" * 900,
         "{a: " * 60 + "1" + "}" * 60,
         "a: &a [*a]",
-        "a: |# libyaml takes it",
-        "a:\n  - >-2# libyaml takes it",
         billion(9),
         f"{billion(9)}\nsite: {{<<: [*a8, *a8]}}",
     ],
@@ -108,57 +104,8 @@ def test_what_people_write_is_taken() -> None:
         "b": {"x": 1},
         "c": {"x": 1, "y": 2},
     }
-    assert parse_yaml("a: !\nb: ! # libyaml makes texts of them", "x") == {"a": None, "b": None}
     assert parse_yaml(nested, "x")
     assert parse_yaml("stamp: 2024-05-06T07:08:09Z", "x")["stamp"].year == 2024
-
-
-WHOLE = """
-name: ridge  # of a site
-origin: [346000.0, 3783000.0, -1.5e3]
-cameras: {north: {pose: {x: 1, 'y': "2\\n"}}, south: ~}
-nodes: &all
-  - &one {a: 1, b: 0x1f}
-  - *one
-  - <<: *one
-    c: |
-      some
-       text
-    d: >-
-      folded
-      text
-? key
-: 2024-05-06T07:08:09Z
-"""
-
-
-def spoiled(rng: random.Random) -> str:
-    """A part of WHOLE with a few characters too many, too few or others."""
-    begin = rng.randrange(len(WHOLE))
-    text = WHOLE[begin:] if rng.random() < 0.3 else WHOLE[begin : begin + rng.choice((10, 40, 120))]
-    for _ in range(rng.randrange(3)):
-        at, new = rng.randrange(len(text) + 1), rng.choice("abc:,-?[]{}&*!|>'\"%@`#\n\t  01._~=<\\\ufeff\xe9\u2028")
-        text = text[:at] + rng.choice((new, "")) + text[at + rng.randrange(2) :]
-    return text
-
-
-def test_it_takes_what_pyyaml_takes_and_makes_the_same_of_it() -> None:
-    """Though most texts are parsed by libyaml."""
-    rng = random.Random(4)
-    taken, refused = 0, 0
-    for _ in range(500):
-        text = spoiled(rng)
-        try:
-            value = parse_yaml(text, "x")
-        except ConfigError as error:
-            refused += 1
-            if "is repeated" not in str(error):
-                with pytest.raises((yaml.YAMLError, ValueError)):
-                    yaml.load(text, yaml.SafeLoader)
-        else:
-            taken += 1
-            assert repr(value) == repr(yaml.load(text, yaml.SafeLoader)), text
-    assert min(taken, refused) > 80
 
 
 def test_large_files_are_not_parsed(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from PIL import Image, ImageOps
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import decode_rgb, opened_picture, read_rgb, stated_size, without_tail
-from ltm_core.storage.jpeg_data import Jpeg
 
 REPOSITORY = Path(__file__).parents[4]
 END = b"\xff\xd9"
@@ -52,10 +51,15 @@ JPEGS: dict[str, dict[str, Any]] = {
 }
 
 
-def missing_share(data: bytes, reduced: int = 1) -> float:
+def rejected(data: bytes, reduced: int = 1) -> None:
+    with pytest.raises(ImageError, match="truncated or corrupt"):
+        decode_rgb(data, "image", reduced)
+
+
+def missing_share(data: bytes) -> float:
     """Return the share that the error states."""
     with pytest.raises(ImageError, match=r"is truncated") as error:
-        decode_rgb(data, "image", reduced)
+        decode_rgb(data)
     found = re.search(r"([\d.]+)\s?%", str(error.value))
     assert found
     return float(found[1]) / 100
@@ -63,26 +67,21 @@ def missing_share(data: bytes, reduced: int = 1) -> float:
 
 def cut(data: bytes, kept: float) -> bytes:
     """Return a JPEG with this share of the data of all scans together."""
-    first = Jpeg.of(data, "").scans[0][0]
+    first = data.index(b"\xff\xda") + 14
     return data[: first + round((len(data) - first) * kept)]
 
 
 @pytest.mark.parametrize(("kept", "end"), [(0.3, b""), (0.6, b"\xff" + END), (0.96, bytes(5000))])
 @pytest.mark.parametrize("kind", JPEGS)
 def test_a_jpeg_whose_data_end_early_is_rejected(kind: str, kept: float, end: bytes) -> None:
-    share = missing_share(cut(encoded(**JPEGS[kind]), kept) + end)
-    if kind not in ("progressive", "progressive restarts", "inks"):
-        # The grey third counts, too, if something is missing.
-        assert share == pytest.approx(1 - kept * 2 / 3, abs=0.12)
+    rejected(cut(encoded(**JPEGS[kind]), kept) + end)
 
 
 @pytest.mark.parametrize("reduced", [2, 4, 8])
 def test_a_reduced_image_is_checked_too(reduced: int) -> None:
-    image = scene()
-    image[:, : image.shape[1] // 3] = 40
-    data = encoded(image=image, quality=90)
+    data = encoded()
     assert decode_rgb(data, "image", reduced).shape == (240 // reduced, 320 // reduced, 3)
-    assert missing_share(cut(data, 0.6) + END, reduced) == pytest.approx(0.4, abs=0.1)
+    rejected(cut(data, 0.6) + END, reduced)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +109,8 @@ def test_a_complete_jpeg_is_accepted(kind: str, change: Callable[[bytes], bytes]
 def test_a_missing_restart_interval_is_found(progressive: bool) -> None:
     data = encoded(restart_marker_rows=1, progressive=progressive)
     marks = [m.start() for m in re.finditer(rb"\xff[\xd0-\xd7]", data)]
-    missing_share(data[: marks[4] + 2] + data[marks[5] :])
-    if not progressive:
-        missing_share(data[: marks[4]] + data[marks[5] :])
+    rejected(data[: marks[4] + 2] + data[marks[5] :])
+    rejected(data[: marks[4]] + data[marks[5] :])
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.97])
@@ -190,9 +188,9 @@ def dng() -> bytes:
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (lambda: with_frame(0xC1, 12), "12 bits"),
-        (lambda: with_frame(0xC9, 8), "SOF9"),
-        (lambda: with_frame(0xC3, 8), "SOF3"),
+        (lambda: with_frame(0xC1, 12), "corrupt"),
+        (lambda: with_frame(0xC9, 8), "corrupt"),
+        (lambda: with_frame(0xC3, 8), "corrupt"),
         (dng, "raw photo"),
         (lambda: animation("GIF"), "animation"),
         (lambda: animation("WEBP"), "animation"),
@@ -249,7 +247,16 @@ def test_whatever_pillow_raises_is_an_image_error(raised: Exception) -> None:
 
 
 def test_only_one_file_calls_the_libraries_that_decode() -> None:
-    decoders = {"imdecode", "imdecodemulti", "imread", "imreadmulti", "register_heif_opener", "open_heif", "read_heif"}
+    decoders = {
+        "imdecode",
+        "imdecodemulti",
+        "imread",
+        "imreadmulti",
+        "register_heif_opener",
+        "open_heif",
+        "read_heif",
+        "decode_jpeg",
+    }
     found = set()
     for top in ("ltm_core", "ltm_msgs_py", "ltm_ros"):
         for path in (REPOSITORY / top).rglob("*.py"):

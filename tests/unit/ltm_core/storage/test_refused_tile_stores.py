@@ -138,10 +138,7 @@ def test_rows_that_no_store_writes_are_refused(tmp_path: Path, order: str, value
         read_all(path)
 
 
-@pytest.mark.parametrize(
-    "order", ["UPDATE frames SET stamp_ns = 'x' WHERE stamp_ns = 5", "UPDATE sources SET kept = 9000000000000000"]
-)
-def test_a_frame_is_not_counted_in_a_store_that_contradicts_itself(tmp_path: Path, order: str) -> None:
-    path = spoiled(tmp_path / "store.ltm", order)
+def test_a_frame_is_not_counted_in_a_store_that_contradicts_itself(tmp_path: Path) -> None:
+    path = spoiled(tmp_path / "store.ltm", "UPDATE sources SET kept = 9000000000000000")
     with TileStore.open(path, SCHEMA) as store, pytest.raises(ConfigError, match="damaged"):
         store.commit({}, [FrameRecord("north", 9)])

@@ -115,7 +115,7 @@ def test_a_flood_of_stamps_pushes_out_none_of_the_same_days(tmp_path: Path) -> N
         store.commit(frames=flood)
         assert not store.counted("north", now)
         assert not store.counted("north", now - 24 * 60 * minute)
-    with TileStore.open(tmp_path / "bounded.ltm", SCHEMA, kept_frames=100, most_frames=1000) as store:
+    with TileStore.open(tmp_path / "bounded.ltm", SCHEMA, kept_frames=1000) as store:
         for begin in range(0, 2000, 100):
             store.commit(frames=flood[begin : begin + 100])
         known = [frame.stamp_ns for frame in flood[:2000] if not store.forgotten("north", frame.stamp_ns)]

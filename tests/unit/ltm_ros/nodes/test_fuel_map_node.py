@@ -44,7 +44,7 @@ def kept(site: Path, tmp_path: Path) -> Callable[..., Node]:
 
 
 def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10, most_frames=10))
+    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
     now, day = BEGIN_NS + 10**15, 86_400 * 10**9
     node = Node(site, now=now)
 
@@ -70,7 +70,7 @@ def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attack: more votes that say nothing than a store remembers, each stamped as far ahead as may be."""
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10, most_frames=10))
+    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
     now = BEGIN_NS + 10**15
     node = Node(site, now=now)
     grid = node.map.geometry

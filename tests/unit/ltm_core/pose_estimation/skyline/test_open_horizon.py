@@ -12,6 +12,7 @@ from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
@@ -76,7 +77,7 @@ def test_where_nothing_lies_beyond_it_is_misfit() -> None:
     with_range_behind(picture, slice(0, 260), 14)
     evidence = picture_evidence(*picture, CAMERA)
     horizon = terrain().horizon_for(evidence.camera, PRIOR, CONFIG)
-    fit = skyline_fit(TRUE, evidence.camera, evidence, horizon, CONFIG)
+    fit = skyline_fit(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, CONFIG))
     assert fit.open == 0.0
     assert fit.support < 0.6
 
@@ -119,7 +120,7 @@ def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
     found = find_pose(evidence, OPEN, PRIOR)
     assert found.verdict.word == "accepted", found.verdict.reason
     best = found.hypotheses[0].refined
-    again = settled_on_ridges(best, evidence, found.horizon, PRIOR, 0.0, CONFIG)
+    again = settled_on_ridges(best, PoseProblem(evidence, found.horizon, PRIOR, CONFIG))
     away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
     assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
     assert found.verdict.sigma_deg == pytest.approx(

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
 
@@ -11,6 +9,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
 from ltm_core.tracing.possible_ground import PossibleGround
@@ -25,7 +24,7 @@ CONFIG = PicturePoseConfig()
 def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
     evidence = picture_evidence(*picture, CAMERA)
     horizon = OPEN.horizon_for(evidence.camera, PRIOR, CONFIG)
-    return search_ridges(replace(evidence, skyline=None), horizon, PRIOR, CONFIG, 0.0)[0]
+    return search_ridges(PoseProblem(evidence, horizon, PRIOR, CONFIG))[0]
 
 
 def off_deg(hypothesis: Hypothesis) -> np.ndarray:

@@ -9,6 +9,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import (
     RefinedPose,
@@ -40,7 +41,7 @@ def seen() -> tuple[PictureEvidence, TerrainHorizon]:
 def settled_from(pose: Pose, config: PicturePoseConfig = CONFIG) -> RefinedPose:
     evidence, horizon = seen()
     start = RefinedPose(pose, evidence.camera, np.zeros((7, 7)), -50.0, SkylineFit(support=0.7))
-    return settled_on_ridges(start, evidence, horizon, PRIOR, 0.0, config)
+    return settled_on_ridges(start, PoseProblem(evidence, horizon, PRIOR, config))
 
 
 def test_a_pose_a_little_aside_settles_where_the_ridges_are() -> None:

@@ -11,8 +11,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 63.4, 2.3, 1.0), 1.5, 0.6, 0.6)
@@ -26,11 +26,11 @@ def exact() -> PictureEvidence:
 def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
     """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
     horizon = terrain().horizon_for(evidence.camera, PRIOR, PicturePoseConfig())
-    rows = skyline_observations(TRUE, evidence.camera, evidence, horizon, 1.0, PicturePoseConfig())
+    rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, PicturePoseConfig()), 1.0)
     assert rows is not None
     assert evidence.skyline is not None
     v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma
-    return replace(evidence, skyline=replace(evidence.skyline, v=v, crest_v=v))
+    return replace(evidence, skyline=replace(evidence.skyline, v=v))
 
 
 def sigmas(search: PictureSearch) -> Float64Array:
@@ -47,23 +47,3 @@ def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_
     assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
     assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
     assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
-
-
-def with_two_edges(evidence: PictureEvidence, up_px: float, down_px: float) -> PictureEvidence:
-    """In the right third of its columns so much pale land seems to stand above its crest: the upper edge by `up_px`
-    above where the skyline is, the lower by `down_px` below it."""
-    skyline = evidence.skyline
-    assert skyline is not None
-    both = skyline.u > 2 * evidence.camera.width / 3
-    v, crest = np.where(both, skyline.v - up_px, skyline.v), np.where(both, skyline.v + down_px, skyline.v)
-    return replace(evidence, skyline=replace(skyline, v=v, crest_v=crest))
-
-
-@pytest.mark.parametrize(("up_px", "down_px"), [(0.0, 5.0), (5.0, 0.0)])
-def test_of_two_edges_that_which_fits_is_the_horizon(exact: PictureEvidence, up_px: float, down_px: float) -> None:
-    """The upper where it is a far range's, the lower where what stands above it is no land."""
-    search = find_pose(with_two_edges(exact, up_px, down_px), terrain(), PRIOR)
-    best = search.hypotheses[0].refined
-    assert np.degrees(np.abs(angles_between(TRUE, best.pose))).max() < 0.1
-    assert best.skyline.support > 0.9
-    assert search.verdict.word == "accepted"
