@@ -133,7 +133,7 @@ METAVARS = {
     "COUNT/PERIOD": "sample",
     "DATE": "as_of since until",
     "EPSG:CODE": "crs ignition_crs",
-    "FOLDER": "also bag write_photos",
+    "FOLDER": "also bag",
     "KEY=VALUE": "stated",
     "LON,LAT": "lonlat",
     "MODEL": "model named like",

@@ -70,9 +70,7 @@ class FoundPhoto:
 
 def photo(
     photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Photo, or with a photo list a folder of photos.")],
-    guess: Annotated[
-        Path, typer.Option(metavar="FILE", help="Pose file, or photo list (CSV, YAML), with what is known.")
-    ],
+    guess: Annotated[Path, typer.Option(metavar="FILE", help="Pose file, or photo list (CSV), with what is known.")],
     dem: Annotated[
         list[Path], typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
     ],

@@ -172,8 +172,7 @@ def import_(
         Path | None,
         typer.Option(
             "--poses",
-            help="CSV or YAML (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. "
-            "Overrides EXIF.",
+            help="CSV (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. Overrides EXIF.",
         ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: map frame, DEM, camera names.")] = None,
@@ -197,10 +196,6 @@ def import_(
     every: Annotated[float, typer.Option(min=0.01, help="Seconds between the frames taken from a video.")] = 1.0,
     time_zone: Annotated[
         str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
-    ] = None,
-    write_photos: Annotated[
-        Path | None,
-        typer.Option(help="Also write upright photos and poses.csv for `ltm pose photo`."),
     ] = None,
     refine: Annotated[
         bool,
@@ -242,14 +237,13 @@ def import_(
                 height_above_ground=height_above_ground,
                 geoid_undulation=geoid_undulation_m,
                 time_zone=zone,
-                keep_unknown=refine or write_photos is not None,
+                keep_unknown=refine,
                 start_height=start_height,
                 focal_35mm=focal_35mm,
                 every=every,
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
-            write_photos,
             search,
         )
     by_note: dict[str, list[str]] = {}

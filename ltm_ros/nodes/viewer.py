@@ -15,10 +15,9 @@ from pydantic import Field
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.cells import msg_to_changed, msg_to_fuel_cells
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
@@ -32,7 +31,6 @@ from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,
-    FUEL_MAP_CELLS,
     FUSED_DEPTH,
     LABELS_HEAT,
     LABELS_IMAGE,
@@ -80,18 +78,11 @@ class ViewerHandler(Handler[ViewerConfig]):
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
         dem = self._site.open_dem()
-        self._fuel_grid = self._site.fuel_geometry(dem)
-        labels = LabelSet.load(config_path(self._site.labels))
-        prior = site_evidence_map(self._site, self._fuel_grid, labels).layers()
-        self._untouched = {
-            name: getattr(prior, name) for name in ("life_form", "code", "entropy", "changed", "seen_by")
-        }
-        """The prior, for cells without evidence; the graph publishes only the others."""
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
             dem,
-            life_form_labels(labels),
+            life_form_labels(LabelSet.load(config_path(self._site.labels))),
             save=free_path(Path(config.save)) if config.save else None,
             serve=config.serve,
             web_port=config.web_port,
@@ -132,8 +123,6 @@ class ViewerHandler(Handler[ViewerConfig]):
             heat = camera_topic(self._site.name, camera, LABELS_HEAT)
             taken[Topic(heat, LABELS_HEAT.type)] = partial(self.on_heat, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
-        cells = site_topic(self._site.name, FUEL_MAP_CELLS)
-        taken[Topic(cells, FUEL_MAP_CELLS.type, latched=True)] = self.on_fuel_cells
         if self._site.terrain is not None:
             for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
                 taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
@@ -145,12 +134,6 @@ class ViewerHandler(Handler[ViewerConfig]):
 
     def on_fuel_map(self, message: Any) -> None:
         self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
-
-    def on_fuel_cells(self, message: Any) -> None:
-        cells = msg_to_fuel_cells(message, self._fuel_grid)
-        shape = self._fuel_grid.shape
-        rasters = {name: cells.raster(name, shape, elsewhere) for name, elsewhere in self._untouched.items()}
-        self._view.log_fuel_layers(stamp_of(message), rasters)
 
     def on_change(self, message: Any) -> None:
         self._view.log_change(stamp_of(message), *msg_to_classes(message))

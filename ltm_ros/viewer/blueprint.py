@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import rerun.blueprint as rrb
 
-from ltm_ros.viewer.fuel_maps import TITLES
 from ltm_ros.viewer.scene_geometry import Eye
 
 TIMELINE = "stamp"
@@ -31,8 +30,6 @@ class Tabs:
     fusion: bool = False
     prompts: bool = False
     terrain: bool = False
-    tall: bool = False
-    """Whether the fuel grid is about as high as wide, or higher: then its maps fit a wide screen best in one row."""
 
 
 def site_blueprint(
@@ -52,7 +49,7 @@ def site_blueprint(
         name="Site",
     )
     gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
-    extra: list[rrb.Container] = [_fuel_layers(4 if tabs.tall else 2)]
+    extra: list[rrb.Container] = []
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
     if tabs.prompts:
@@ -121,12 +118,6 @@ def _changes(window: MapWindow) -> rrb.Spatial2DView:
         name="Surface: red removed, green grown, violet lowered, yellow unchanged",
         visual_bounds=_bounds(window),
     )
-
-
-def _fuel_layers(columns: int) -> rrb.Grid:
-    """Return the views of the fuel map's further layers."""
-    views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
-    return rrb.Grid(*views, grid_columns=columns, name="Fuel")
 
 
 def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:

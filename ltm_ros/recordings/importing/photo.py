@@ -155,9 +155,6 @@ def sensed_by_exif(facts: ExifFacts) -> Sensed:
     )
 
 
-POSES = "poses.csv"
-"""Name of the pose file beside photos that were written upright."""
-
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
 
 
@@ -182,21 +179,18 @@ def columns() -> list[str]:
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Return rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names
-    without suffix, from a folder of pose files, as `ltm pose photo` writes it.
+    """Return rows by photo name, from a CSV with a header line; or by the photos' names without suffix, from a folder
+    of pose files, as `ltm pose photo` writes it.
 
     Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
     line), or a photo listed twice."""
     if path.is_dir():
         return _pose_files(path)
-    readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise ConfigError(f"pose file {path} must end in .csv, .yaml or .yml")
+    if path.suffix.lower() != ".csv":
+        raise ConfigError(f"pose file {path} must be a CSV file (.csv), or a folder of pose files")
     poses: dict[str, PhotoPose] = {}
-    unnamed = _SECTIONS if path.suffix.lower() == ".csv" else ()
-    for place, row in reader(path):
-        pose = checked(PhotoPose, row, place, unnamed=unnamed)
+    for place, row in _csv_rows(path):
+        pose = checked(PhotoPose, row, place, unnamed=_SECTIONS)
         if pose.name in poses:
             raise ConfigError(f"{place}: {pose.name} is listed twice")
         poses[pose.name] = pose
@@ -248,10 +242,3 @@ def _sectioned(row: dict[str, str]) -> dict[str, Any]:
         if values := {name: value for name, value in row.items() if name in model.model_fields}:
             content[section] = values
     return content
-
-
-def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    content = read_yaml(path)
-    if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
-        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one per photo, each with a name")
-    return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

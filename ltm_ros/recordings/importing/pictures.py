@@ -19,7 +19,6 @@ from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,
     read_sensor_logger,
-    read_sensor_logger_json,
 )
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.recordings.importing.video import SUFFIXES as VIDEO_SUFFIXES
@@ -106,11 +105,6 @@ def _found_in(path: Path, assumed: Assumptions) -> Iterator[ImportedImage | Sens
                 f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
                 "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
             )
-    elif path.suffix.lower() == ".json":
-        track = read_sensor_logger_json(path)
-        if track is None:
-            raise RecordingError(f"{path}: is not a recording of Sensor Logger (a list of objects with `sensor`)")
-        yield track
     elif is_video(path):
         yield from video_pictures(path, assumed)
     else:

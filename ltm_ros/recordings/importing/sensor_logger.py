@@ -1,4 +1,4 @@
-"""Read recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames, or one JSON file.
+"""Read recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames.
 
 Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `time` is nanoseconds since 1970 UTC;
 `altitude` is above the WGS 84 ellipsoid; a negative accuracy marks an invalid value; `bearing` is the course of travel,
@@ -7,11 +7,10 @@ with x to true north on iOS, and y to magnetic north on Android."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import ENU_FROM_ENU, ENU_FROM_NWU
-from ltm_core.storage.config_io import read_text
-from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
+from ltm_ros.recordings.importing.capture_files import CaptureFiles, table
 from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
 
 SOURCE = "Sensor Logger"
@@ -61,24 +59,6 @@ def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
         if (member := files.find(f"{name}.csv")) is not None
     }
     return _track(tables, str(files.path))
-
-
-def read_sensor_logger_json(path: Path) -> SensorTrack | None:
-    """Return the same from a JSON file; None for other JSON. Raises RecordingError as `read_sensor_logger`."""
-    try:
-        rows = json.loads(read_text(path, LARGEST_JSON, RecordingError, "utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: cannot be read as JSON ({error}); export the recording again") from error
-    if not isinstance(rows, list) or not all(isinstance(row, dict) and "sensor" in row for row in rows[:10]):
-        return None
-    tables: dict[str, dict[str, list[str]]] = {}
-    for row in rows:
-        name = str(row.get("sensor", "")) if isinstance(row, dict) else ""
-        if name in TABLES:
-            columns = tables.setdefault(name, {key: [] for key in TABLES[name] if key in row})
-            for key, values in columns.items():
-                values.append(str(row.get(key, "")))
-    return _track(tables, str(path))
 
 
 def camera_frames(files: CaptureFiles) -> dict[str, int]:

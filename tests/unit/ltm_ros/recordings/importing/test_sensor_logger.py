@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes.phone_site import GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
 
-from ltm_core.base.errors import LtmError, PoseError, RecordingError
+from ltm_core.base.errors import PoseError, RecordingError
 from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
@@ -222,9 +222,3 @@ class TestArchives:
         path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
         with pytest.raises(RecordingError, match=r"is not a complete zip.*export or copy it again"):
             import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
-
-    @pytest.mark.parametrize("text", ["{", "[1, 2]", '{"a": 1}', "[" * 100_000])
-    def test_json_of_another_kind(self, tmp_path: Path, site: Site, text: str) -> None:
-        (tmp_path / "a.json").write_text(text)
-        with pytest.raises(LtmError, match=r"a\.json"):
-            import_photos([tmp_path / "a.json"], tmp_path / "bag", site=site, assumed=LENS)
