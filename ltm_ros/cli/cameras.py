@@ -124,11 +124,8 @@ def discover(
 def snapshot(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image, its pose file and its trace.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image and its pose file.")],
     name: Annotated[str, typer.Option(help="Base name of the files. Default: camera and time.")] = "",
-    trace: Annotated[
-        bool, typer.Option("--trace/--no-trace", help="Also draw the depth over the image, and a map.")
-    ] = True,
     tries: Annotated[
         int, typer.Option(min=1, max=100, help="Number of images that may be rejected before giving up.")
     ] = 5,
@@ -142,7 +139,7 @@ def snapshot(
 
     console = Console()
     with console.status(f"requesting an image from {camera}"):
-        written, told = take_snapshot(site, camera, out, name, trace, tries, overwrite)
+        written, told = take_snapshot(site, camera, out, name, tries, overwrite)
     for line in told:
         console.print(escape(line), highlight=False)
     for path in written:

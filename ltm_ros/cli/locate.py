@@ -33,10 +33,6 @@ def locate(
             help="Mark: a pixel, a box u_min,v_min,u_max,v_max, or a polygon; lower edges count. Repeatable.",
         ),
     ] = None,
-    mask: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CAMERA=PNG", help="Mask: marks ignore the non-black pixels of that camera."),
-    ] = None,
     smoke: Annotated[
         bool, typer.Option("--smoke", help="The mark is the lowest visible smoke; its base may be behind a ridge.")
     ] = False,
@@ -58,7 +54,7 @@ def locate(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.cli.locate_cameras import hidden_by, marked, named, of_poses, of_site
+    from ltm_ros.cli.locate_cameras import marked, named, of_poses, of_site
 
     reverse = place is not None or lonlat is not None
     if reverse == bool(mark):
@@ -80,8 +76,7 @@ def locate(
         show_places(scene, place, lonlat, photo, as_json, out, console)
         return
     marks = [named(text, "--mark", scene) for text in mark or []]
-    masks = hidden_by(scene, mask or [])
-    sightings = [marked(scene, name, text, scene.config, smoke, masks) for name, text in marks]
+    sightings = [marked(scene, name, text, smoke) for name, text in marks]
     said = _answer(scene, sightings, smoke)
     if as_json:
         import json
