@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -33,11 +38,6 @@ def demo(
 
 def clear_demo(out: Path) -> None:
     """Remove the results of an earlier demo from a folder. Raises ConfigError if it contains anything else."""
-    import shutil
-
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_folder
-
     require_folder(out)
     if out.exists() and any(out.iterdir()):
         if not any((out / made).exists() for made in ("report.html", "log", "walk.png")):
@@ -87,10 +87,6 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
 
 def to_type(command: str) -> str:
     """Return a command for the user's shell; without `ltm` on its PATH, the environment is activated first."""
-    import os
-    import shutil
-    import sys
-
     if shutil.which("ltm"):
         return command
     return f"source {os.path.relpath(Path(sys.prefix) / 'bin/activate')} && {command}"

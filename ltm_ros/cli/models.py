@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -65,8 +67,6 @@ def models(
     if action is Action.list:
         _list(console)
         return
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
 
     if action is Action.measure:
@@ -145,7 +145,6 @@ def _measure(console: Console, name: str, path: Path | None, recordings: list[Pa
 
 
 def _list(console: Console) -> None:
-    from ltm_core.base.errors import ModelError
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, added_names, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
@@ -237,7 +236,6 @@ def _check_depth(console: Console, manifest: NetworkManifest, photos: list[tuple
     """Print the depth and running time of a depth model; write images (red near, blue far)."""
     import numpy as np
 
-    from ltm_core.base.errors import ModelError
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.geometry.camera import Camera
     from ltm_core.pictures import to_jpeg

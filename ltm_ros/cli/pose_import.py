@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, open_dems
 
 if TYPE_CHECKING:
@@ -37,9 +40,7 @@ def import_poses(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.base.errors import ConfigError, PoseError
     from ltm_core.geometry.geodesy import SiteFrame
-    from ltm_core.storage.disk_io import require_files
     from ltm_ros.recordings.importing.foreign_poses import problem_of, read_foreign_poses, read_transform
 
     if picture is not None and (photos is None or not dem):
@@ -82,9 +83,6 @@ def _file_name(name: str) -> str:
 
 def _camera(focal: float | None, size: str | None) -> Camera | None:
     """Return the camera of --focal and --size; None without them."""
-    import re
-
-    from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.camera import Camera
 
     if focal is None and size is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, open_dems, print_table
 
 if TYPE_CHECKING:
@@ -67,7 +68,6 @@ def points(
         write_report,
     )
     from ltm_core.storage.config_io import load_yaml
-    from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing.trace_io import GuessConfig
 
     require_files([place for place in (out, report, picture) if place is not None], overwrite)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_ros.cli.output import Overwrite, print_table
 from ltm_ros.recordings.replay import LONGEST_PAUSE
 
@@ -41,7 +44,6 @@ def record(
     from dataclasses import replace
 
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_folder
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner
 
@@ -89,17 +91,12 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
-    from ltm_core.base.errors import ConfigError
-
     if offline and (loop or rrd or publish_only or rate != 1.0):
         raise ConfigError("--offline ignores time: remove --rate, --loop, --rrd and --publish-only")
-
-    import threading
 
     from rich.console import Console
 
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
     from ltm_ros.recordings.recorded_run import site_of
@@ -150,8 +147,6 @@ def replay(
 
 def _names(remap: list[str]) -> dict[str, str]:
     """Return the names of `--remap`, by recorded topic. Raises ConfigError."""
-    from ltm_core.base.errors import ConfigError
-
     names = dict(text.partition(":=")[::2] for text in remap)
     for topic, name in names.items():
         if not topic.startswith("/") or not name.startswith("/"):
@@ -208,7 +203,6 @@ def import_(
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.recordings.importing.assumptions import Assumptions
     from ltm_ros.recordings.importing.assumptions import time_zone as zone_named

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ArchiveError
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -100,8 +101,6 @@ def _print(console: Console, summary: Summary, out: Path) -> None:
 
 
 def _share(text: str) -> float:
-    from ltm_core.base.errors import ArchiveError
-
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(%?)", text)
     share = float(found[1]) / (100 if found[2] else 1) if found else -1.0
     if not 0 <= share <= 1:

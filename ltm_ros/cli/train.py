@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ModelError
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -74,7 +76,6 @@ def head(
     import numpy as np
     from rich.console import Console
 
-    from ltm_core.base.errors import ModelError
     from ltm_core.label_heads.head_trial import teach_head
     from ltm_core.label_heads.labelled_frames import read_frames, without_classes
     from ltm_core.vision.label_head import label_heads_folder, write_label_head

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.storage.disk_io import require_folder
 
 if TYPE_CHECKING:
     from ltm_ros.launching.runner import Runner
@@ -35,9 +43,6 @@ def view(
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 
     Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s."""
-    from ltm_core.base.errors import ConfigError, RecordingError
-    from ltm_core.storage.disk_io import require_folder
-
     if [site, rrd, connect].count(None) != 2:
         raise ConfigError("give one of --site (a running graph), --rrd (a recording) and --connect (a tower)")
     if connect is not None:
@@ -62,7 +67,6 @@ def view(
 def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_browser: bool, web_port: int) -> None:
     from contextlib import closing
 
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.runtime.web_server import bind_error
     from ltm_ros.tower.tower_mirror import TowerMirror, reached
 
@@ -89,7 +93,6 @@ def _show_graph(
 ) -> None:
     from dataclasses import replace
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner
@@ -113,8 +116,6 @@ def _show_graph(
 
 
 def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
-    import time
-
     from ltm_ros.viewer.server import listens
 
     deadline = time.monotonic() + timeout
@@ -127,9 +128,6 @@ def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
 
 def _until_ended(process: RerunProcess | None, runner: Runner | None = None) -> None:
     """Wait until the viewer closes, its node fails, or SIGINT, SIGTERM or SIGHUP comes; then end the viewer."""
-    import signal
-    import threading
-
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
@@ -151,7 +149,4 @@ def _announce(url: str, open_browser: bool) -> None:
 
 
 def _has_screen() -> bool:
-    import os
-    import sys
-
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
