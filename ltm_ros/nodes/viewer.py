@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
 from ltm_core.base.resources import config_path
@@ -57,7 +55,6 @@ def free_path(path: Path) -> Path:
     return candidate
 
 
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12
 """Step in pixels between the points of a depth image in the 3D view."""
 
@@ -126,7 +123,6 @@ class ViewerHandler(Handler[ViewerConfig]):
         if self._site.terrain is not None:
             for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
                 taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
-        taken[DIAGNOSTICS] = self.on_diagnostics
         return taken
 
     def on_heat(self, camera: str, message: Any) -> None:
@@ -142,17 +138,6 @@ class ViewerHandler(Handler[ViewerConfig]):
         changed, points = msg_to_changed(message)
         cells = np.column_stack([changed.rows, changed.cols])
         self._view.log_changed_cells(stamp_of(message), cells, points, changed.kind)
-
-    def on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            values = {}
-            for item in status.values:
-                if item.key.endswith(("_ms", "_hz")) or item.key in ("received", "published", "dropped", "queue"):
-                    with suppress(ValueError):  # any driver may publish such keys, with text values
-                        values[item.key] = float(item.value)
-            self._view.log_diagnostics(stamp_of(message), status.name, values)
-            if status.level != b"\x00":
-                self._view.log_text("WARN", f"{status.name}: {status.message}")
 
     def tick(self, waited: float) -> None:
         for join in (*self._joins.values(), *self._fusions.values()):

@@ -33,10 +33,9 @@ class Tabs:
 
 
 def site_blueprint(
-    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
+    cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
 ) -> rrb.Blueprint:
-    """Return the tabs: the site (terrain, fuel grid, a camera's images, latencies), all cameras, `tabs`, the graph's
-    health."""
+    """Return the tabs: the site (terrain, fuel grid, a camera's images), all cameras, and `tabs`."""
     tabs = tabs or Tabs()
     overview = rrb.Vertical(
         rrb.Horizontal(
@@ -44,11 +43,11 @@ def site_blueprint(
             rrb.Vertical(_fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]),
             column_shares=[5, 3],
         ),
-        rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
+        rrb.Tabs(*(_camera_row(camera) for camera in cameras), active_tab=0),
         row_shares=[5, 3],
         name="Site",
     )
-    gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
+    gallery = rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")
     extra: list[rrb.Container] = []
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
@@ -56,22 +55,8 @@ def site_blueprint(
         extra.append(rrb.Grid(*(_heat(camera) for camera in cameras), name="Prompt"))
     if tabs.terrain:
         extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
-    health = rrb.Vertical(
-        rrb.Horizontal(
-            _plot("Latency p95 (ms)", "/health/latency_p95_ms", named=False),
-            _plot("Work p95 (ms)", "/health/work_p95_ms", named=False),
-            _plot("Rate (Hz)", "/health/rate_hz", named=False),
-        ),
-        rrb.Horizontal(
-            _plot("Waiting messages", "/health/queue", named=False),
-            # A node has the same colour in all plots; this is the one whose lines are rarely zero.
-            _plot("Dropped messages", "/health/dropped"),
-            rrb.TextLogView(origin="/log", name="Log"),
-        ),
-        name="Health",
-    )
     return rrb.Blueprint(
-        rrb.Tabs(overview, gallery, *extra, health, active_tab=0),
+        rrb.Tabs(overview, gallery, *extra, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
@@ -120,16 +105,14 @@ def _changes(window: MapWindow) -> rrb.Spatial2DView:
     )
 
 
-def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
-    """Return image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
+def _camera_row(camera: str) -> rrb.Horizontal:
+    """Return image, depth and labels side by side."""
     origin = f"/map/cameras/{camera}"
     views: list[rrb.View] = [
         rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
         rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
         rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
     ]
-    if timed:
-        views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
     return rrb.Horizontal(*views, name=camera)
 
 
@@ -144,8 +127,3 @@ def _depth_row(camera: str) -> rrb.Horizontal:
     parts = {"traced": "traced", "network": "network", "fused": "fused", "difference": "fused - traced"}
     views = [rrb.Spatial2DView(origin=f"/fusion/{camera}/{p}", name=f"{camera}: {name}") for p, name in parts.items()]
     return rrb.Horizontal(*views, name=camera)
-
-
-def _plot(name: str, origin: str, named: bool = True) -> rrb.TimeSeriesView:
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend)

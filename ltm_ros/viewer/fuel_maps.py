@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -110,13 +109,6 @@ def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
     names = label_legend(560, palette, range(1, len(palette.names)))
     text = draw_texts(np.full((24, 560, 3), PAPER, np.uint8), [(f"Fuel cells of {cell:g} m", 11, 14, "lm")], 13, INK)
     return rr.EncodedImage(contents=to_png(with_legend(names, text)), media_type="image/png")
-
-
-def distinct_color(index: int) -> tuple[int, int, int]:
-    """Return the index-th of a series of bright colours: each hue is in the widest gap of the previous ones."""
-    golden = (5**0.5 - 1) / 2
-    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, (0.35, 0.65, 1.0)[index % 3], 0.95)
-    return round(red * 255), round(green * 255), round(blue * 255)
 
 
 def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Lock
 
@@ -63,8 +63,6 @@ class RerunView:
         self._cameras: dict[str, MapCamera] = {}
         self._poses: dict[str, Pose] = {}
         self._shown: set[str] = set()
-        self._node_colors: dict[str, tuple[int, int, int]] = {}
-        self._plotted: set[str] = set()
         self._undated: dict[str, Callable[[int], None]] = {}
         """What waits for the first stamp of the time line."""
         self._live = serve
@@ -197,27 +195,6 @@ class RerunView:
         with self._at(stamp_ns):
             self._recording.log("map/change", self._change.update(cells, points, kinds))
 
-    def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
-        """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ...
-
-        A recording begins with its first frame: earlier measures would open it at a time without images."""
-        if not stamp_ns or not (self._live or self._shown):
-            return
-        with self._at(stamp_ns):
-            node = node_name.strip("/")
-            color = self._node_colors.setdefault(node, archetypes.distinct_color(len(self._node_colors)))
-            for key, value in values.items():
-                entity = f"health/{key}/{node}"
-                if entity not in self._plotted:
-                    self._plotted.add(entity)
-                    self._recording.log(entity, rr.SeriesLines(colors=[color]), static=True)
-                self._recording.log(entity, rr.Scalars(value))
-
-    def log_text(self, level: str, text: str) -> None:
-        """Log a line of text, at the time of the last logged data."""
-        with self._lock:
-            self._recording.log("log", rr.TextLog(text, level=level))
-
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
         if self._undated:  # no frame has come, but the map is known
@@ -251,7 +228,7 @@ class RerunView:
         eye = scene_geometry.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
         fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
         tabs = Tabs(fusion=fusion, prompts=bool(self._site.vocabulary), terrain=terrain)
-        return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
+        return site_blueprint(names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:
         """Return a window around the cameras and the ground before them, within the fuel grid."""

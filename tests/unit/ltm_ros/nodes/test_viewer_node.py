@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from scenes.outlets import Kept
 from scenes.small_site import write_small_site
 
@@ -16,7 +15,6 @@ from ltm_core.surface.change import Changed, ChangeKind
 from ltm_msgs_py.cells import changed_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
-from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -97,7 +95,7 @@ def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Pa
     assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
 
 
-def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tmp_path: Path) -> None:
+def test_kinds_of_change_that_there_are_not_end_no_viewer(tmp_path: Path) -> None:
     small = write_small_site(tmp_path)
     path = small.path
     path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml", "terrain": {}}))
@@ -108,12 +106,4 @@ def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tm
     message = changed_to_msg(changed, np.array([300.0]), GridGeometry(0.0, 40.0, 10.0, 7, 4), STAMP)
     with pytest.raises(MessageError, match="change is 97; valid kinds are 0 to 3"):
         take[site_topic(small.site.name, TERRAIN_UPDATE)](message)
-    (frame,) = [frame for frame in small.frames(1) if frame.camera_name == "tower"]
-    node._view.log_pose("tower", STAMP, frame.pose, frame.camera)  # a recording begins with a frame
-    rate = [KeyValue(key="frames_hz", value="unknown"), KeyValue(key="queue", value="3")]
-    status = DiagnosticStatus(name="a driver", level=b"\0", values=rate)
-    take["/diagnostics"](DiagnosticArray(header=make_header(STAMP, ""), status=[status]))
     node.finish()
-    paths = {str(chunk.entity_path) for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
-    assert any("queue" in path for path in paths)
-    assert not any("frames_hz" in path for path in paths)
