@@ -41,6 +41,12 @@ _BROKEN = (
 """Errors that Pillow, its plugins and their EXIF parsers raise for damaged files; they have no common class."""
 _PHOTOS = {".jpg", ".jpeg", ".png"}
 _ORIENTATION, _DNG_VERSION, _SUBFILE_TYPE, _SUB_IFDS = 0x0112, 0xC612, 0x00FE, 0x014A
+_REDUCED = {
+    1: cv2.IMREAD_COLOR,
+    2: cv2.IMREAD_REDUCED_COLOR_2,
+    4: cv2.IMREAD_REDUCED_COLOR_4,
+    8: cv2.IMREAD_REDUCED_COLOR_8,
+}
 _MOST_SCANS = 200
 """Maximum number of scans of a JPEG: a progressive one has ten. Each is a pass over all pixels, so a few kilobytes of
 empty scans take minutes."""
@@ -146,17 +152,19 @@ def stated_size(data: bytes, what: str = "image") -> tuple[int, int]:
         return image.size
 
 
-def decode_rgb(data: bytes, what: str = "image") -> UInt8Array:
+def decode_rgb(data: bytes, what: str = "image", reduced: int = 1) -> UInt8Array:
     """Return an image's pixels in stored order, (H, W, 3) uint8 RGB; `what` names it in errors.
 
+    `reduced`: 2, 4 or 8 for a JPEG of that fraction of the size, at a fraction of the cost; other formats are sampled.
     An EXIF orientation is left aside: a calibration counts the pixels as they are stored. Raises ImageError for damaged
     data, and with the missing share if data are missing."""
     match image_format(data):
         case "jpeg":
-            return _jpeg_rgb(data, f"{what} ({len(data)} bytes of jpeg)")
+            return _jpeg_rgb(data, f"{what} ({len(data)} bytes of jpeg)", reduced)
         case "png":
-            return _png_rgb(data, f"{what} ({len(data)} bytes of png)")
-    return _other_rgb(data, what)
+            return _png_rgb(data, f"{what} ({len(data)} bytes of png)", reduced)
+    pixels = _other_rgb(data, what)
+    return np.ascontiguousarray(pixels[reduced // 2 :: reduced, reduced // 2 :: reduced])
 
 
 def without_tail(data: bytes) -> bytes:
@@ -173,9 +181,10 @@ def _check_pixels(width: int, height: int, what: str) -> None:
         )
 
 
-def _by_opencv(data: bytes, what: str) -> UInt8Array:
+def _by_opencv(data: bytes, what: str, reduced: int) -> UInt8Array:
+    flags = _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise ImageError(f"{what} cannot be decoded: {error.err}") from error
     if image is None:
@@ -183,11 +192,11 @@ def _by_opencv(data: bytes, what: str) -> UInt8Array:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
-def _png_rgb(data: bytes, what: str) -> UInt8Array:
+def _png_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
     if not _png_is_whole(data):
         raise ImageError(f"{what} is truncated: its chunks state more bytes than it has")
     _check_pixels(*stated_size(data, what), what)
-    return _by_opencv(data, what)
+    return _by_opencv(data, what, reduced)
 
 
 def _png_is_whole(data: bytes) -> bool:
@@ -237,7 +246,7 @@ def _missing_bytes(data: bytes) -> float:
     return 1 - held / end if end else 0.0
 
 
-def _jpeg_rgb(data: bytes, what: str) -> UInt8Array:
+def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
     """Decode a JPEG, and check that the decoder filled in nothing.
 
     If the image has one scan, blocks without data are grey. The rare image that has such blocks is decoded again, small
@@ -249,22 +258,24 @@ def _jpeg_rgb(data: bytes, what: str) -> UInt8Array:
     _check_pixels(jpeg.width, jpeg.height, what)
     missing = jpeg.unfinished
     if jpeg.simple:
-        image = _by_opencv(jpeg.alone(data), what)
-        grey = _grey_blocks(image, 8)
+        image = _by_opencv(jpeg.alone(data), what, reduced)
+        side = max(8 // reduced, 2)
+        grey = _grey_blocks(image, side)
         if grey.any() and jpeg.restarts_as_expected(data):
-            small = _by_pillow(jpeg.with_other_data(data), what, 8)
+            step = side * reduced // 8
+            small = _by_pillow(jpeg.with_other_data(data), what, 8)[::step, ::step]
             grey &= (small[: grey.shape[0], : grey.shape[1]][grey] != _FILL).any()
         missing = float(grey.mean()) if grey.any() else 0.0
     elif not missing:
-        image = _by_pillow(jpeg.alone(data), what)
-        other = _by_pillow(jpeg.with_other_data(data), what)
+        image = _by_pillow(jpeg.alone(data), what, reduced)
+        other = _by_pillow(jpeg.with_other_data(data), what, reduced)
         missing = 0.0 if np.array_equal(image, other) else float((image != other).any(axis=2).mean())
     if missing:
         raise ImageError(f"{what} is truncated: {missing:.1%} of the image are missing; send or copy it again")
     return image
 
 
-def _by_pillow(data: bytes, what: str, reduced: int = 1) -> UInt8Array:
+def _by_pillow(data: bytes, what: str, reduced: int) -> UInt8Array:
     """Decode a JPEG. Unlike OpenCV, Pillow prints no warning."""
     with opened_picture(data, what) as image:
         image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))

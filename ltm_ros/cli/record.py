@@ -159,7 +159,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="PHOTOS...",
-            help="Photo, video, folder, or Sensor Logger recording.",
+            help="Photo, folder, or Sensor Logger recording.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
@@ -188,7 +188,6 @@ def import_(
         float | None,
         typer.Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
     ] = None,
-    every: Annotated[float, typer.Option(min=0.01, help="Seconds between the frames taken from a video.")] = 1.0,
     time_zone: Annotated[
         str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
     ] = None,
@@ -234,7 +233,6 @@ def import_(
                 keep_unknown=refine,
                 start_height=start_height,
                 focal_35mm=focal_35mm,
-                every=every,
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
@@ -41,20 +41,16 @@ def time_zone(name: str) -> ZoneInfo:
 def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes: list[str]) -> datetime:
     """Return the time of a photo with its zone.
 
-    Sources in this order: `stated` (UTC unless it names a zone; for a frame, the start of its capture); the time of a
-    recording or video, else EXIF's clock, each with its own zone; this clock in `zone`; the GPS stamp, which is UTC;
-    the clock as UTC. `notes` gets assumptions and contradictions between clock and GPS stamp. Raises RecordingError
-    without any date."""
+    Sources in this order: `stated` (UTC unless it names a zone); the time of a recording; EXIF's clock with its own
+    zone; this clock in `zone`; the GPS stamp, which is UTC; the clock as UTC. `notes` gets assumptions and
+    contradictions between clock and GPS stamp. Raises RecordingError without any date."""
     if stated is not None:
-        begun = stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
-        return begun + timedelta(seconds=photo.sensed.seconds)
-    clock, gps, what = photo.sensed.stamp, photo.exif.gps_time, photo.sensed.source
-    if clock is not None and clock.tzinfo is not None:
-        return clock
-    if clock is None:
-        clock, what = photo.exif.taken, "EXIF"
-        if photo.exif.changed:
-            notes.append(f"EXIF has no date of the exposure: the date of the last change is used, {clock}")
+        return stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
+    if photo.sensed.stamp is not None:
+        return photo.sensed.stamp
+    clock, gps = photo.exif.taken, photo.exif.gps_time
+    if photo.exif.changed and clock is not None:
+        notes.append(f"EXIF has no date of the exposure: the date of the last change is used, {clock}")
     if clock is None:
         if gps is None:
             raise RecordingError(f"{photo.path} has no date: give it a `stamp` (ISO 8601) in the pose file")
@@ -64,10 +60,10 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
             _compare_minutes(clock, gps, notes)
             return gps
         if zone is None:
-            notes.append(f"{what}'s dates have no time zone: UTC is assumed; give --time-zone otherwise")
+            notes.append("EXIF's dates have no time zone: UTC is assumed; give --time-zone otherwise")
         elif clock.replace(tzinfo=zone).utcoffset() != clock.replace(tzinfo=zone, fold=1).utcoffset():
             notes.append(
-                f"{what} date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
+                f"EXIF date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
             )
         clock = clock.replace(tzinfo=zone or UTC)
     if gps is not None and abs(clock - gps) > _CONTRADICTION:
@@ -104,7 +100,7 @@ class Assumptions:
     of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
     `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from altitudes (H = h - N) unless these are
     certainly above sea level. `start_height`: of the camera at the start of a barometer's record, in the DEM's
-    vertical datum. `focal_35mm`: focal length in 35 mm equivalent. `every`: seconds between the frames of a video.
+    vertical datum. `focal_35mm`: focal length in 35 mm equivalent.
     Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
     `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
     `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
@@ -124,9 +120,6 @@ class Assumptions:
     keep_unknown: bool = False
     start_height: float | None = None
     focal_35mm: float | None = None
-    every: float = 1.0
-    covers: Callable[[float, float], bool] | None = None
-    """Whether the site's DEM covers (lon, lat) in degrees; it decides the order of a drone's coordinates."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
-from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_radians
 from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.geodesy import SiteFrame
@@ -22,7 +21,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import attitude_to_msg, camera_to_msg, fix_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import ImportedImage, Photo, PhotoPose, read_pose_file
+from ltm_ros.recordings.importing.photo import ImportedImage, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
@@ -76,7 +75,6 @@ def import_photos(
     BagWriter.require_free(out)
     if site is not None:
         around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
-        assumed = replace(assumed, covers=around.covers)
     files, skipped = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
@@ -94,7 +92,7 @@ def import_photos(
         row = _row_of(file, rows)
         try:
             name = _camera_name(row, camera, site)
-            item = place(_read(file, row), row, name, around, assumed)
+            item = place(file.read(), row, name, around, assumed)
             _check_size(item, name, site)
         except ConfigError:
             raise
@@ -122,7 +120,7 @@ def import_photos(
         readings = deque(_readings(report.site, placed))
         frames = CameraFrames({camera_topic(report.site, name, POSE): name for name, *_ in placed})
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            item = place(_read(file, row), row, name, around, assumed)
+            item = place(file.read(), row, name, around, assumed)
             if refinement is not None:
                 item, found = refinement.refine(name, file.name, item)
                 report.refined.append((file.name, found))
@@ -181,23 +179,16 @@ def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Pat
     return [file for file in files if any(name in rows for name in _names_of(file))]
 
 
-def _names_of(file: ImportedImage) -> tuple[str, str, str]:
-    """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
-    return file.name, Path(file.name).with_suffix("").as_posix(), file.capture
+def _names_of(file: ImportedImage) -> tuple[str, str]:
+    """Return the names that a pose file may use: the photo's, and that without the suffix."""
+    return file.name, Path(file.name).with_suffix("").as_posix()
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
-    """Return its own row, or its capture's, which then gives the capture's start."""
+    """Return its own row."""
     if rows is None:
         return PhotoPose(name=file.name)
     return next(rows[name] for name in _names_of(file) if name in rows)
-
-
-def _read(file: ImportedImage, row: PhotoPose) -> Photo:
-    """Read a photo; a frame with its own row has that row's time."""
-    photo = file.read()
-    own = row.name in _names_of(file)[:2] and row.pose != PartialPose()
-    return replace(photo, sensed=replace(photo.sensed, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:

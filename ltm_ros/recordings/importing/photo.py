@@ -83,13 +83,12 @@ class ImportedImage:
     """A photo to import, whatever file contains it.
 
     `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
-    each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
-    capture, if its row gives the start; empty: none. `tracks`: recorded sensors that may apply to it."""
+    each time, because a season's photos do not fit in memory. `tracks`: recorded
+    sensors that may apply to it."""
 
     name: str
     path: Path
     read: Callable[[], Photo]
-    capture: str = ""
     tracks: tuple[SensorTrack, ...] = ()
 
 

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
-from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
 
 
@@ -32,11 +31,11 @@ class Walk:
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
-    `source`: of the values, for the user. `stamp`: exact, or without a zone by the device's clock; None: by EXIF.
+    `source`: of the values, for the user. `stamp`: exact; None: by EXIF.
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
     sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
-    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
-    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start."""
+    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and
+    `roll_deg` are of the upright image. Sigmas are standard deviations."""
 
     source: str = "EXIF"
     stamp: datetime | None = None
@@ -55,8 +54,6 @@ class Sensed:
     pitch_deg: float | None = None
     roll_deg: float | None = None
     tilt_sigma_deg: float | None = None
-    calibration: PartialCalibration = field(default_factory=PartialCalibration)
-    seconds: float = 0.0
     missing: str = ""
     """Reason why there is no position, if known."""
 
@@ -66,9 +63,8 @@ class Sensed:
         for names in _PARTS:
             if getattr(self, names[0]) is None:
                 taken |= {name: getattr(own, name) for name in names}
-        for name in ("stamp", "seconds", "calibration"):
-            if getattr(own, name):
-                taken[name] = getattr(own, name)
+        if own.stamp is not None:
+            taken["stamp"] = own.stamp
         return replace(self, **taken)  # type: ignore[arg-type]
 
 
@@ -186,8 +182,8 @@ class SensorTrack:
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (
-                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from the nearest GPS fix "
-                f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
+                f"the photo's time {time_of(stamp_ns).isoformat()} is {gap / 1e9:.0f} s from the nearest GPS fix "
+                f"({time_of(int(fixes.stamp_ns[near])).isoformat()}): check the clock, or its time zone (--time-zone)"
             )
         facts: dict[str, object] = {
             "lon": _at(fixes.stamp_ns, fixes.lon, stamp_ns),
@@ -241,11 +237,6 @@ def time_of(stamp_ns: int) -> datetime:
         return moment_of_stamp(stamp_ns)
     except OverflowError as error:
         raise RecordingError(f"time {stamp_ns} ns is not in nanoseconds since 1970") from error
-
-
-def _shown(stamp_ns: int) -> str:
-    """Return a date, or seconds of a video."""
-    return time_of(stamp_ns).isoformat() if stamp_ns > 10**17 else f"{stamp_ns / 1e9:.1f} s"
 
 
 def ascending(stamp_ns: Int64Array) -> Int64Array:

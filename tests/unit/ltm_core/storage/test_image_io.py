@@ -52,10 +52,10 @@ JPEGS: dict[str, dict[str, Any]] = {
 }
 
 
-def missing_share(data: bytes) -> float:
+def missing_share(data: bytes, reduced: int = 1) -> float:
     """Return the share that the error states."""
     with pytest.raises(ImageError, match=r"is truncated") as error:
-        decode_rgb(data, "image")
+        decode_rgb(data, "image", reduced)
     found = re.search(r"([\d.]+)\s?%", str(error.value))
     assert found
     return float(found[1]) / 100
@@ -74,6 +74,15 @@ def test_a_jpeg_whose_data_end_early_is_rejected(kind: str, kept: float, end: by
     if kind not in ("progressive", "progressive restarts", "inks"):
         # The grey third counts, too, if something is missing.
         assert share == pytest.approx(1 - kept * 2 / 3, abs=0.12)
+
+
+@pytest.mark.parametrize("reduced", [2, 4, 8])
+def test_a_reduced_image_is_checked_too(reduced: int) -> None:
+    image = scene()
+    image[:, : image.shape[1] // 3] = 40
+    data = encoded(image=image, quality=90)
+    assert decode_rgb(data, "image", reduced).shape == (240 // reduced, 320 // reduced, 3)
+    assert missing_share(cut(data, 0.6) + END, reduced) == pytest.approx(0.4, abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,10 @@ def test_every_file_of_a_phone_is_accounted_for(tmp_path: Path) -> None:
     reasons = {file.path.relative_to(tmp_path).as_posix(): file.why.split(";")[0] for file in skipped}
     assert reasons == {
         ".IMG_0009.HEIC.icloud": "only in iCloud",
-        "100APPLE/IMG_0001.MOV": "video of a Live Photo",
-        "100APPLE/IMG_0002.mov": "video of a Live Photo",
-        "IMG_0001.AAE": "not a supported photo or video",
-        "broken.mp4": "not a supported photo or video",
+        "100APPLE/IMG_0001.MOV": "video",
+        "100APPLE/IMG_0002.mov": "video",
+        "IMG_0001.AAE": "not a supported photo",
+        "broken.mp4": "video",
         "dem.tif": "TIFF, perhaps a map",
         "raw/IMG_0003.DNG": "raw photo",
     }
