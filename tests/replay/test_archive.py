@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
-from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
+from ltm_core.base.errors import ArchiveError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Int16Array
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -31,7 +30,7 @@ from ltm_ros.archive.manifest import ArchiveImageReader
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
-from ltm_ros.archive.task import Engine, FrameSteps, on_workers, serial, work
+from ltm_ros.archive.task import Engine, FrameSteps, serial, work
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
@@ -77,24 +76,6 @@ def test_any_chunks_give_the_map_of_the_offline_replay(options: ArchiveOptions, 
     assert (summary.worked, summary.merged, summary.failed) == (2 * FRAMES, 2 * FRAMES, 0)
     assert digest_of(options.out / STORE_FILE) == expected
     assert summary.tasks == 2 * 2
-
-
-@pytest.mark.slow
-def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected: str) -> None:
-    """With SIGKILL, as the kernel does it to those that take all memory; twice, at whatever they do then."""
-    killed = list[int]()
-
-    def kill_a_worker(done: int, total: int) -> None:
-        children = [
-            child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())
-        ]
-        if children and len(killed) < 2:
-            children[0].kill()
-            killed.append(children[0].pid)
-
-    planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
-    assert run(planned, on_workers(2), kill_a_worker).digest == expected
-    assert len(killed) == 2
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
@@ -281,13 +262,6 @@ def test_an_archive_that_is_away_loses_no_frame_for_good(
     assert reprocessed(options).digest == expected
 
 
-def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) -> None:
-    """The mast's have 110,592 bytes; the limit is of compressed ones."""
-    edited(own_site, lambda site: site.update(expert={"limits": {"image_bytes": 100_000}}))
-    summary = reprocessed(ArchiveOptions((own_site.bag,), own_site.path, tmp_path / "out"))
-    assert (summary.merged, summary.failed) == (2 * FRAMES, 0)
-
-
 def test_a_live_node_goes_on_from_the_store(resumed: ArchiveOptions, small_site: SmallSite, expected: str) -> None:
     """It opens it, shows what it holds, and takes none of its frames again."""
     out = Path(resumed.out)
@@ -376,15 +350,6 @@ def journal_of(store: TileStore, site: Site) -> list[Int16Array]:
     return [store.as_of("code", initial, (BEGIN_NS // day + number + 1) * day - 1) for number in range(5)]
 
 
-def test_burns_are_read_before_any_recording(options: ArchiveOptions, tmp_path: Path) -> None:
-    (tmp_path / "burns.geojson").write_text("none")
-    with pytest.raises(ConfigError, match="cannot be read as GeoJSON"):
-        look_through(
-            replace(options, archives=(tmp_path / "nothing",), burns=tmp_path / "burns.geojson"),
-            lambda done, total: None,
-        )
-
-
 def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions) -> None:
     """The mast's images are all the same."""
     options = replace(options, sample=Sample.parsed("2/day"))
@@ -430,14 +395,3 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
     assert done.exit_code == 0, done.output
     assert "12 frames processed now, 12 in the map, 0 failed" in done.output
     assert expected in done.output.replace("\n", "")
-
-
-@pytest.mark.parametrize(
-    ("option", "wrong"),
-    [("--sample", "4"), ("--max-failed", "many"), ("--cameras", "tower,nobody")],
-)  # fmt: skip
-def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
-    command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
-    refused = CliRunner().invoke(cli, [*command, option, wrong])
-    assert isinstance(refused.exception, LtmError)
-    assert not (tmp_path / "out" / STORE_FILE).exists()

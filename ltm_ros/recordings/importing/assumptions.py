@@ -98,10 +98,10 @@ class Assumptions:
     of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
     `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from altitudes (H = h - N) unless these are
     certainly above sea level. `start_height`: of a drone's take-off place, in the DEM's vertical datum. `focal_35mm`:
-    focal length in 35 mm equivalent. Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
-    `ground_sigma` of heights above the terrain, `climb_sigma` of heights above the take-off place,
-    `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
-    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
+    focal length in 35 mm equivalent. Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of
+    altitudes that state none, `ground_sigma` of heights above the terrain, `climb_sigma` of heights above the take-off
+    place, `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal
+    distribution), `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
 
     pitch_deg: float | None = None
     height_above_ground: float = 2.0
