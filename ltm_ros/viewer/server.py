@@ -115,10 +115,6 @@ class RerunProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def wait(self) -> int:
-        """Wait until the viewer is closed; return its exit status."""
-        return self._process.wait()
-
     def running(self) -> bool:
         return self._process.poll() is None
 

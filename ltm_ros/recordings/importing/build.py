@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.cameras.plausibility import doubt_of_radians
-from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
@@ -18,19 +16,16 @@ from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.sensors import attitude_to_msg, camera_to_msg, fix_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
 from ltm_ros.recordings.importing.photo import ImportedImage, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
-from ltm_ros.recordings.importing.sensor_track import SensorTrack
-from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMU, POSE, camera_topic
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
 """Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
-_BESIDE_NS = 1_000_000_000
-"""Time for which fixes and attitudes are written before the first photo and after the last."""
 
 
 @dataclass
@@ -117,18 +112,15 @@ def import_photos(
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
     with BagWriter(out, custom_data=custom) as writer:
-        readings = deque(_readings(report.site, placed))
         frames = CameraFrames({camera_topic(report.site, name, POSE): name for name, *_ in placed})
         for done, (name, file, row, stamp_ns) in enumerate(placed):
             item = place(file.read(), row, name, around, assumed)
             if refinement is not None:
                 item, found = refinement.refine(name, file.name, item)
                 report.refined.append((file.name, found))
-            _write_readings(writer, readings, stamp_ns)
             _write(writer, report.site, name, item, stamp_ns, frames)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
-        _write_readings(writer, readings)
     return report
 
 
@@ -144,32 +136,6 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
         for transforms, raw, latched in frames.beside(name, msg):
             writer.add_topic(transforms, TF_TYPE, latched)
             writer.write_raw(transforms, TF_TYPE, raw, stamp_ns)
-
-
-_Reading = tuple[str, str, Fix | Attitude]
-"""Topic and frame of what a device reported."""
-
-
-def _readings(site: str, placed: Sequence[tuple[str, ImportedImage, PhotoPose, int]]) -> list[_Reading]:
-    """Return the fixes and attitudes of recorded tracks as the device reported them, by stamp, from a second before its
-    first photo to a second after its last one."""
-    stamps: dict[tuple[str, SensorTrack], list[int]] = {}
-    for camera, file, _, stamp in placed:
-        for track in file.tracks:
-            stamps.setdefault((camera, track), []).append(stamp)
-    found: list[_Reading] = []
-    for (camera, track), taken in stamps.items():
-        topics = {kind: camera_topic(site, camera, topic) for kind, topic in ((Fix, FIX), (Attitude, IMU))}
-        for one in track.readings(min(taken) - _BESIDE_NS, max(taken) + _BESIDE_NS):
-            found.append((topics[type(one)], f"{camera}_device", one))
-    return sorted(found, key=lambda reading: reading[2].stamp_ns)
-
-
-def _write_readings(writer: BagWriter, readings: deque[_Reading], until_ns: int | None = None) -> None:
-    while readings and (until_ns is None or readings[0][2].stamp_ns <= until_ns):
-        topic, frame, one = readings.popleft()
-        msg = fix_to_msg(one, frame) if isinstance(one, Fix) else attitude_to_msg(one, frame)
-        writer.write(topic, msg, one.stamp_ns)
 
 
 def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:

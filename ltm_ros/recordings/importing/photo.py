@@ -35,7 +35,7 @@ from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
-from ltm_ros.recordings.importing.sensor_track import Sensed, SensorTrack
+from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
@@ -55,9 +55,7 @@ _TURNS = {
 @dataclass(frozen=True)
 class Photo:
     """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
-    known position and direction.
-
-    `reencoded`: whether `data` was compressed again, because of the format or because it was turned upright."""
+    known position and direction."""
 
     path: Path
     data: bytes
@@ -66,7 +64,6 @@ class Photo:
     height: int
     exif: ExifFacts
     sensed: Sensed
-    reencoded: bool
     lens: LensFacts = field(default_factory=LensFacts)
 
     @property
@@ -83,13 +80,11 @@ class ImportedImage:
     """A photo to import, whatever file contains it.
 
     `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
-    each time, because a season's photos do not fit in memory. `tracks`: recorded
-    sensors that may apply to it."""
+    each time, because a season's photos do not fit in memory."""
 
     name: str
     path: Path
     read: Callable[[], Photo]
-    tracks: tuple[SensorTrack, ...] = ()
 
 
 def read_photo(path: Path) -> Photo:
@@ -110,11 +105,10 @@ def photo_of(data: bytes, path: Path) -> Photo:
         exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
         facts = exif_facts(exif, str(path))
         turn, encoding = orientation(data, path), image_format(data)
-        reencoded = turn != 1 or not encoding
         pixels = upright(decode_rgb(data, str(path)), turn)
         height, width = pixels.shape[:2]
         lens = lens_of_photo(exif, xmp, width, height)
-        if not reencoded:
+        if turn == 1 and encoding:
             stored = without_tail(data)
         elif isinstance(image, JpegImageFile):
             stored = _turned_jpeg(image, pixels, turn)
@@ -122,7 +116,7 @@ def photo_of(data: bytes, path: Path) -> Photo:
             stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
     sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
-    return Photo(path, stored, encoding, width, height, facts, sensed, reencoded, lens)
+    return Photo(path, stored, encoding, width, height, facts, sensed, lens)
 
 
 def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:

@@ -151,7 +151,6 @@ def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]
             path.name,
             path,
             lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns),
-            tracks=(track,),
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
@@ -170,7 +169,7 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
                 return told
         return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
 
-    return replace(picture, read=read, tracks=tuple(tracks))
+    return replace(picture, read=read)
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:

@@ -115,7 +115,6 @@ def _fixes(location: Table, place: str) -> Fixes:
         accuracy[order],
         vertical[order],
         not known,
-        ellipsoid[order],
     )
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
-from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -15,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
-from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
+from ltm_core.cameras.sensor_pose import optical_angles_deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +76,7 @@ _WALKING_SPEED = 1.4
 @dataclass(frozen=True, eq=False)
 class Fixes:
     """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
-    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too."""
+    NaN if unknown."""
 
     stamp_ns: Int64Array
     lon: Float64Array
@@ -87,7 +85,6 @@ class Fixes:
     position_sigma: Float64Array
     altitude_sigma: Float64Array
     ellipsoidal: bool | None = None
-    ellipsoid: Float64Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,23 +118,6 @@ class SensorTrack:
             facts |= position
         facts |= self._angles(stamp_ns, device_from_optical)
         return Sensed(source=self.source, stamp=time_of(stamp_ns), on_foot=self.on_foot, **facts)  # type: ignore[arg-type]
-
-    def readings(self, begin_ns: int, end_ns: int) -> Iterator[Fix | Attitude]:
-        """Yield the fixes, and the attitudes with a known north, as the device reported them in a time, by stamp."""
-        found: list[Fix | Attitude] = []
-        if (fixes := self.fixes) is not None:
-            height = fixes.altitude if fixes.ellipsoidal else fixes.ellipsoid
-            for n in range(*np.searchsorted(fixes.stamp_ns, (begin_ns, end_ns))):
-                variances = np.array([fixes.position_sigma[n], fixes.position_sigma[n], fixes.altitude_sigma[n]]) ** 2
-                covariance = np.diag(variances) if np.isfinite(variances).all() else None
-                altitude = np.nan if height is None else float(height[n])
-                lon, lat = float(fixes.lon[n]), float(fixes.lat[n])
-                found.append(Fix(int(fixes.stamp_ns[n]), lon, lat, altitude, covariance))
-        if (told := self.attitudes) is not None and told.north is not None:
-            turns = told.rotations.as_matrix()
-            for n in range(*np.searchsorted(told.stamp_ns, (begin_ns, end_ns))):
-                found.append(Attitude(int(told.stamp_ns[n]), turns[n], None))
-        yield from sorted(found, key=attrgetter("stamp_ns"))
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
         """Return the device's axes to east, north, up; None without a record at this time."""
