@@ -42,9 +42,10 @@ demo: $(INSTALLED)
 	$(BIN)/ltm demo --out out/demo
 	@if [ -e $(FIRE)/.installed ]; then $(BURN); else echo "a fire on this map, before and after: make demo-fire"; fi
 
-# A walk with a phone: the poses of its photos are found, and its maps compared.
+# A walk with a phone: the poses of its photos are found, and its map is made.
 demo-phone: $(INSTALLED)
-	$(BIN)/ltm demo --phone --out out/demo-phone
+	$(BIN)/ltm import bags/phone/photos bags/phone/sensor_logger.zip --site bags/phone/site.yaml --refine --out out/demo-phone/bag
+	$(BIN)/ltm replay out/demo-phone/bag --site bags/phone/site.yaml --offline --overwrite --out out/demo-phone
 
 fire: $(FIRE)/.installed
 

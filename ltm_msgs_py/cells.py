@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.types import Float32Array, Int64Array, take
+from ltm_core.base.types import Float32Array, take
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
@@ -36,21 +35,6 @@ _FIELDS: Final[dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class FuelCells:
-    """(N,) each: row and col of the fuel grid, and the layers of `FuelLayers` there by name."""
-
-    rows: Int64Array
-    cols: Int64Array
-    layers: dict[str, NDArray[Any]]
-
-    def raster(self, name: str, shape: tuple[int, int], elsewhere: float | NDArray[Any]) -> NDArray[Any]:
-        """Return a layer as (H, W); cells without data get `elsewhere`, a value or (H, W)."""
-        whole = np.full(shape, elsewhere, self.layers[name].dtype)
-        whole[self.rows, self.cols] = self.layers[name]
-        return whole
-
-
 def fuel_cells_to_msg(
     layers: FuelLayers, heights: NDArray[np.floating], geometry: GridGeometry, stamp_ns: int
 ) -> PointCloud2:
@@ -61,22 +45,6 @@ def fuel_cells_to_msg(
     columns: dict[str, NDArray[Any]] = {"x": x.astype(np.float32), "y": y.astype(np.float32), "z": z}
     columns |= {name: getattr(layers, name)[rows, cols].astype(dtype) for name, dtype in _FIELDS.items()}
     return columns_to_msg(columns, stamp_ns, "map", is_dense=bool(np.isfinite(z).all()))
-
-
-def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
-    """Return fuel cells. Raises MessageError for missing fields or types, more points than the grid has cells, and
-    points outside it."""
-    if int(msg.height) * int(msg.width) > geometry.width * geometry.height:
-        raise MessageError(f"fuel cells: {int(msg.height) * int(msg.width)} points for a grid of {geometry.shape}")
-    columns = msg_to_columns(msg)
-    x, y = (take(columns, axis, np.float32, "fuel cells") for axis in "xy")
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise MessageError("fuel cells: a point has no finite position")
-    rows, cols = geometry.cell_of(x, y)
-    if not np.all(geometry.contains(rows, cols)):
-        raise MessageError(f"fuel cells: a point is outside the fuel grid, {geometry.bounds} in the map frame")
-    layers = {name: take(columns, name, dtype, "fuel cells") for name, dtype in _FIELDS.items()}
-    return FuelCells(np.asarray(rows, np.int64), np.asarray(cols, np.int64), layers)
 
 
 _WHAT = "terrain update"

@@ -182,10 +182,11 @@ def encode_rgb(image: UInt8Array, encoding: str = "jpeg", quality: int = 92) -> 
     return bytes(encoded.tobytes())
 
 
-def compressed_to_rgb(msg: Any, reduced: int = 1) -> UInt8Array:
-    """Return a CompressedImage (jpeg or png, detected by its bytes) as (H, W, 3) uint8 RGB; `reduced` as for
-    `decode_rgb`. Raises ImageError with format and size when the data is neither, or is incomplete or damaged."""
-    return decode_rgb(_as_sent(bytes(memoryview(msg.data)), _named(msg)), _named(msg), reduced)
+def compressed_to_rgb(msg: Any) -> UInt8Array:
+    """Return a CompressedImage (jpeg or png, detected by its bytes) as (H, W, 3) uint8 RGB.
+
+    Raises ImageError with format and size when the data is neither, or is incomplete or damaged."""
+    return decode_rgb(_as_sent(bytes(memoryview(msg.data)), _named(msg)), _named(msg))
 
 
 def compressed_size(msg: Any) -> tuple[int, int]:

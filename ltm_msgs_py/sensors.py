@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Imu, NavSatFix, NavSatStatus
+from sensor_msgs.msg import CameraInfo, NavSatFix, NavSatStatus
 
 from ltm_core.base.errors import CameraError, PoseError
 from ltm_core.base.types import Float64Array
@@ -64,33 +64,18 @@ def msg_to_fix(msg: Any) -> Fix:
     return Fix(stamp_of(msg), lon, lat, float(msg.altitude), covariance)
 
 
-def fix_to_msg(fix: Fix, frame_id: str) -> NavSatFix:
-    """Return a fix as NavSatFix. Raises MessageError on a bad stamp."""
-    msg = NavSatFix(header=make_header(fix.stamp_ns, frame_id), altitude=fix.altitude)
-    msg.longitude, msg.latitude, msg.status.status = fix.lon, fix.lat, NavSatStatus.STATUS_FIX
-    if fix.covariance is not None:
-        msg.position_covariance = fix.covariance.ravel()
-        diagonal = not np.any(fix.covariance - np.diag(fix.covariance.diagonal()))
-        kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if diagonal else NavSatFix.COVARIANCE_TYPE_KNOWN
-        msg.position_covariance_type = kind
-    return msg
-
-
 def place_to_fix(lon: float, lat: float, covariance: Float64Array, stamp_ns: int, frame_id: str) -> NavSatFix:
-    """Return a place with its (2, 2) covariance of east and north. The altitude, which is ellipsoidal, is NaN."""
+    """Return a place with its (2, 2) covariance of east and north. The altitude, which is ellipsoidal, is NaN.
+
+    Raises MessageError on a bad stamp."""
     matrix = np.diag([0.0, 0.0, UNKNOWN_VARIANCES[2]])
     matrix[:2, :2] = covariance
-    return fix_to_msg(Fix(stamp_ns, lon, lat, math.nan, matrix), frame_id)
-
-
-def attitude_to_msg(attitude: Attitude, frame_id: str) -> Imu:
-    """Return an attitude as Imu, without rates and accelerations. Raises MessageError on a bad stamp."""
-    msg = Imu(header=make_header(attitude.stamp_ns, frame_id))
-    q = msg.orientation
-    q.x, q.y, q.z, q.w = Pose(np.zeros(3), attitude.rotation).quaternion
-    if attitude.covariance is not None:
-        msg.orientation_covariance = attitude.covariance.ravel()
-    msg.angular_velocity_covariance[0] = msg.linear_acceleration_covariance[0] = -1.0  # not reported
+    msg = NavSatFix(header=make_header(stamp_ns, frame_id), altitude=math.nan, longitude=lon, latitude=lat)
+    msg.status.status = NavSatStatus.STATUS_FIX
+    msg.position_covariance = matrix.ravel()
+    diagonal = not covariance[0, 1] and not covariance[1, 0]
+    kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if diagonal else NavSatFix.COVARIANCE_TYPE_KNOWN
+    msg.position_covariance_type = kind
     return msg
 
 

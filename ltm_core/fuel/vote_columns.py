@@ -81,11 +81,6 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
     return columns
 
 
-def no_columns() -> Columns:
-    """Return the columns of a frame without votes."""
-    return {axis: np.zeros(0, np.float32) for axis in _AXES}
-
-
 def columns_to_votes(
     columns: Columns, geometry: GridGeometry, class_names: Sequence[str], stamp_ns: int, source: str
 ) -> CellVotes:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -18,7 +17,7 @@ from ltm_core.base.errors import ImageError, RasterError
 from ltm_core.base.number_text import counted, number
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
-from ltm_core.fuel.codes import FuelSystem, code_color, code_colors, code_names, fuel_models
+from ltm_core.fuel.codes import code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
@@ -148,13 +147,6 @@ class FuelCanvas:
         """Return a map of life forms, paler where they are less sure, changed cells outlined."""
         picture = self.map(faded(layers, palette), layers.life_form != UNLABELLED, layers.changed)
         return self.finished(picture, palette, self._within(layers.life_form).tolist())
-
-    @cached_property
-    def tallest(self) -> int:
-        """Return the pixels that no finished map exceeds in height: one with the name of every fuel model."""
-        every = [(fuel_models().name(code), code_color(code)) for code in fuel_models().codes(FuelSystem.FBFM40)]
-        blank = np.zeros((*self._shape, 3), np.uint8), np.zeros(self._shape, np.bool_)
-        return len(self.finished(self.map(*blank), Palette(tuple(n for n, _ in every), tuple(c for _, c in every))))
 
     def finished(self, picture: RgbImage, palette: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
         """Return a map with its scale bar and the names of the classes `ids` (default: all) under it."""

@@ -1,8 +1,7 @@
 """Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
 
-The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
-(`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
-arguments, and a frame has the same votes, to the last bit, whoever works on it."""
+The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `ltm reprocess` runs
+the three in a row without a graph. A frame has the same votes, to the last bit, in both."""
 
 from __future__ import annotations
 

@@ -121,12 +121,9 @@ class SceneFilter:
         the mask has another size, ImageError for another shape."""
         _check(picture)
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
-        return replace(self.look_masked(picture, hidden, stamp_ns), masked=self._masked(looking))
+        return replace(self._view(picture, hidden, stamp_ns), masked=self._masked(looking))
 
-    def look_masked(self, picture: UInt8Array, masked: BoolArray | None, stamp_ns: int | None) -> SceneView:
-        """Return the scene view of an image (h, w, 3) RGB at any size, of which `masked` (h, w) is masked; `stamp_ns`
-        and errors as `look`."""
-        _check(picture)
+    def _view(self, picture: UInt8Array, masked: BoolArray | None, stamp_ns: int | None) -> SceneView:
         overlay = once(picture, find_overlay, lambda: find_overlay(picture))
         hidden = masked if overlay is None else overlay if masked is None else masked | overlay
         if not self._judged:

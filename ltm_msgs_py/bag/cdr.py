@@ -40,9 +40,9 @@ class CompressedPicture:
         """Return the stated (width, height). Raises ImageError."""
         return compressed_size(self)
 
-    def rgb(self, reduced: int = 1) -> UInt8Array:
-        """Return (H, W, 3), or a `reduced` part of the size. Raises ImageError."""
-        return compressed_to_rgb(self, reduced)
+    def rgb(self) -> UInt8Array:
+        """Return (H, W, 3). Raises ImageError."""
+        return compressed_to_rgb(self)
 
 
 @dataclass(frozen=True)

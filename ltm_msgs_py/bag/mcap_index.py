@@ -83,6 +83,11 @@ class McapIndex:
                 raise RecordingError(f"cannot read {path}: {error}") from error
         return index
 
+    @property
+    def chunk_offsets(self) -> list[int]:
+        """Return the positions of the readable chunks, in the order of the file."""
+        return sorted(entry.offset for entry in self._entries if entry.is_chunk)
+
     def messages(
         self, channel_ids: Collection[int], start_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Channel, Message]]:

@@ -1,14 +1,11 @@
-"""Find the files of archives, and store an archive's results in a folder; results appear completely or not at all."""
+"""Find the files of archives, and write results that appear completely or not at all."""
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 
 @dataclass(frozen=True)
@@ -55,48 +52,19 @@ def _on_disk(path: Path) -> StoredFile:
     return StoredFile(str(path), state.st_size, str(state.st_mtime_ns))
 
 
-class ResultFolder:
-    """Files by their names below a folder. Raises OSError if they cannot be read or written now."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder.expanduser().resolve()
-
-    def names(self, folder: str) -> set[str]:
-        """Return the names of the files in a folder below."""
-        place = self.folder / folder
-        return {path.name for path in place.iterdir() if path.is_file()} if place.is_dir() else set()
-
-    def has(self, name: str) -> bool:
-        return (self.folder / name).exists()
-
-    def read(self, name: str) -> bytes:
-        return (self.folder / name).read_bytes()
-
-    def open(self, name: str) -> BinaryIO:
-        return (self.folder / name).open("rb")
-
-    def write(self, name: str, content: bytes) -> None:
-        """Write atomically. Names of results follow from their content, so that two writers write the same."""
-        self._write(name, io.BytesIO(content))
-
-    def put(self, file: Path, name: str) -> None:
-        """Copy a file in pieces, because a terrain's store may be larger than memory."""
-        with file.open("rb") as content:
-            self._write(name, content)
-
-    def remove(self, name: str) -> None:
-        (self.folder / name).unlink()
-
-    def _write(self, name: str, content: BinaryIO) -> None:
-        place = self.folder / name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}.partial")
-        try:
-            with partial.open("wb") as file:
-                shutil.copyfileobj(content, file)
-                file.flush()
-                os.fsync(file.fileno())  # synced, so that after a power cut a name has its complete content
-            partial.replace(place)
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
+def write_result(path: Path, content: bytes | Path) -> None:
+    """Write bytes, or a copy of a file, so that the name has its complete content even after a power cut. Raises
+    OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        if isinstance(content, Path):
+            shutil.copyfile(content, partial)
+        else:
+            partial.write_bytes(content)
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise

@@ -5,15 +5,11 @@ processed separately and in any order."""
 
 from __future__ import annotations
 
-import io
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from operator import attrgetter
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
 from ltm_core.base.number_text import DAY_NS
@@ -21,10 +17,10 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.cdr import RAW_TYPE
-from ltm_msgs_py.bag.reader import by_log_time
+from ltm_msgs_py.bag.cdr import RAW_TYPE, CompressedPicture, RawPicture, picture_of
+from ltm_msgs_py.bag.reader import BagReader, by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
-from ltm_ros.archive.scan import Scan, ScannedMessage
+from ltm_ros.archive.scan import Scan, ScannedMessage, picture_digest
 from ltm_ros.recordings.inputs import decoded_input
 from ltm_ros.runtime.admission import RepeatCheck
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
@@ -38,7 +34,7 @@ class ArchiveFrame:
     """A usable frame: file, topic and log time of its image; `content`: the image's digest.
 
     `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
-    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False if it is the site's default."""
+    `covariance` (36 numbers, row by row): of the pose."""
 
     camera: str
     stamp_ns: int
@@ -51,7 +47,6 @@ class ArchiveFrame:
     position: tuple[float, ...]
     quaternion: tuple[float, ...]
     covariance: tuple[float, ...]
-    covariance_known: bool = True
 
     @property
     def day(self) -> int:
@@ -72,11 +67,6 @@ class ArchiveFrame:
     def pose_covariance(self) -> Float64Array:
         """Return the covariance (6, 6)."""
         return np.array(self.covariance).reshape(6, 6)
-
-    @property
-    def known_covariance(self) -> Float64Array | None:
-        """Return (6, 6), or None if it was not stated."""
-        return self.pose_covariance if self.covariance_known else None
 
     def identity(self) -> list[object]:
         """Return everything that its votes depend on besides the site, without its location."""
@@ -172,7 +162,7 @@ def _join_camera(
                     manifest.unchanged += 1
                     if rules.join.drop_repeated:
                         continue
-                join.add_image(message.stamp_ns, _Picture(message.file or file, message))
+                join.add_image(message.stamp_ns, _Picture(file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()
@@ -240,19 +230,43 @@ def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Ar
         tuple(position),
         tuple(quaternion),
         tuple(float(value) for value in covariance.ravel()),
-        msg_to_covariance(sent) is not None,
     )
 
 
-def packed(frames: Sequence[ArchiveFrame]) -> bytes:
-    """Return frames as Parquet."""
-    kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "tuple[float, ...]": pa.list_(pa.float64())}
-    schema = pa.schema([(item.name, kinds[str(item.type)]) for item in fields(ArchiveFrame)])
-    file = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist([asdict(frame) for frame in frames], schema), file, compression="zstd")
-    return file.getvalue()
+_HELD = 4
+"""Maximum number of open recordings: recordings of one time overlap little."""
 
 
-def days_of(frames: Sequence[ArchiveFrame]) -> Counter[tuple[str, int]]:
-    """Group the frames by camera and day."""
-    return Counter(map(attrgetter("camera", "day"), frames))
+class ArchiveImageReader:
+    """Reads images by file, topic and log time: of a recording of many cameras, only the chunks that hold them."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, BagReader] = {}
+
+    def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
+        """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now."""
+        reader = self._reader(frame.file)
+        at = frame.log_time_ns
+        for message in reader.messages([frame.topic], at, at + 1):
+            try:
+                picture = picture_of(message.raw, message.type_name)
+            except LtmError:  # of the same time, and not ours, which was one when it was found
+                continue
+            if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
+                return picture
+        if reader.unread:
+            raise ArchiveError(f"{frame.file} cannot be read now: {'; '.join(reader.unread)}")
+        raise ArchiveError(
+            f"{frame.file} no longer contains the image of {frame.topic} at log time {at} ns: the file has changed; "
+            "run again"
+        )
+
+    def _reader(self, name: str) -> BagReader:
+        if name not in self._open:
+            if len(self._open) == _HELD:
+                del self._open[next(iter(self._open))]
+            try:
+                self._open[name] = BagReader(Path(name))
+            except RecordingError as error:
+                raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
+        return self._open[name]

@@ -1,83 +1,77 @@
 """Plan an archive's tasks, a camera's day each: the node parameters from the site file, and the names of results, which
-are digests of all that goes into them."""
+are digests of all that goes into them.
+
+Runs with equal results have equal digests; any change of a result changes its digest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import hashlib
+import importlib.metadata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
-from ltm_core.base.errors import ArchiveError
+import ltm_core
+import ltm_msgs_py
+import ltm_ros.archive
 from ltm_core.base.number_text import DAY_NS
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.overlays_io import Burn
-from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
-from ltm_core.pipeline.fusing_step import FusingConfig
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig
+from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
-from ltm_ros.archive.content_digest import burns_digest, digest, evidence_digest, measured_digest, votes_digest
 from ltm_ros.archive.manifest import ArchiveFrame, ManifestRules
+from ltm_ros.archive.scan import digest
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
 
-VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
-"""Folders of results."""
+EVIDENCE = "evidence"
+"""Folder of the tasks' results."""
+_PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")
+"""Other packages whose versions may change a bit of a result."""
+_WITHOUT_EFFECT = {"cameras", "nodes", "processes", "workers", "watchdog", "health", "alerts", "region", "terrain"}
+"""Site keys without effect on the evidence of frames with known image, pose and calibration, or given beside them."""
+_SEEN = {"mask", "view_masks", "judge_pictures"}
+"""Camera keys that decide which of its images show the landscape (`SceneFilter`)."""
 
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file; `results`: a folder; `fusing`: how frames are
-    measured, None where they are not."""
+    """What all tasks of a run share. `site`: path of the site file; `results`: a folder."""
 
     site: str
     results: Path
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
-    fusing: FusingConfig | None = None
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some frames of one camera and day, in the order of their stamps, and the names of the files of its steps.
-
-    `steps_key`: of what makes votes of the camera's frames (`votes_digest`). `burns`: of that day. `fusing_key`,
-    `measured_key`: of what measures the frames (`measured_digest`) and of the file; empty where they are not measured.
-    """
+    """Some frames of one camera and day, in the order of their stamps. `site_key`: digest of what makes evidence of the
+    camera's frames (`site_digest`); `key`: of all that goes into the result. `burns`: of that day."""
 
     frames: tuple[ArchiveFrame, ...]
-    steps_key: str
-    votes_key: str
-    evidence_key: str
+    site_key: str
+    key: str
     burns: tuple[Burn, ...] = ()
-    fusing_key: str = ""
-    measured_key: str = ""
 
     @property
-    def files(self) -> tuple[str, ...]:
-        """Return all files that exist when it is done."""
-        measured = (measured_name(self),) if self.measured_key else ()
-        return (evidence_name(self), *measured)
+    def file(self) -> str:
+        """Return the path of the result, below the folder of results."""
+        return f"{EVIDENCE}/{self.key}.parquet"
 
     @property
     def label(self) -> str:
         """Return camera and day, for messages."""
         first = self.frames[0]
         return f"{first.camera} {np.datetime64(first.day, 'D')}"
-
-
-def votes_name(task: Task) -> str:
-    return f"{VOTES}/{task.votes_key}.parquet"
-
-
-def evidence_name(task: Task) -> str:
-    return f"{EVIDENCE}/{task.evidence_key}.parquet"
-
-
-def measured_name(task: Task) -> str:
-    return f"{MEASURED}/{task.measured_key}.parquet"
 
 
 def plan(
@@ -88,49 +82,31 @@ def plan(
     burns: Sequence[Burn] = (),
 ) -> list[Task]:
     """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
-    of_votes = {
-        name: votes_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
+    of_site = {
+        name: site_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
     }
-    of_measured = {
-        name: "" if settings.fusing is None else measured_digest(site, name, votes, settings.fusing)
-        for name, votes in of_votes.items()
-    }
-    of_evidence = evidence_digest(site)
     days: dict[tuple[int, str], list[ArchiveFrame]] = {}
     for frame in frames:
         days.setdefault((frame.day, frame.camera), []).append(frame)
     tasks = []
     for (day, camera), found in sorted(days.items()):
         of_day = tuple(burn for burn in burns if burn.stamp_ns // DAY_NS == day)
+        burned = [[burn.stamp_ns, burn.cells.tolist()] for burn in of_day]
         for begin in range(0, len(found), frames_per_task):
             chunk = tuple(found[begin : begin + frames_per_task])
-            votes = digest(settings.code, of_votes[camera], camera, [frame.identity() for frame in chunk])
-            evidence = evidence_key(settings, votes, of_evidence, of_day)
-            fusing, measured = of_measured[camera], ""
-            if fusing:
-                known = [frame.covariance_known for frame in chunk]
-                measured = digest(settings.code, fusing, camera, [frame.identity() for frame in chunk], known)
-            tasks.append(Task(chunk, of_votes[camera], votes, evidence, of_day, fusing, measured))
+            identities = [frame.identity() for frame in chunk]
+            key = digest(settings.code, of_site[camera], camera, identities, burned)
+            tasks.append(Task(chunk, of_site[camera], key, of_day))
     return tasks
-
-
-def evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns: Sequence[Burn]) -> str:
-    """`of_evidence`: `evidence_digest` of the site."""
-    return digest(settings.code, votes_key, of_evidence, burns_digest(burns))
-
-
-def other_files(site: str) -> ArchiveError:
-    return ArchiveError(f"{site}, or a file that it names, has changed during the run; run again")
 
 
 @dataclass(frozen=True)
 class NodeRules:
-    """Parameters of a site's nodes for joining, tracing and labelling; `fusing`: None without a depth network."""
+    """Parameters of a site's nodes for joining, tracing and labelling."""
 
     manifest: ManifestRules
     tracing: TracingConfig
     labelling: LabellingConfig
-    fusing: FusingConfig | None
 
 
 def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
@@ -139,33 +115,73 @@ def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
 
     graph = describe(site, path)
 
-    def given(label: str) -> dict[str, Any]:
-        return {k: v for k, v in graph.node(label).parameters.items() if k != "use_sim_time"}
-
     def only(model: type[Any], label: str) -> Any:
-        values = {name: value for name, value in given(label).items() if name in model.model_fields}
+        values = {name: v for name, v in graph.node(label).parameters.items() if name in model.model_fields}
         return checked(model, values, f"parameters of {label}")
 
-    fuel_map = checked(FuelMapConfig, given("fuel_map"), "parameters of fuel_map")
-    join = only(FrameJoinConfig, f"{camera}/capture")
-    rules = ManifestRules(join, fuel_map.max_ahead, fuel_map.max_behind)
-    fusing = only(FusingConfig, f"{camera}/topodepth") if site.depth_model else None
-    return NodeRules(
-        rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation"), fusing
-    )
+    fuel_map = only(FuelMapConfig, "fuel_map")
+    rules = ManifestRules(only(FrameJoinConfig, f"{camera}/capture"), fuel_map.max_ahead, fuel_map.max_behind)
+    return NodeRules(rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation"))
 
 
-def refuse_terrain(site: Site) -> None:
-    """Raise ArchiveError with the remedy for a site whose terrain cannot be reprocessed."""
-    if site.terrain is None:
-        raise ArchiveError(f"site {site.name} has no section `terrain`: add one, or run without --terrain")
-    if not site.depth_model or site.nodes.get("terrain", {}).get("depth_from_elsewhere"):
-        raise ArchiveError(
-            f"site {site.name}: the terrain of an archive needs depth from a network: set `depth_model` to a "
-            "depth network, without depth_from_elsewhere, or run without --terrain"
-        )
-    if site.terrain.trace_confirmed:
-        raise ArchiveError(
-            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes "
-            "then depend on earlier frames. Remove the setting for the archive, or run without --terrain"
-        )
+@cache
+def code_digest() -> str:
+    """Return the digest of the program: the sources of core, messages and this package, and their dependencies."""
+    found = hashlib.blake2b(digest_size=16)
+    for package in (ltm_core, ltm_msgs_py, ltm_ros.archive):
+        (place,) = package.__path__
+        for file in sorted(Path(place).rglob("*.py")):
+            found.update(file.relative_to(place).as_posix().encode())
+            found.update(file.read_bytes())
+    return digest(found.hexdigest(), {name: importlib.metadata.version(name) for name in _PACKAGES})
+
+
+def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
+    """Return the digest of everything that makes evidence of a camera's frames, except the frames. Raises LtmError for
+    missing files."""
+    step = LabellingStep(site, camera, labelling)
+    network = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
+    errors = site_label_errors(site), sorted(camera_label_errors(site).items())
+    labels = config_path(site.labels)
+    settings = _by_content([site.model_dump(exclude=_WITHOUT_EFFECT), network, errors, labels])
+    return digest(settings, seen_by_content(site, camera), tracing.model_dump(), labelling.zoom)
+
+
+def seen_by_content(site: Site, camera: str) -> list[Any]:
+    """Return everything that decides whether a camera's image is clear, except the image, with files by content."""
+    return [_by_content(site.camera(camera).model_dump(include=_SEEN)), site.crs, list(site.origin)]
+
+
+def file_digest(path: Path) -> str:
+    """Return the digest of a file's content, or of all files in a folder."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return digest([[file.relative_to(path).as_posix(), file_digest(file)] for file in files])
+    found = path.stat()
+    return _content(path.resolve(), found.st_size, found.st_mtime_ns)
+
+
+@cache
+def _content(path: Path, size: int, changed_ns: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def _by_content(value: Any) -> Any:
+    """Return the configuration with each path and array replaced by its content."""
+    if isinstance(value, Path):
+        return file_digest(value)
+    if isinstance(value, np.ndarray):
+        numbers = hashlib.blake2b(value.tobytes(), digest_size=16).hexdigest()
+        return [str(value.dtype), list(value.shape), numbers]
+    if isinstance(value, BaseModel):
+        return _by_content(value.model_dump())
+    if is_dataclass(value):
+        return {one.name: _by_content(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _by_content(item) for key, item in value.items()}
+    if isinstance(value, set | frozenset):
+        return sorted(str(_by_content(item)) for item in value)
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_by_content(item) for item in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)

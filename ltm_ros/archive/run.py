@@ -17,35 +17,19 @@ from typing import Any
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.fuel.export.provenance import software
 from ltm_core.fuel.overlays_io import Burn, read_burns
-from ltm_core.pipeline.site_surface import STORE_FILE as TERRAIN_FILE
 from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.content_digest import code_digest
-from ltm_ros.archive.files import ResultFolder
-from ltm_ros.archive.frame_files import LostFrame
-from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest, packed
-from ltm_ros.archive.plan import (
-    EVIDENCE,
-    MEASURED,
-    Task,
-    TaskSettings,
-    evidence_name,
-    measured_name,
-    node_rules,
-    plan,
-    refuse_terrain,
-)
-from ltm_ros.archive.publish import RUN, publish
-from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
+from ltm_ros.archive.files import write_result
+from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest
+from ltm_ros.archive.plan import Task, TaskSettings, code_digest, node_rules, plan
+from ltm_ros.archive.reduction import RUN, publish, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import first_message, recordings, scan
 from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
-MANIFEST = "manifest.parquet"
 _NAMED = 1000
 """Number of failures that the record lists one by one; all are counted."""
 
@@ -53,8 +37,7 @@ _NAMED = 1000
 @dataclass(frozen=True)
 class ArchiveOptions:
     """Options of a run. `since_ns`, `until_ns`: stamps, both inclusive. `max_failed`: share of all frames that may be
-    lost before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times. `terrain`: also
-    compute the terrain, and apply its changes to the fuel map."""
+    lost before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times."""
 
     archives: tuple[Path, ...]
     site: Path
@@ -66,7 +49,6 @@ class ArchiveOptions:
     frames_per_task: int = 1500
     max_failed: float = 0.001
     burns: Path | None = None
-    terrain: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,7 +57,6 @@ class Plan:
 
     options: ArchiveOptions
     site: Site
-    results: ResultFolder
     settings: TaskSettings
     manifest: ArchiveManifest
     frames: tuple[ArchiveFrame, ...]
@@ -89,7 +70,7 @@ class Plan:
 @dataclass(frozen=True)
 class Summary:
     """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
-    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames."""
+    if none was made."""
 
     tasks: int
     worked: int
@@ -97,8 +78,6 @@ class Summary:
     failures: tuple[Failure, ...]
     unused: dict[str, int]
     digest: str = ""
-    terrain_digest: str = ""
-    terrain_frames: int = 0
 
     @property
     def failed(self) -> int:
@@ -109,13 +88,11 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
     be processed."""
     site = load_site(options.site)
-    if options.terrain:
-        refuse_terrain(site)
     grid = site.in_crs(site.fuel_geometry(site.open_dem()))
     # Before a scan of hours, because a file of burns may be invalid.
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
-    results = ResultFolder(options.out)
+    results = options.out.expanduser().resolve()
     found = recordings(options.archives)
     scans, unread = [], []
     for number, recording in enumerate(found, start=1):
@@ -132,18 +109,11 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
     passed = Counter[str]()
     if options.sample.count:
-        frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results)
-    settings = TaskSettings(
-        str(options.site.resolve()),
-        results.folder,
-        code_digest(),
-        rules.tracing,
-        rules.labelling,
-        rules.fusing if options.terrain else None,
-    )
-    results.write(MANIFEST, packed(frames))
+        frames, passed = chosen(frames, options.sample, site, results)
+    path = str(options.site.resolve())
+    settings = TaskSettings(path, results, code_digest(), rules.tracing, rules.labelling)
     tasks = plan(frames, site, settings, options.frames_per_task, burns)
-    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
+    return Plan(options, site, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
@@ -151,57 +121,34 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
 
     Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
     written."""
-    results = planned.results
+    results = planned.settings.results
     if not planned.frames and not planned.manifest.unread:
-        results.write(RUN, _record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {})))
+        _write_record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {}))
         raise ArchiveError(_no_frames(planned))
     tasks = planned.tasks
-    done = {f"{folder}/{name}" for folder in (EVIDENCE, MEASURED) for name in results.names(folder)}
-    waiting = [task for task in tasks if not done.issuperset(task.files)]
+    waiting = [task for task in tasks if not (results / task.file).exists()]
     worked, broken = 0, dict[str, Failure]()
     progress(len(tasks) - len(waiting), len(tasks))
     for number, ended in enumerate(engine(waiting, planned.settings) if waiting else (), start=1):
         progress(len(tasks) - len(waiting) + number, len(tasks))
         if ended.report is None:
-            broken[ended.task.evidence_key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
+            broken[ended.task.key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
         else:
             worked += ended.report.worked
     failures = (*planned.manifest.unread, *planned.manifest.failures, *broken.values())
-    mapped = Summary(len(tasks), worked, 0, failures, {})
-    return _reduced(planned, mapped, set(broken))
-
-
-def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
-    results = planned.results
-    whole = [task for task in planned.tasks if task.evidence_key not in broken]
+    whole = [task for task in tasks if task.key not in broken]
     dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
-        path = Path(folder) / STORE_FILE
-
-        def read(task: Task) -> bytes:
-            return results.read(evidence_name(task))
-
-        terrain = None
-        if planned.options.terrain:
-            opened = path.with_name(TERRAIN_FILE)
-            terrain = TerrainFold(planned.site, opened, lambda task: results.open(measured_name(task)))
-        try:
-            found = reduce_to_store(whole, read, planned.site, path, planned.burns, terrain)
-        finally:
-            if terrain is not None:
-                terrain.close()
-        failures = (*mapped.failures, *_lost(found, terrain))
-        summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
+        store = Path(folder) / STORE_FILE
+        found = reduce_to_store(whole, results, planned.site, store, planned.burns)
+        failures = (*failures, *(Failure("frame", lost.cause, lost.why) for lost in found.lost))
+        summary = Summary(len(tasks), worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures) or _empty(summary):
-            results.write(RUN, _record(planned, summary))
+            _write_record(planned, summary)
             raise ArchiveError(refused)
-        with TileStore.open_read_only(path, STORE_KIND) as store:
-            summary = replace(summary, digest=store_digest(store))
-        if terrain is not None:
-            with TileStore.open_read_only(path.with_name(TERRAIN_FILE), TERRAIN_KIND) as store:
-                summary = replace(summary, terrain_digest=store_digest(store), terrain_frames=terrain.frames)
-        told = publish(results, planned.site, path, None if terrain is None else path.with_name(TERRAIN_FILE))
-        results.write(RUN, _record(planned, summary, told))  # last
+        with TileStore.open_read_only(store, STORE_KIND) as opened:
+            summary = replace(summary, digest=store_digest(opened))
+        _write_record(planned, summary, publish(results, planned.site, store))
     return summary
 
 
@@ -212,7 +159,7 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
         first = manifest.unread[0]
         return (
             f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
-            f"written; {planned.results.folder}/{RUN} lists them, the first is {first.place} ({first.why}); run "
+            f"written; {planned.settings.results}/{RUN} lists them, the first is {first.place} ({first.why}); run "
             "again, or remove invalid files from ARCHIVES"
         )
     joining, working = manifest.failures, failures[len(manifest.failures) :]
@@ -225,7 +172,7 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
             return (
                 f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.results.folder}/{RUN} lists them; to accept more, raise --max-failed"
+                f"{planned.settings.results}/{RUN} lists them; to accept more, raise --max-failed"
             )
     return ""
 
@@ -257,21 +204,7 @@ def _empty(summary: Summary) -> str:
     return f"no frame reached the map, none was written: {why}"
 
 
-def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
-    """Count lost frames; one without votes and measurement counts once."""
-    first: dict[tuple[str, int], LostFrame] = {}
-    for lost in (*found.lost, *(terrain.lost if terrain is not None else ())):
-        first.setdefault((lost.camera, lost.stamp_ns), lost)
-    return [Failure("frame", lost.cause, lost.why) for lost in first.values()]
-
-
-def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
-    if not planned.options.terrain:
-        return "not computed: without --terrain"
-    return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
-
-
-def _record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None) -> bytes:
+def _write_record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None) -> None:
     options = planned.options
     record: dict[str, Any] = {
         "software": software(),
@@ -292,12 +225,11 @@ def _record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None
             "unused": summary.unused,
         },
         "burns": [{"stamp_ns": burn.stamp_ns, "cells": len(burn.cells)} for burn in planned.burns],
-        "terrain": _terrain_record(planned, summary),
         "max_failed": options.max_failed,
         "failures": [asdict(failure) for failure in summary.failures[:_NAMED]],
         "damage": planned.manifest.damage,
-        "tasks": [{"of": t.label, "frames": len(t.frames), "files": t.files} for t in planned.tasks],
+        "tasks": [{"of": t.label, "frames": len(t.frames), "file": t.file} for t in planned.tasks],
         "digest": summary.digest,
         **(about or {}),
     }
-    return json.dumps(record, indent=1).encode()
+    write_result(planned.settings.results / RUN, json.dumps(record, indent=1).encode())

@@ -1,49 +1,42 @@
 """Run tasks of an archive, here or on processes: a camera's day each, from frames to votes to evidence.
 
-Each step writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it; its step is not
-repeated."""
+A task writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it."""
 
 from __future__ import annotations
 
-import io
-import json
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.evidence_merge import PartialEvidence
-from ltm_core.fuel.overlays_io import Burn
+from ltm_core.fuel.vote_columns import columns_to_votes, votes_to_columns
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
 from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.stored_fuel import fuel_schema
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.archive.content_digest import code_digest, evidence_digest
-from ltm_ros.archive.files import ResultFolder
-from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_packed, read_votes
-from ltm_ros.archive.plan import (
-    MEASURED,
-    VOTES,
-    Task,
-    TaskSettings,
-    evidence_key,
-    evidence_name,
-    measured_name,
-    other_files,
-    votes_name,
-)
+from ltm_core.vision.masks import Looking
+from ltm_ros.archive.files import write_result
+from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
+from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
+from ltm_ros.archive.scan import packed, unpacked
+from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.ros_environment import available_cores
 
 _TILES = pa.schema(
@@ -53,9 +46,19 @@ _TILES = pa.schema(
 
 @dataclass(frozen=True)
 class TaskReport:
-    """Result of a task: number of frames whose images were read, 0 if all files existed."""
+    """Result of a task: number of frames whose images were read, 0 if its file existed."""
 
     worked: int
+
+
+@dataclass(frozen=True)
+class LostFrame:
+    """A frame without votes, and the reason."""
+
+    camera: str
+    stamp_ns: int
+    cause: str
+    why: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,80 +70,96 @@ class TaskEvidence:
     touched: dict[Key, list[int]]
     model: str
     lost: tuple[LostFrame, ...]
-    unused: dict[str, int]
+    unused: Mapping[str, int]
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Run the missing steps. Raises ArchiveError if the program or the site's files have changed since the plan,
-    OSError if results cannot be read or written now."""
+    """Process the frames of a task, unless its file exists. Raises ArchiveError if the program, the site's files or an
+    image have changed since the plan, OSError if files cannot be read or written now."""
     if code_digest() != settings.code:
         raise ArchiveError("the program has changed during the run; run again")
-    results = ResultFolder(settings.results)
-    votes, evidence = votes_name(task), evidence_name(task)
-    done = results.has(evidence)
-    wanted = [] if done or results.has(votes) else [VOTES]
-    wanted += [MEASURED] if task.measured_key and not results.has(measured_name(task)) else []
-    worked = 0
-    if wanted:
-        made, names = frame_files(task, settings, wanted), {VOTES: votes, MEASURED: measured_name(task)}
-        for kind in wanted:
-            results.write(names[kind], made[kind])
-        worked = len(task.frames)
-    if done:
-        return TaskReport(worked)
-    of_evidence = evidence_digest(load_site(settings.site))
-    if evidence_key(settings, task.votes_key, of_evidence, task.burns) != task.evidence_key:
-        raise other_files(settings.site)
-    results.write(evidence, _evidence_file(results.read(votes), _ground(settings.site, of_evidence), task.burns))
-    return TaskReport(worked)
+    file = settings.results / task.file
+    if file.exists():
+        return TaskReport(0)
+    camera = task.frames[0].camera
+    steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.site_key)
+    write_result(file, _evidence_file(task, steps))
+    return TaskReport(len(task.frames))
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """The basis of evidence, the same for all tasks of a run. `empty` makes maps without evidence."""
+class FrameSteps:
+    """All steps from an image to votes for one camera; frames may come in any order, so smoke, which needs earlier
+    images, is not detected."""
 
-    site: Site
-    labels: LabelSet
-    geometry: GridGeometry
-    empty: Callable[[], EvidenceMap]
+    def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
+        self.site = site
+        self.labels, self.geometry = LabelSet.load(config_path(site.labels)), site.fuel_geometry(site.open_dem())
+        self.empty = empty_maps(site, self.geometry, self.labels)
+        """Makes a map without evidence."""
+        self._tracing = TracingStep(site, camera, tracing)
+        self._labelling = LabellingStep(site, camera, labelling)
+        self._voting = VotingStep(site, camera)
+
+    @property
+    def described(self) -> str:
+        """Return the name and checksum of the label network."""
+        return self._labelling.described
+
+    def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
+        """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises LtmError
+        as the steps do."""
+        camera, pose, stamp = frame.calibration, frame.pose, frame.stamp_ns
+        image = PosedImage(photo, camera, pose, stamp, frame.camera).image
+        found, view = self._labelling.label(image, Looking.of(camera, pose), stamp, in_order=False)
+        if view.reason is not None:
+            return None, view.unusable  # an image that shows nothing needs no ranges
+        depth = seen(self._tracing.trace(camera, pose).ranges.depth(), self._tracing.hidden(camera, pose))
+        cast = self._voting.cast(depth, camera, pose, found, stamp, frame.pose_covariance)
+        # As nodes receive them, through a message.
+        columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
+        return columns_to_votes(columns, self.geometry, self.labels.names, stamp, frame.camera), view.unusable
 
 
-@lru_cache(maxsize=1)
-def _ground(site: str, of_evidence: str) -> _Ground:
-    """Load the basis. `of_evidence`: digest of its files now."""
+@lru_cache(maxsize=2)
+def _steps(site: str, camera: str, tracing: TracingConfig, labelling: LabellingConfig, key: str) -> FrameSteps:
     found = load_site(site)
-    labels, geometry = LabelSet.load(config_path(found.labels)), found.fuel_geometry(found.open_dem())
-    return _Ground(found, labels, geometry, empty_maps(found, geometry, labels))
+    if site_digest(found, camera, tracing, labelling) != key:
+        raise ArchiveError(f"{site}, or a file that it names, has changed during the run; run again")
+    return FrameSteps(found, camera, tracing, labelling)
 
 
-def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> bytes:
+def _evidence_file(task: Task, steps: FrameSteps) -> bytes:
     """Write one row per tile: its state, and the stamps of its frames."""
-    labels, geometry, evidence = ground.labels, ground.geometry, ground.empty()
-    for burn in burns:
-        evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
+    evidence = steps.empty()
+    for burn in task.burns:
+        evidence.burn(burn.mask(steps.geometry.shape), burn.stamp_ns)
     touched: dict[Key, list[int]] = {}
-    for found in read_votes(votes, geometry, labels):
-        window = evidence.add(found)
+    lost, unused, reader = [], Counter[str](), ArchiveImageReader()
+    for frame in task.frames:
+        picture = reader.read(frame)  # an image that cannot be read now must not count as a lost frame
+        try:
+            votes, reason = steps.votes(frame, picture.rgb())
+        except LtmError as error:
+            why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
+            lost.append(LostFrame(frame.camera, frame.stamp_ns, cause_of(error), why))
+            continue
+        if reason:
+            unused[reason] += 1
+        window = None if votes is None else evidence.add(votes)
         for key in evidence.tiles_of(window) if window is not None else ():
-            touched.setdefault(key, []).append(found.stamp_ns)
-    about = json.loads(pq.read_schema(io.BytesIO(votes)).metadata[ABOUT.encode()])
-    unused: dict[str, int] = {}
-    for frame in about.pop("frames"):
-        if frame["reason"]:
-            unused[frame["reason"]] = unused.get(frame["reason"], 0) + 1
-    schema = fuel_schema(ground.site, geometry)
+            touched.setdefault(key, []).append(frame.stamp_ns)
+    schema = fuel_schema(steps.site, steps.geometry)
     rows = [
         {"row": key[0], "col": key[1], "content": schema.pack(key, evidence.tile_state(key)), "stamps": stamps}
         for key, stamps in sorted(touched.items())
     ]
-    return packed_table(pa.Table.from_pylist(rows, _TILES), about | {"unused": unused})
+    about = {"camera": task.frames[0].camera, "model": steps.described, "unused": unused}
+    return packed(pa.Table.from_pylist(rows, _TILES), about | {"lost": [asdict(one) for one in lost]})
 
 
-def read_evidence(content: bytes, site: Site, geometry: GridGeometry) -> TaskEvidence:
-    """Read the evidence file of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is
-    corrupt."""
-    table, schema = read_packed(content), fuel_schema(site, geometry)
-    about = json.loads(table.schema.metadata[ABOUT.encode()])
+def read_evidence(file: Path, site: Site, geometry: GridGeometry) -> TaskEvidence:
+    """Read the result of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is corrupt."""
+    (table, about), schema = unpacked(file), fuel_schema(site, geometry)
     tiles, touched = {}, {}
     for row in table.to_pylist():
         key = row["row"], row["col"]

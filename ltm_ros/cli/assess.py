@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.assessment.look_command import learn, look
 
 assess = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a fuel map from a random sample of its cells.")
@@ -65,7 +66,6 @@ def report(
 ) -> None:
     """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_files
     from ltm_ros.assessment.figures import compute_figures
     from ltm_ros.assessment.plan import find_map, read_map_plan, with_map
     from ltm_ros.assessment.report import keep_accuracy, write_report

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
@@ -54,7 +56,6 @@ def probe(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import dumped, stated_sections, write_camera
     from ltm_ros.cameras.probe import completed, lacking, site_entry
     from ltm_ros.cameras.probe import probe as ask
@@ -124,11 +125,8 @@ def discover(
 def snapshot(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image, its pose file and its trace.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image and its pose file.")],
     name: Annotated[str, typer.Option(help="Base name of the files. Default: camera and time.")] = "",
-    trace: Annotated[
-        bool, typer.Option("--trace/--no-trace", help="Also draw the depth over the image, and a map.")
-    ] = True,
     tries: Annotated[
         int, typer.Option(min=1, max=100, help="Number of images that may be rejected before giving up.")
     ] = 5,
@@ -142,7 +140,7 @@ def snapshot(
 
     console = Console()
     with console.status(f"requesting an image from {camera}"):
-        written, told = take_snapshot(site, camera, out, name, trace, tries, overwrite)
+        written, told = take_snapshot(site, camera, out, name, tries, overwrite)
     for line in told:
         console.print(escape(line), highlight=False)
     for path in written:
@@ -151,7 +149,6 @@ def snapshot(
 
 def _checked_address(url: str) -> str:
     """Return the checked address. Raises ConfigError if it is invalid or contains a password."""
-    from ltm_core.base.errors import ConfigError
     from ltm_core.base.redaction import redacted, url_without_secrets
 
     if "://" not in url:
@@ -173,9 +170,6 @@ def _secret(
     user: str | None, password_env: str | None, password_file: Path | None, camera: str
 ) -> tuple[SecretConfig | None, SecretConfig | None]:
     """Return where the password is now, and where the site file should read it from."""
-    import os
-
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.source_config import SecretConfig
 
     if password_env is not None and password_file is not None:
@@ -198,7 +192,6 @@ def _secret(
 def _placing(
     lonlat: str | None, height: float | None, azimuth: float | None, pitch: float, hfov: float | None
 ) -> Placing:
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.cameras.probe import Placing
 
     lon = lat = None

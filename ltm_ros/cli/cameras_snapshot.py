@@ -8,22 +8,13 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_sigmas, sigma_keys
-from ltm_core.pictures import to_png
-from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.pose_estimation.mount.mount_io import append_reading
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_core.storage.image_io import decode_rgb
-from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
+from ltm_core.tracing.trace_io import GuessConfig, write_pose_file
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
 from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
@@ -35,7 +26,7 @@ READINGS = "readings.csv"
 
 
 def take_snapshot(
-    site_file: Path, camera_name: str, out: Path, name: str, trace: bool, tries: int, overwrite: bool
+    site_file: Path, camera_name: str, out: Path, name: str, tries: int, overwrite: bool
 ) -> tuple[list[Path], list[str]]:
     """Take an image; return the written files and the lines to print. Raises ConfigError, and SourceError if no usable
     image came."""
@@ -49,12 +40,13 @@ def take_snapshot(
     picture = out / f"{name}.jpg"
     files = [picture]
     if frame.pose is not None:
-        files += [out / f"{name}.yaml"] + ([out / f"{name}_depth.png", out / f"{name}_map.png"] if trace else [])
+        files.append(out / f"{name}.yaml")
     require_files(files, overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    photo = frame.rgb if frame.jpeg is None else decode_rgb(frame.jpeg)
-    assert photo is not None  # nosec B101 # tells the type checker what holds
-    picture.write_bytes(frame.jpeg if frame.jpeg is not None else encode_rgb(photo, "jpeg", 95))
+    if frame.rgb is not None and frame.jpeg is None:
+        picture.write_bytes(encode_rgb(frame.rgb, "jpeg", 95))
+    else:
+        picture.write_bytes(frame.jpeg or b"")
     told = [f"taken {taken:%Y-%m-%d %H:%M:%S} UTC +- {frame.uncertainty:.2f} s, by {frame.told_by}"]
     if frame.reading is not None:
         reading = frame.reading
@@ -75,8 +67,6 @@ def take_snapshot(
     )
     sigmas = {} if frame.covariance is None else sigma_keys(frame.pose, frame.covariance)
     write_pose_file(files[1], frame.camera, frame.pose, sigmas, guess, site.frame, notes)
-    if trace:
-        told.append(_traced(site, site.open_dem(), frame.camera, frame.pose, photo, files[2], files[3], camera_name))
     return files, told
 
 
@@ -122,17 +112,3 @@ def _pose_line(pose: Pose, frame: Frame) -> str:
         sigmas = pose_sigmas(pose, frame.covariance)[3:]
         line += f" (sigmas {', '.join(f'{sigma:.2f}' for sigma in sigmas)})"
     return f"{line}; field of view {frame.camera.hfov_deg:.1f} deg"
-
-
-def _traced(
-    site: Site, dem: Dem, camera: Camera, pose: Pose, photo: UInt8Array, depth: Path, on_map: Path, name: str
-) -> str:
-    traced = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground).trace(camera, pose)
-    depth.write_bytes(to_png(depth_picture(traced, dem, photo)))
-    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"seen by {name}", site.frame)))
-    ranges = traced.range
-    known = ranges[np.isfinite(ranges)]
-    if not known.size:
-        return "no pixel sees the terrain: check the pose"
-    share = np.isfinite(ranges).mean()
-    return f"{share:.0%} of the pixels see terrain, {known.min():,.0f} to {known.max():,.0f} m away"

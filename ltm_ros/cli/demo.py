@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_ros.demo.outcome import Walk
-
 
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
-    phone: Annotated[bool, typer.Option("--phone", help="Map a walk with a phone instead; find its poses.")] = False,
 ) -> None:
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
     from rich.console import Console
 
     console = Console()
     clear_demo(out)
-    if phone:
-        _walked(out, console)
-    else:
-        _simulated(out, domain, console)
+    _simulated(out, domain, console)
 
 
 def clear_demo(out: Path) -> None:
     """Remove the results of an earlier demo from a folder. Raises ConfigError if it contains anything else."""
-    import shutil
-
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_folder
-
     require_folder(out)
     if out.exists() and any(out.iterdir()):
-        if not any((out / made).exists() for made in ("report.html", "log", "walk.png")):
+        if not any((out / made).exists() for made in ("report.html", "log")):
             raise ConfigError(f"{out} contains files that are not from an earlier demo; give another folder with --out")
         shutil.rmtree(out)
 
@@ -87,34 +81,6 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
 
 def to_type(command: str) -> str:
     """Return a command for the user's shell; without `ltm` on its PATH, the environment is activated first."""
-    import os
-    import shutil
-    import sys
-
     if shutil.which("ltm"):
         return command
     return f"source {os.path.relpath(Path(sys.prefix) / 'bin/activate')} && {command}"
-
-
-def _walked(out: Path, console: Console) -> None:
-    from ltm_core.base.resources import project_path
-    from ltm_core.pictures import to_png
-    from ltm_ros.cli.output import counting_bar
-    from ltm_ros.demo.outcome import run_walk
-
-    with counting_bar(console, "finding poses") as progress:
-        walk = run_walk(project_path("bags/phone"), out, progress)
-    (out / "walk.png").write_bytes(to_png(walk.picture))
-    _print_walk(console, walk)
-    console.print(f"the poses on a map: {out / 'walk.png'}")
-
-
-def _print_walk(console: Console, walk: Walk) -> None:
-    columns = ("poses", ">azimuth off, median", ">largest", ">cells labelled", ">most frequent label correct")
-    rows = []
-    for row in walk.maps:
-        off = (f"{value:.2f}°" for value in row.errors.azimuth_deg)
-        rows.append((row.poses, *off, f"{row.cells:,}", f"{row.right_percent:.1f} %"))
-    print_table(console, "a simulated walk with a phone, by poses", columns, rows)
-    found = f"{walk.accepted} of {walk.photos} poses were found in the photos"
-    console.print(f"{found}; they give the compass error of the other photos", highlight=False)

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.number_text import difference, number
+from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
@@ -81,9 +84,7 @@ def export(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
-    from ltm_core.base.errors import ConfigError
     from ltm_core.fuel.export.companion_files_io import remove_item, style_owner
-    from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.fuel_map.export import export_site, sidecars
 
     if not out.parent.is_dir():
@@ -128,8 +129,6 @@ def export(
 
 def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
     """Return the format to write. Raises ConfigError for a suffix of another format, and `--system` without use."""
-    from ltm_core.base.errors import ConfigError
-
     usual = _BY_SUFFIX.get(out.suffix.lower(), ())
     if requested is Format.auto and not usual:
         raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
@@ -149,10 +148,8 @@ def _export_terrain(
     source: Path, out: Path, site: Path | None, kind: Format, unfit: Sequence[str | None], overwrite: bool
 ) -> GridGeometry:
     """Write a terrain. `unfit`: given options that do not apply to a terrain."""
-    from ltm_core.base.errors import ConfigError
     from ltm_core.pipeline.site_surface import open_stored_surface
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_files
     from ltm_core.surface.surface_io import BANDS, write_export
 
     if site is None:
@@ -173,7 +170,6 @@ def _export_terrain(
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
-    from ltm_core.base.errors import ConfigError
     from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
     from ltm_core.fuel.export.companion_files_io import write_palette_style
     from ltm_core.fuel.export.provenance import software
@@ -241,10 +237,8 @@ def fire(
     """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
     from rich.console import Console
 
-    from ltm_core.base.number_text import difference, number
     from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
     from ltm_core.fire.pyretechnics import interpreter
-    from ltm_core.storage.disk_io import require_files
     from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results
 
     console = Console()

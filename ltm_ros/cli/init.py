@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -58,7 +60,6 @@ def init(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.cli.run import report
     from ltm_ros.site_setup.site_plan import Wish, carry_out, plan_site
     from ltm_ros.site_setup.sources import load_sources
@@ -109,8 +110,6 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _lonlat(text: str) -> tuple[float, float]:
-    from ltm_core.base.errors import ConfigError
-
     try:
         lon, lat = (float(part) for part in text.split(","))
     except ValueError:
@@ -121,10 +120,6 @@ def _lonlat(text: str) -> tuple[float, float]:
 
 
 def _metres(text: str) -> float:
-    import re
-
-    from ltm_core.base.errors import ConfigError
-
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(km|m)", text.strip())
     metres = float(found[1]) * (1000 if found[2] == "km" else 1) if found else 0.0
     if not 200 <= metres <= 30_000:
@@ -138,7 +133,6 @@ def _cameras(
     """Return the cameras of the options; of a list, those within the radius."""
     from pyproj import Geod
 
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.site_setup.camera_list import parse_camera, read_cameras
 
     cameras = [parse_camera(text) for text in stated]

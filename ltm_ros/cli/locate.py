@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
@@ -33,10 +36,6 @@ def locate(
             help="Mark: a pixel, a box u_min,v_min,u_max,v_max, or a polygon; lower edges count. Repeatable.",
         ),
     ] = None,
-    mask: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CAMERA=PNG", help="Mask: marks ignore the non-black pixels of that camera."),
-    ] = None,
     smoke: Annotated[
         bool, typer.Option("--smoke", help="The mark is the lowest visible smoke; its base may be behind a ridge.")
     ] = False,
@@ -56,9 +55,7 @@ def locate(
     """Find the place of marks in images, with its error ellipses; with --place, find a place in the images."""
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_files
-    from ltm_ros.cli.locate_cameras import hidden_by, marked, named, of_poses, of_site
+    from ltm_ros.cli.locate_cameras import marked, named, of_poses, of_site
 
     reverse = place is not None or lonlat is not None
     if reverse == bool(mark):
@@ -80,12 +77,9 @@ def locate(
         show_places(scene, place, lonlat, photo, as_json, out, console)
         return
     marks = [named(text, "--mark", scene) for text in mark or []]
-    masks = hidden_by(scene, mask or [])
-    sightings = [marked(scene, name, text, scene.config, smoke, masks) for name, text in marks]
+    sightings = [marked(scene, name, text, smoke) for name, text in marks]
     said = _answer(scene, sightings, smoke)
     if as_json:
-        import json
-
         from ltm_core.locating.answer import as_data
 
         print(json.dumps(as_data(said, scene.frame), indent=2))
@@ -110,8 +104,6 @@ def _answer(scene: LocatingScene, sightings: list[Sighting], smoke: bool) -> Loc
 
 
 def _write(out: Path, said: LocateResult, scene: LocatingScene, marked: list[str]) -> list[Path]:
-    import json
-
     from ltm_core.locating.answer import SHARES, as_data, as_geojson
     from ltm_core.locating.locator import write_posterior
     from ltm_core.pictures import MapCamera, to_png

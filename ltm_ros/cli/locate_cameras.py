@@ -15,7 +15,6 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.locator import read_mask
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
@@ -161,30 +160,10 @@ def named(text: str, option: str, scene: LocatingScene) -> tuple[str, str]:
     return next(iter(scene.cameras)), value
 
 
-def hidden_by(scene: LocatingScene, given: list[str]) -> dict[str, BoolArray | None]:
-    """Return each camera's mask (H, W), from the site file and from NAME=PNG arguments. Raises ConfigError."""
-    found = {name: camera.hidden for name, camera in scene.cameras.items()}
-    for text in given:
-        name, equals, path = text.partition("=")
-        if not equals:
-            raise ConfigError(f"--mask {text!r}: give the camera's name: --mask north=mast.png")
-        more, hidden = read_mask(Path(path), scene.camera(name).camera), found[name]
-        found[name] = more if hidden is None else more | hidden
-    return found
-
-
-def marked(
-    scene: LocatingScene,
-    name: str,
-    text: str,
-    config: LocatingConfig,
-    smoke: bool,
-    masks: dict[str, BoolArray | None],
-) -> Sighting:
+def marked(scene: LocatingScene, name: str, text: str, smoke: bool) -> Sighting:
     """Return a mark; the count of numbers decides between pixel, box and polygon. Raises ConfigError."""
-    camera = scene.camera(name)
-    values = numbers(text, "a mark")
-    mask = masks.get(name)
+    camera, config = scene.camera(name), scene.config
+    values, mask = numbers(text, "a mark"), camera.hidden
     if len(values) == 2:
         mark = marked_pixel(camera.camera, values, config.pixel_sigma, mask)
     elif len(values) == 4:

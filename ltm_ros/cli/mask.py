@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
@@ -28,8 +30,6 @@ def label(
     A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program."""
     from functools import partial
 
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.labelling.server import LabelServer, LabelSession, serve
@@ -74,11 +74,9 @@ def mask(
     masts, roofs and other objects on the labelling page (`ltm label`), and pass them with --drawn."""
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
     from ltm_core.pictures.photo_overlays import mask_picture
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_files
     from ltm_core.vision.areas import read_areas, write_areas
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
@@ -138,7 +136,6 @@ def _view(name: str, looking: str) -> ViewMask | None:
     """Return the view of --view and --looking, without its mask. Raises ConfigError."""
     from pydantic import ValidationError
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.vision.mask_config import ViewMask
 
     if bool(name) != bool(looking):
@@ -169,8 +166,6 @@ def _line(mask: str, view: ViewMask | None) -> str:
 
 
 def _kept(keep: str, count: int) -> list[bool]:
-    from ltm_core.base.errors import ConfigError
-
     if keep in ("", "all"):
         return [True] * count
     if keep == "none":

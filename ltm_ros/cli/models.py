@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -51,8 +53,6 @@ def models(
         str | None, typer.Option(help='Prompts for a network of text: "dry grass, chaparral, oak" (check).')
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for images (check, add).")] = Path("out/models"),
-    threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    zoom: Annotated[float, typer.Option(help="Magnification of a second pass over distant slopes (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
     named: Annotated[str, typer.Option("--name", help="Name of the model; default: that of its file (add).")] = "",
     stated: Annotated[
@@ -67,8 +67,6 @@ def models(
     if action is Action.list:
         _list(console)
         return
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_folder
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
 
     if action is Action.measure:
@@ -76,11 +74,11 @@ def models(
         return
     require_folder(out)
     if action is Action.check:
-        _check(console, NetworkManifest.find(name or DEFAULT_MODEL), threads, images, out, classes, zoom)
+        _check(console, NetworkManifest.find(name or DEFAULT_MODEL), images, out, classes)
         return
     if name is None:
         raise ConfigError("give the network to add: ltm models add model.onnx (or its folder, a manifest, or a recipe)")
-    _add(console, name, fetch, named, stated or [], like, threads, images, out)
+    _add(console, name, fetch, named, stated or [], like, images, out)
 
 
 def _add(
@@ -90,7 +88,6 @@ def _add(
     name: str,
     options: list[str],
     like: str,
-    threads: int,
     images: Path | None,
     out: Path,
 ) -> None:
@@ -106,7 +103,7 @@ def _add(
         with source as found:
             bar.stop()
             manifest = recognise(found, stated_by(options), like, name)
-            _check(console, manifest, threads, images, out)
+            _check(console, manifest, images, out)
             added = install(manifest, found)
     role = "depth_model" if added.output.is_depth else "model"
     unmapped = [each for each in added.classes if each not in added.mapping]
@@ -148,7 +145,6 @@ def _measure(console: Console, name: str, path: Path | None, recordings: list[Pa
 
 
 def _list(console: Console) -> None:
-    from ltm_core.base.errors import ModelError
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, added_names, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
@@ -199,11 +195,9 @@ def _list_recipes(console: Console) -> None:
 def _check(
     console: Console,
     manifest: NetworkManifest,
-    threads: int,
     images: Path | None,
     out: Path,
     classes: str | None = None,
-    zoom: float = 1.0,
 ) -> None:
     """Print the model's input, output and running time; write images.
 
@@ -217,48 +211,36 @@ def _check(
     console.print(f"{manifest.name}: {manifest.model_file()}; sha256 {manifest.sha256[:12]}...", markup=False)
     console.print(f"input {spec.layout} {spec.dtype} {spec.shape} {spec.fit}; output {kind}", markup=False)
     if manifest.output.is_depth:
-        _check_depth(console, manifest, threads, photos, out)
+        _check_depth(console, manifest, photos, out)
     else:
-        _check_labels(console, manifest, threads, photos, out, classes, zoom)
+        _check_labels(console, manifest, photos, out, classes)
 
 
 def _check_labels(
     console: Console,
     manifest: NetworkManifest,
-    threads: int,
     photos: list[tuple[Path, UInt8Array]],
     out: Path,
     classes: str | None,
-    zoom: float,
 ) -> None:
-    import numpy as np
-
     from ltm_core.vision.prompts import labels_of_prompts, prompted
     from ltm_core.vision.segmenter import Segmenter
 
     labels = None if classes is None else labels_of_prompts(classes)
-    segmenter = Segmenter(manifest if labels is None else prompted(manifest, {}, labels), threads, labels)
-    noise = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
-    times = _milliseconds(segmenter, noise)
-    console.print(
-        f"1920 x 1080, {threads} thread(s): median {np.median(times):.1f} ms, p95 {np.percentile(times, 95):.1f} ms"
-    )
+    segmenter = Segmenter(manifest if labels is None else prompted(manifest, {}, labels), 1, labels)
     for path, photo in photos:
-        _overlay(console, segmenter, photo, path, out, zoom)
+        _overlay(console, segmenter, photo, path, out)
 
 
-def _check_depth(
-    console: Console, manifest: NetworkManifest, threads: int, photos: list[tuple[Path, UInt8Array]], out: Path
-) -> None:
+def _check_depth(console: Console, manifest: NetworkManifest, photos: list[tuple[Path, UInt8Array]], out: Path) -> None:
     """Print the depth and running time of a depth model; write images (red near, blue far)."""
     import numpy as np
 
-    from ltm_core.base.errors import ModelError
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.geometry.camera import Camera
     from ltm_core.pictures import to_jpeg
 
-    network = DepthNetwork(manifest, threads)
+    network = DepthNetwork(manifest)
     for path, photo in photos:
         camera = Camera.from_fov(photo.shape[1], photo.shape[0], 50.0)
         network.predict(photo, camera)
@@ -294,17 +276,6 @@ def trial_scene() -> UInt8Array:
     return np.asarray(np.clip(scene, 0, 255), np.uint8)
 
 
-def _milliseconds(segmenter: Segmenter, image: UInt8Array) -> list[float]:
-    """Return the wall time of each of up to 15 calls of `segment` within 10 s, after one call that is not counted."""
-    segmenter.segment(image)
-    times: list[float] = []
-    while len(times) < 15 and sum(times) < 10e3:
-        start = time.perf_counter()
-        segmenter.segment(image)
-        times.append((time.perf_counter() - start) * 1e3)
-    return times
-
-
 def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
     """Return the ranks of a depth image as colours."""
     import cv2
@@ -316,12 +287,15 @@ def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
     return np.ascontiguousarray(cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1])
 
 
-def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
+def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path) -> None:
     import numpy as np
 
     from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 
-    labels = segmenter.segment(photo, zoom).labels
+    segmenter.segment(photo)  # loads the network
+    start = time.perf_counter()
+    labels = segmenter.segment(photo).labels
+    milliseconds = (time.perf_counter() - start) * 1e3
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
     legend = label_legend(photo.shape[1], segmenter.labels, seen)
@@ -329,4 +303,4 @@ def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Pa
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(to_jpeg(with_legend(overlay_labels(photo, labels, segmenter.labels), legend)))
     text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
-    console.print(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text} -> {target}")
+    console.print(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text}, {milliseconds:.0f} ms -> {target}")

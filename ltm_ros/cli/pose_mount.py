@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError, ImageError, PoseError
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, print_table
 from ltm_ros.cli.pose_points import FirstPixel, SigmaPx, parameter_names
 
@@ -56,9 +58,6 @@ def mount(
     """Calibrate the mount of a PTZ head from landmarks or photos of several presets.
 
     A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it."""
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.disk_io import require_files
-
     if (gcps is None) == (photos is None):
         raise ConfigError("give either --points (marked landmarks) or --photos (a folder of presets)")
     chosen = set(parameter_names(free))
@@ -84,7 +83,6 @@ def mount(
 
 def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
     """Return the PTZ head of a camera. Raises ConfigError if it has no mount or no lens."""
-    from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.zoom_lens import ZoomLens
     from ltm_core.site.site_io import load_site
 
@@ -141,7 +139,6 @@ def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, Z
     determine it."""
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError, ImageError, PoseError
     from ltm_core.pipeline.site_surface import site_terrain
     from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount.mount_io import read_readings

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_ros.cli.output import Overwrite, open_dems, print_table
 from ltm_ros.cli.pose_points import lens_kind, parameter_names
 
@@ -70,9 +72,7 @@ class FoundPhoto:
 
 def photo(
     photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Photo, or with a photo list a folder of photos.")],
-    guess: Annotated[
-        Path, typer.Option(metavar="FILE", help="Pose file, or photo list (CSV, YAML), with what is known.")
-    ],
+    guess: Annotated[Path, typer.Option(metavar="FILE", help="Pose file, or photo list (CSV), with what is known.")],
     dem: Annotated[
         list[Path], typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
     ],
@@ -109,9 +109,7 @@ def photo(
     Exit code 3: a pose was not accepted. An ambiguous one, or one without a stated azimuth, is not written."""
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.storage.config_io import load_yaml
-    from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_core.tracing.trace_io import GuessConfig
 
     many = photo.is_dir()
@@ -152,7 +150,6 @@ def photo(
 
 def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
     """Return the photos of a folder that a photo list names, with their known values. Raises ConfigError."""
-    from ltm_core.base.errors import ConfigError
     from ltm_core.storage.config_io import checked
     from ltm_core.storage.image_io import read_rgb
     from ltm_core.tracing.trace_io import GuessConfig
@@ -195,7 +192,6 @@ def _find(
     options: PhotoOptions,
     config: Any,
 ) -> FoundPhoto:
-    from ltm_core.base.errors import ImageError
     from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
     from ltm_core.pose_estimation.skyline.find_pose import find_pose

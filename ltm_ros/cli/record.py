@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_ros.cli.output import Overwrite, print_table
 from ltm_ros.recordings.replay import LONGEST_PAUSE
 
@@ -41,7 +44,6 @@ def record(
     from dataclasses import replace
 
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_folder
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner
 
@@ -89,17 +91,12 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
-    from ltm_core.base.errors import ConfigError
-
     if offline and (loop or rrd or publish_only or rate != 1.0):
         raise ConfigError("--offline ignores time: remove --rate, --loop, --rrd and --publish-only")
-
-    import threading
 
     from rich.console import Console
 
     from ltm_core.site.site_io import load_site
-    from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
     from ltm_ros.recordings.recorded_run import site_of
@@ -150,8 +147,6 @@ def replay(
 
 def _names(remap: list[str]) -> dict[str, str]:
     """Return the names of `--remap`, by recorded topic. Raises ConfigError."""
-    from ltm_core.base.errors import ConfigError
-
     names = dict(text.partition(":=")[::2] for text in remap)
     for topic, name in names.items():
         if not topic.startswith("/") or not name.startswith("/"):
@@ -164,7 +159,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="PHOTOS...",
-            help="Photo, video, folder, or Sensor Logger recording.",
+            help="Photo, folder, or Sensor Logger recording.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
@@ -172,8 +167,7 @@ def import_(
         Path | None,
         typer.Option(
             "--poses",
-            help="CSV or YAML (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. "
-            "Overrides EXIF.",
+            help="CSV (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. Overrides EXIF.",
         ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: map frame, DEM, camera names.")] = None,
@@ -184,7 +178,7 @@ def import_(
     height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
         float | None,
-        typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's."),
+        typer.Option(help="Height of a drone's take-off place (DEM datum, metres)."),
     ] = None,
     geoid_undulation_m: Annotated[
         float | None,
@@ -194,13 +188,8 @@ def import_(
         float | None,
         typer.Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
     ] = None,
-    every: Annotated[float, typer.Option(min=0.01, help="Seconds between the frames taken from a video.")] = 1.0,
     time_zone: Annotated[
         str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
-    ] = None,
-    write_photos: Annotated[
-        Path | None,
-        typer.Option(help="Also write upright photos and poses.csv for `ltm pose photo`."),
     ] = None,
     refine: Annotated[
         bool,
@@ -213,7 +202,6 @@ def import_(
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.recordings.importing.assumptions import Assumptions
     from ltm_ros.recordings.importing.assumptions import time_zone as zone_named
@@ -242,14 +230,12 @@ def import_(
                 height_above_ground=height_above_ground,
                 geoid_undulation=geoid_undulation_m,
                 time_zone=zone,
-                keep_unknown=refine or write_photos is not None,
+                keep_unknown=refine,
                 start_height=start_height,
                 focal_35mm=focal_35mm,
-                every=every,
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
-            write_photos,
             search,
         )
     by_note: dict[str, list[str]] = {}

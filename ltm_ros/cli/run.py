@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, print_findings
 
 if TYPE_CHECKING:
@@ -165,8 +168,6 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, folders. Exit code 1 if it has errors."""
     from rich.console import Console
 
-    from ltm_core.storage.disk_io import require_files
-
     if out is not None:
         require_files([out], overwrite)
     raise typer.Exit(1 if report(Console(), site, out, bag, only or ()) else 0)
@@ -176,7 +177,6 @@ def report(
     console: Console, site: Path, out: Path | None = None, bag: Path | None = None, only: Sequence[str] = ()
 ) -> int:
     """Print the findings about a site, draw it to `out`, and return the number of errors."""
-    from ltm_core.base.errors import SiteVerdict
     from ltm_ros.launching.site_check import Wanted, examine
 
     with console.status("looking"):
@@ -198,8 +198,6 @@ def report(
 
 
 def _print(console: Console, findings: list[SiteFinding]) -> None:
-    from ltm_core.base.errors import SiteVerdict
-
     styles = {SiteVerdict.OK: "green", SiteVerdict.DOUBTFUL: "yellow", SiteVerdict.WRONG: "bold red"}
     order = list(dict.fromkeys(finding.area for finding in findings))
     sorted_by_area = sorted(findings, key=lambda one: order.index(one.area))
@@ -209,7 +207,6 @@ def _print(console: Console, findings: list[SiteFinding]) -> None:
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """Add the recorded views of cameras that have no pose in the site file."""
-    from ltm_core.base.errors import LtmError, SiteFinding
     from ltm_core.site.camera_check import check_views
     from ltm_ros.recordings.recorded_run import recorded_views
     from ltm_ros.recordings.replay.offline import Selection
@@ -229,10 +226,8 @@ def _add_recorded(found: SiteCheck, bag: Path) -> None:
 
 
 def _picture(found: SiteCheck) -> RgbImage:
-    import math
     from dataclasses import replace
 
-    from ltm_core.base.errors import LtmError
     from ltm_core.pictures.trace import map_camera, site_picture
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import viewshed

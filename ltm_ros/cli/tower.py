@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.output import print_findings, print_table
 
 if TYPE_CHECKING:
@@ -24,9 +28,6 @@ def status(
     json_: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
 ) -> None:
     """Print the state of a running tower. Exit code 0 if all nodes are healthy and all cameras send, else 1."""
-    import json
-
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.tower.health_client import ask
 
@@ -164,7 +165,6 @@ def upgrade(
 
     The new release is checked first (`ltm doctor`, `ltm check`, its kernels) while the current one runs. The stores are
     copied before it is started."""
-    import os
     import subprocess  # nosec B404 # argument lists, no shell
 
     from ltm_ros.tower.releases import PackageFile
@@ -199,10 +199,6 @@ def rollback(
 
 
 def _upgrade(ready_minutes: float) -> Upgrade:
-    import os
-    import signal
-
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.tower.releases import ROOT, Releases
     from ltm_ros.tower.store_copy import SystemdService
     from ltm_ros.tower.upgrade import Places, Upgrade

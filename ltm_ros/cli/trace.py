@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, open_dems, print_doubts, print_table
 
 if TYPE_CHECKING:
@@ -37,7 +40,6 @@ def trace(
     from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
     from ltm_core.pictures import to_png
     from ltm_core.pictures.trace import depth_picture, map_picture
-    from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing import TerrainTracer
     from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
 
@@ -119,15 +121,11 @@ def viewshed(
     overwrite: Overwrite = False,
 ) -> None:
     """Map what cameras cover: number of cameras, pixel footprint, and height at which smoke becomes visible."""
-    import math
-
     import numpy as np
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
     from ltm_core.pictures.trace import coverage_picture, write_coverage
-    from ltm_core.storage.disk_io import require_files
     from ltm_core.visibility.viewshed import viewshed as covered
 
     console = Console()
@@ -178,7 +176,6 @@ def _title(views: list[PosedCamera], target_height: float) -> str:
 
 
 def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str], Dem]:
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera

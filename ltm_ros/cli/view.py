@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.storage.disk_io import require_folder
 
 if TYPE_CHECKING:
     from ltm_ros.launching.runner import Runner
@@ -23,46 +29,37 @@ def view(
         Path | None, typer.Option("--certificate", help="With --connect: the tower's certificate (PEM).")
     ] = None,
     rrd: Annotated[Path | None, typer.Option("--rrd", help="Rerun recording to open instead.")] = None,
-    web: Annotated[
-        bool | None,
-        typer.Option("--web/--native", help="Browser or window. Default: window, if there is a screen."),
-    ] = None,
     save: Annotated[Path | None, typer.Option("--save", help="Also write the view to this .rrd file.")] = None,
-    open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
+    open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 
     Listens on loopback only; Ctrl-C ends it. A tower sends small images over one connection, at most 1 Mbit/s."""
-    from ltm_core.base.errors import ConfigError, RecordingError
-    from ltm_core.storage.disk_io import require_folder
-
     if [site, rrd, connect].count(None) != 2:
         raise ConfigError("give one of --site (a running graph), --rrd (a recording) and --connect (a tower)")
     if connect is not None:
-        if save is not None or web is False:
-            raise ConfigError("--connect shows a page: remove --save and --native")
+        if save is not None:
+            raise ConfigError("--connect shows a page: remove --save")
         _show_tower(connect, token, certificate, open_browser, web_port)
         return
     if token is not None or certificate is not None:
         raise ConfigError("--token and --certificate identify a tower: give --connect, too")
     if save is not None:
         require_folder(save.parent, "a Rerun recording")  # the viewer finds a free name
-    in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():
             raise RecordingError(f"{rrd}: no such recording; write one with `ltm run --view` or `ltm view --save`")
-        _show_file(rrd, in_browser, open_browser, web_port, grpc_port)
+        _show_file(rrd, open_browser, web_port, grpc_port)
         return
     assert site is not None  # nosec B101 # tells the type checker what holds
-    _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
+    _show_graph(site, save, open_browser, web_port, grpc_port)
 
 
 def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_browser: bool, web_port: int) -> None:
     from contextlib import closing
 
-    from ltm_core.base.errors import ConfigError
     from ltm_ros.runtime.web_server import bind_error
     from ltm_ros.tower.tower_mirror import TowerMirror, reached
 
@@ -73,27 +70,21 @@ def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_b
         _until_ended(None)
 
 
-def _show_file(rrd: Path, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int) -> None:
+def _show_file(rrd: Path, open_browser: bool, web_port: int, grpc_port: int) -> None:
     from ltm_ros.viewer.server import RerunProcess, web_url
 
-    if not in_browser:
-        _until_ended(RerunProcess(["--port", "auto", str(rrd)], quiet=False))
-        return
     server = RerunProcess.serve(web_port, grpc_port, rrd)
     _announce(web_url(web_port, grpc_port), open_browser)
     _until_ended(server)
 
 
-def _show_graph(
-    path: Path, save: Path | None, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int
-) -> None:
+def _show_graph(path: Path, save: Path | None, open_browser: bool, web_port: int, grpc_port: int) -> None:
     from dataclasses import replace
 
-    from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner
-    from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
+    from ltm_ros.viewer.server import web_url
 
     site = load_site(path)
     wanted: dict[str, ParameterValue] = {"serve": True, "web_port": web_port, "grpc_port": grpc_port}
@@ -104,17 +95,11 @@ def _show_graph(
     with Runner(Graph(site.name, (node,))) as runner:
         if not _comes_up(runner, web_port):
             raise ConfigError("the viewer node could not start; its messages are above")
-        if in_browser:
-            _announce(web_url(web_port, grpc_port), open_browser)
-            _until_ended(None, runner)
-        else:
-            window = ["--port", "auto", "--connect", grpc_url(grpc_port), "--memory-limit", OPEN_MEMORY]
-            _until_ended(RerunProcess(window, quiet=False), runner)
+        _announce(web_url(web_port, grpc_port), open_browser)
+        _until_ended(None, runner)
 
 
 def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
-    import time
-
     from ltm_ros.viewer.server import listens
 
     deadline = time.monotonic() + timeout
@@ -127,9 +112,6 @@ def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
 
 def _until_ended(process: RerunProcess | None, runner: Runner | None = None) -> None:
     """Wait until the viewer closes, its node fails, or SIGINT, SIGTERM or SIGHUP comes; then end the viewer."""
-    import signal
-    import threading
-
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
@@ -148,10 +130,3 @@ def _announce(url: str, open_browser: bool) -> None:
     typer.echo(f"watch it at {url}\nCtrl-C ends it")
     if open_browser:
         webbrowser.open(url)
-
-
-def _has_screen() -> bool:
-    import os
-    import sys
-
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

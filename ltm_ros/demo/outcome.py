@@ -1,19 +1,16 @@
-"""Make the pictures and the walk of a demonstration run."""
+"""Make the pictures of a demonstration run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from ltm_core.base.number_text import counted
-from ltm_core.base.resources import config_path
-from ltm_core.base.types import BoolArray, Float64Array, RgbImage, UInt8Array
-from ltm_core.fuel.class_map import CoverageMap, MajorityFuelMap, read_fuel_map
+from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
+from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.camera import Camera
@@ -32,23 +29,15 @@ from ltm_core.pictures import (
     with_legend,
 )
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.pictures.legend import UNLABELLED, Palette
-from ltm_core.pictures.maps import finished, furnished, interesting_bounds, relief, view_of
-from ltm_core.pictures.photo_overlays import with_axes
+from ltm_core.pictures.legend import UNLABELLED
+from ltm_core.pictures.maps import interesting_bounds
 from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.raster.dem import Dem
-from ltm_core.scoring.fuel import score_fuel
 from ltm_core.site.site import Site
-from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.report import CameraPictures, Sheet
-from ltm_ros.demo.score import RecordedPoseErrors, recorded_pose_errors, recorded_poses
 from ltm_ros.fuel_map.layers import canvas_of, seen_window
-from ltm_ros.recordings.importing.assumptions import Assumptions
-from ltm_ros.recordings.importing.build import import_photos
-from ltm_ros.recordings.importing.refinement import PoseRefinement
-from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, RecordedFrame, recorded_votes
-from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.recorded_run import RecordedFrame
 
 HEADING_STEP_DEG = 20.0
 """Degrees by which viewing directions must differ for a further frame of a camera to be shown."""
@@ -215,116 +204,3 @@ def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: 
 def _padded(picture: RgbImage, height: int) -> RgbImage:
     missing = height - picture.shape[0]
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
-
-
-PHONE = Assumptions(height_above_ground=1.6)
-"""Height of the phone above ground, which its sensors lack."""
-_WIDTH = 1000
-_COLORS = ((240, 150, 0), (0, 130, 220), (25, 25, 25), (150, 40, 120))
-_SHARE = 0.11
-"""Length of an arrow as a share of the map's width."""
-_SHIFT = 4  # OpenCV draws at 1/16 pixel
-
-
-@dataclass(frozen=True, eq=False)
-class WalkMap:
-    """Result of the walk with poses of one kind. `errors`: of these poses. `cells`: with labels. `known`: of those,
-    with truth; `right`: with the correct most frequent label."""
-
-    poses: str
-    errors: RecordedPoseErrors
-    cells: int
-    right: int
-    known: int
-
-    @property
-    def right_percent(self) -> float:
-        return 100 * self.right / max(1, self.known)
-
-
-@dataclass(frozen=True, eq=False)
-class Walk:
-    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that were
-    found."""
-
-    photos: int
-    accepted: int
-    maps: tuple[WalkMap, ...]
-    picture: RgbImage
-
-
-def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Walk:
-    """Replay the walk (site.yaml, recording/, photos/, sensor_logger.zip, true_poses.csv) offline into `out`, with the
-    poses of the phone's sensors, those found in the photos, and the true ones. Raises LtmError."""
-    site_path = walk / "site.yaml"
-    site = load_site(site_path)
-    found = import_photos(
-        [walk / "photos", walk / "sensor_logger.zip"],
-        out / "found",
-        site=site,
-        assumed=PHONE,
-        progress=progress,
-        refinement=PoseRefinement(site),
-    )
-    import_photos([walk / "photos"], out / "true", walk / "true_poses.csv", site)
-    kinds = (
-        ("phone", walk / "recording", "of the phone's sensors"),
-        ("found", out / "found", "found in the photos"),
-        ("true", out / "true", "true"),
-    )
-    maps, directions = [], {}
-    for name, bag, title in kinds:
-        options = ReplayOptions(record=out / f"{name}_map")
-        run_offline(bag, site_path, options, lambda done, total: None)
-        errors = recorded_pose_errors(bag, out / "true", site)
-        maps.append(_map(title, errors, Recorded(out / f"{name}_map", site_path, site, walk.parent / "demo")))
-        directions[title] = _directions(bag, site)
-    accepted = sum(refinement.verdict == "accepted" for _, refinement in found.refined)
-    return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions, site))
-
-
-def _directions(bag: Path, site: Site) -> Float64Array:
-    """Return (N, 3): x, y in the map frame and azimuth in degrees."""
-    poses = [pose for pose, _ in recorded_poses(bag, site).values()]
-    return np.array([[*pose.position[:2], pose.angles_deg[0]] for pose in poses])
-
-
-def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
-    labels = LabelSet.load(config_path(recorded.site.labels))
-    grid = recorded.site.fuel_geometry(recorded.site.open_dem())
-    votes = MajorityFuelMap(grid, len(labels))
-    for frame in recorded_votes(recorded, grid, labels):
-        votes.add(frame)
-    classes = votes.classes()
-    truth = read_fuel_map(recorded.truth / FUEL_TRUTH)
-    score = score_fuel(classes, recorded.site.in_crs(grid), *truth, len(labels))
-    return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)
-
-
-def walk_map(dem: Dem, directions: Mapping[str, Float64Array], site: Site) -> RgbImage:
-    """Draw arrows over relief, (H, W, 3). `directions`: by the name of their kind (at most four), (N, 3): x, y in the
-    map frame (m) and azimuth (degrees)."""
-    view = _view(np.concatenate(list(directions.values())))
-    picture = relief(dem, view)
-    reach = _SHARE * view.width * view.resolution
-    for (_, poses), color in zip(directions.items(), _COLORS, strict=False):
-        azimuth = np.radians(poses[:, 2])
-        tips = poses[:, :2] + reach * np.column_stack([np.sin(azimuth), np.cos(azimuth)])
-        for begin, end in zip(_pixels(view, poses[:, :2]), _pixels(view, tips), strict=True):
-            cv2.arrowedLine(picture, begin, end, color, 2, cv2.LINE_AA, _SHIFT, 0.12)
-    kinds = Palette(tuple(directions), _COLORS[: len(directions)])
-    framed = with_axes(furnished(picture, view, []), view, site.origin)
-    return finished(framed, view, label_legend(_WIDTH, kinds), note=site.crs)
-
-
-def _view(poses: Float64Array) -> GridGeometry:
-    low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
-    span = float((high - low).max())
-    margin = max(30.0, 0.25 * span)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.3 * span) + margin
-    return view_of((*(middle - half), *(middle + half)), _WIDTH)
-
-
-def _pixels(view: GridGeometry, points: Float64Array) -> list[tuple[int, int]]:
-    row, col = view.to_grid(points[:, 0], points[:, 1])
-    return [(round(c * 2**_SHIFT), round(r * 2**_SHIFT)) for c, r in zip(col.tolist(), row.tolist(), strict=True)]

@@ -19,10 +19,13 @@ from ltm_core.pictures.legend import ClassPalette
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import DepthScore, SegmentationScore
 from ltm_core.site.site import Site
-from ltm_ros.demo.score import SHARED, RunScore, recorded_poses
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_ros.demo.score import SHARED, RunScore
 from ltm_ros.pages import inlined, render_page, shown
+from ltm_ros.recordings.frame_stream import FrameStream
 from ltm_ros.recordings.recorded_run import Recorded
 from ltm_ros.runtime.health import NodeRow
+from ltm_ros.runtime.topics import POSE
 
 MAX_WIDTH = 1700
 """Maximum width of embedded images in pixels."""
@@ -235,10 +238,10 @@ def fuel_maps_table(score: RunScore) -> Table | None:
 
 def recording_facts(site: Site, recorded: Recorded) -> str:
     """Return the place of a site and the time of its recorded frames in words."""
-    poses = recorded_poses(recorded.bag, site)
-    x, y = np.mean([pose.position[:2] for pose, _ in poses.values()], axis=0)
+    stream = FrameStream.open(recorded.bag, site, {"pose": ((POSE, lambda message: msg_to_pose(message, "map")),)})
+    stamps, poses = zip(*((frame.stamp_ns, frame.take("pose")) for frame in stream.frames()), strict=True)
+    x, y = np.mean([pose.position[:2] for pose in poses], axis=0)
     lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))
-    stamps = [stamp_ns for _, stamp_ns in poses]
     first, last = (f"{moment_of_stamp(edge(stamps)):%Y-%m-%d %H:%M:%S}" for edge in (min, max))
     place = f"Site {site.name} in {site.crs}, near {lon:.3f}, {lat:.3f} (longitude, latitude)"
     return f"{place}. Frames of {first} to {last} UTC."

@@ -5,74 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap, read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.scoring.fuel import FuelScore, MapScore, on_grid, score_fuel, score_map
 from ltm_core.scoring.labels import DepthScore, DepthTally, SegmentationScore, at_pixels_of
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map
-from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, POSE, TRUTH_LABELS
-
-PARTS = ("east, m", "north, m", "up, m", "azimuth, deg", "pitch, deg", "roll, deg")
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedPoseErrors:
-    """`errors`: (N, 6) stated minus true, metres and degrees in the order of PARTS. `sigmas`: (N, 6) as stated, NaN if
-    not; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a true pose of their stamp."""
-
-    errors: Float64Array
-    sigmas: Float64Array
-    unmatched: int
-
-    @property
-    def azimuth_deg(self) -> tuple[float, float]:
-        """Return median and maximum of the absolute errors."""
-        off = np.abs(self.errors[:, 3])
-        return float(np.median(off)), float(off.max())
-
-
-def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseErrors:
-    """Return the errors of all cameras, joined by camera and stamp. Raises RecordingError if no frame has a true
-    pose."""
-    told, truth = recorded_poses(bag, site), recorded_poses(true, site)
-    errors, sigmas = [], []
-    for key in sorted(told.keys() & truth.keys()):
-        pose, covariance = told[key]
-        other, _ = truth[key]
-        turns = (np.subtract(pose.angles_deg, other.angles_deg) + 180) % 360 - 180
-        errors.append([*(pose.position - other.position), *turns])
-        sigmas.append(np.full(6, np.nan) if covariance is None else pose_sigmas(pose, covariance))
-    if not errors:
-        raise RecordingError(
-            f"{bag} and {true} have no frame of one stamp in common ({len(told)} and {len(truth)} poses of the cameras "
-            f"{', '.join(site.cameras)}): import both from the same photos"
-        )
-    return RecordedPoseErrors(np.array(errors), np.array(sigmas), len(told) - len(errors))
-
-
-def recorded_poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
-    """Return the poses of all cameras by camera and stamp: in the map frame, with the stated covariance (6, 6)."""
-    stream = FrameStream.open(bag, site, {"pose": ((POSE, _stated),)})
-    return {(frame.camera_name, frame.stamp_ns): frame.take("pose") for frame in stream.frames()}
-
-
-def _stated(message: Any) -> tuple[Pose, Float64Array | None]:
-    return msg_to_pose(message, "map"), msg_to_covariance(message)
-
+from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, TRUTH_LABELS
 
 DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.cells import msg_to_changed, msg_to_fuel_cells
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
@@ -32,7 +29,6 @@ from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,
-    FUEL_MAP_CELLS,
     FUSED_DEPTH,
     LABELS_HEAT,
     LABELS_IMAGE,
@@ -59,7 +55,6 @@ def free_path(path: Path) -> Path:
     return candidate
 
 
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12
 """Step in pixels between the points of a depth image in the 3D view."""
 
@@ -80,18 +75,11 @@ class ViewerHandler(Handler[ViewerConfig]):
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
         dem = self._site.open_dem()
-        self._fuel_grid = self._site.fuel_geometry(dem)
-        labels = LabelSet.load(config_path(self._site.labels))
-        prior = site_evidence_map(self._site, self._fuel_grid, labels).layers()
-        self._untouched = {
-            name: getattr(prior, name) for name in ("life_form", "code", "entropy", "changed", "seen_by")
-        }
-        """The prior, for cells without evidence; the graph publishes only the others."""
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
             dem,
-            life_form_labels(labels),
+            life_form_labels(LabelSet.load(config_path(self._site.labels))),
             save=free_path(Path(config.save)) if config.save else None,
             serve=config.serve,
             web_port=config.web_port,
@@ -132,12 +120,9 @@ class ViewerHandler(Handler[ViewerConfig]):
             heat = camera_topic(self._site.name, camera, LABELS_HEAT)
             taken[Topic(heat, LABELS_HEAT.type)] = partial(self.on_heat, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
-        cells = site_topic(self._site.name, FUEL_MAP_CELLS)
-        taken[Topic(cells, FUEL_MAP_CELLS.type, latched=True)] = self.on_fuel_cells
         if self._site.terrain is not None:
             for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
                 taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
-        taken[DIAGNOSTICS] = self.on_diagnostics
         return taken
 
     def on_heat(self, camera: str, message: Any) -> None:
@@ -146,12 +131,6 @@ class ViewerHandler(Handler[ViewerConfig]):
     def on_fuel_map(self, message: Any) -> None:
         self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
 
-    def on_fuel_cells(self, message: Any) -> None:
-        cells = msg_to_fuel_cells(message, self._fuel_grid)
-        shape = self._fuel_grid.shape
-        rasters = {name: cells.raster(name, shape, elsewhere) for name, elsewhere in self._untouched.items()}
-        self._view.log_fuel_layers(stamp_of(message), rasters)
-
     def on_change(self, message: Any) -> None:
         self._view.log_change(stamp_of(message), *msg_to_classes(message))
 
@@ -159,17 +138,6 @@ class ViewerHandler(Handler[ViewerConfig]):
         changed, points = msg_to_changed(message)
         cells = np.column_stack([changed.rows, changed.cols])
         self._view.log_changed_cells(stamp_of(message), cells, points, changed.kind)
-
-    def on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            values = {}
-            for item in status.values:
-                if item.key.endswith(("_ms", "_hz")) or item.key in ("received", "published", "dropped", "queue"):
-                    with suppress(ValueError):  # any driver may publish such keys, with text values
-                        values[item.key] = float(item.value)
-            self._view.log_diagnostics(stamp_of(message), status.name, values)
-            if status.level != b"\x00":
-                self._view.log_text("WARN", f"{status.name}: {status.message}")
 
     def tick(self, waited: float) -> None:
         for join in (*self._joins.values(), *self._fusions.values()):

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import rerun.blueprint as rrb
 
-from ltm_ros.viewer.fuel_maps import TITLES
 from ltm_ros.viewer.scene_geometry import Eye
 
 TIMELINE = "stamp"
@@ -31,15 +30,12 @@ class Tabs:
     fusion: bool = False
     prompts: bool = False
     terrain: bool = False
-    tall: bool = False
-    """Whether the fuel grid is about as high as wide, or higher: then its maps fit a wide screen best in one row."""
 
 
 def site_blueprint(
-    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
+    cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
 ) -> rrb.Blueprint:
-    """Return the tabs: the site (terrain, fuel grid, a camera's images, latencies), all cameras, `tabs`, the graph's
-    health."""
+    """Return the tabs: the site (terrain, fuel grid, a camera's images), all cameras, and `tabs`."""
     tabs = tabs or Tabs()
     overview = rrb.Vertical(
         rrb.Horizontal(
@@ -47,34 +43,20 @@ def site_blueprint(
             rrb.Vertical(_fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]),
             column_shares=[5, 3],
         ),
-        rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
+        rrb.Tabs(*(_camera_row(camera) for camera in cameras), active_tab=0),
         row_shares=[5, 3],
         name="Site",
     )
-    gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
-    extra: list[rrb.Container] = [_fuel_layers(4 if tabs.tall else 2)]
+    gallery = rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")
+    extra: list[rrb.Container] = []
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
     if tabs.prompts:
         extra.append(rrb.Grid(*(_heat(camera) for camera in cameras), name="Prompt"))
     if tabs.terrain:
         extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
-    health = rrb.Vertical(
-        rrb.Horizontal(
-            _plot("Latency p95 (ms)", "/health/latency_p95_ms", named=False),
-            _plot("Work p95 (ms)", "/health/work_p95_ms", named=False),
-            _plot("Rate (Hz)", "/health/rate_hz", named=False),
-        ),
-        rrb.Horizontal(
-            _plot("Waiting messages", "/health/queue", named=False),
-            # A node has the same colour in all plots; this is the one whose lines are rarely zero.
-            _plot("Dropped messages", "/health/dropped"),
-            rrb.TextLogView(origin="/log", name="Log"),
-        ),
-        name="Health",
-    )
     return rrb.Blueprint(
-        rrb.Tabs(overview, gallery, *extra, health, active_tab=0),
+        rrb.Tabs(overview, gallery, *extra, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
@@ -123,22 +105,14 @@ def _changes(window: MapWindow) -> rrb.Spatial2DView:
     )
 
 
-def _fuel_layers(columns: int) -> rrb.Grid:
-    """Return the views of the fuel map's further layers."""
-    views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
-    return rrb.Grid(*views, grid_columns=columns, name="Fuel")
-
-
-def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
-    """Return image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
+def _camera_row(camera: str) -> rrb.Horizontal:
+    """Return image, depth and labels side by side."""
     origin = f"/map/cameras/{camera}"
     views: list[rrb.View] = [
         rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
         rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
         rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
     ]
-    if timed:
-        views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
     return rrb.Horizontal(*views, name=camera)
 
 
@@ -153,8 +127,3 @@ def _depth_row(camera: str) -> rrb.Horizontal:
     parts = {"traced": "traced", "network": "network", "fused": "fused", "difference": "fused - traced"}
     views = [rrb.Spatial2DView(origin=f"/fusion/{camera}/{p}", name=f"{camera}: {name}") for p, name in parts.items()]
     return rrb.Horizontal(*views, name=camera)
-
-
-def _plot(name: str, origin: str, named: bool = True) -> rrb.TimeSeriesView:
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend)

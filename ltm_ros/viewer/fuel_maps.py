@@ -1,9 +1,7 @@
-"""Draw the layers of the fuel map and the changes of the terrain; convert core types for Rerun."""
+"""Convert core types for Rerun, and draw the changes of the terrain."""
 
 from __future__ import annotations
 
-import colorsys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,18 +10,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.base.types import BoolArray, Float32Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FuelCanvas
 from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, draw_texts, error_colors, error_legend
-from ltm_core.pictures.maps import MapCamera
-from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
-from ltm_ros.fuel_map.layers import seen_window
 from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960
@@ -117,99 +111,10 @@ def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
     return rr.EncodedImage(contents=to_png(with_legend(names, text)), media_type="image/png")
 
 
-def distinct_color(index: int) -> tuple[int, int, int]:
-    """Return the index-th of a series of bright colours: each hue is in the widest gap of the previous ones."""
-    golden = (5**0.5 - 1) / 2
-    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, (0.35, 0.65, 1.0)[index % 3], 0.95)
-    return round(red * 255), round(green * 255), round(blue * 255)
-
-
 def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
     height, width = values.shape[:2]
     size = shown_size(width, height)
     return values if size == (width, height) else np.asarray(cv2.resize(values, size, interpolation=method))
-
-
-TITLES = {
-    "life_form": "Life form. Outlined: changed cells.",
-    "code": "Fuel model",
-    "entropy": "Doubt: entropy",
-    "seen_by": "Number of cameras that see a cell",
-}
-"""Titles by the last part of the entity `fuel_layers/...`."""
-
-
-_ROOM = 0.1
-"""Margin of a window as a share of its size, so that it is not redrawn for every new cell."""
-_SLACK = 60
-"""Pixels by which the axes and legends of two windows may differ."""
-
-Bounds = tuple[float, float, float, float]
-
-
-class FuelMaps:
-    """Draws layers over one fuel grid: the part with evidence, or all of it without any. The relief is made once per
-    window, with the cameras' first positions."""
-
-    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[MapCamera]) -> None:
-        self.geometry = geometry
-        self._dem, self._palette, self._places = dem, palette, places
-        self._canvas = FuelCanvas(geometry, dem, places)
-        self._whole = self._canvas.view
-        self.window: Bounds | None = None
-        """West, south, east and north of the window; None: everything."""
-        self._size: tuple[int, int] | None = None
-
-    def draw(self, rasters: Mapping[str, NDArray[Any]]) -> dict[str, rr.EncodedImage]:
-        """Return an image for each name of TITLES. `rasters`: (H, W) `life_form` (255 unknown), `code`, `entropy`,
-        `changed` and `seen_by`."""
-        self._follow((rasters["seen_by"] > 0) | (rasters["changed"] > 0))
-        canvas, told = self._canvas, rasters["life_form"] != 255
-        pictures = {
-            "life_form": canvas.classes(rasters["life_form"], self._palette, rasters["changed"] > 0),
-            "code": canvas.codes(rasters["code"]),
-            "entropy": canvas.scaled(rasters["entropy"], told, DOUBT),
-            "seen_by": canvas.scaled(rasters["seen_by"], rasters["seen_by"] > 0, CAMERAS),
-        }
-        if self._size is None:
-            self._size = canvas.tallest + _SLACK, pictures["code"].shape[1] + _SLACK
-        size = self._size
-        return {
-            name: rr.EncodedImage(contents=to_jpeg(_framed(picture, size), 88), media_type="image/jpeg")
-            for name, picture in pictures.items()
-        }
-
-    def _follow(self, touched: BoolArray) -> None:
-        """Draw the part around the touched cells (H, W); a new one only when they exceed the present."""
-        if not touched.any():
-            return
-        needed = seen_window(self.geometry, touched, self._places)
-        if self.window is None or not _within(needed, self.window):
-            self.window = _shaped(needed, self._whole)
-            self._canvas = FuelCanvas(self.geometry, self._dem, self._places, self.window)
-
-
-def _within(inner: Bounds, outer: Bounds) -> bool:
-    return inner[0] >= outer[0] and inner[1] >= outer[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
-
-
-def _shaped(bounds: Bounds, view: GridGeometry) -> Bounds:
-    """Return bounds with a margin, inside `view` and of its shape, so that all images have one size."""
-    west, south, east, north = bounds
-    x_min, y_min, x_max, y_max = view.bounds
-    share = min(max((east - west) / (x_max - x_min), (north - south) / (y_max - y_min)) * (1 + _ROOM), 1.0)
-    half_x, half_y = share * (x_max - x_min) / 2, share * (y_max - y_min) / 2
-    x = min(max((west + east) / 2, x_min + half_x), x_max - half_x)
-    y = min(max((south + north) / 2, y_min + half_y), y_max - half_y)
-    return x - half_x, y - half_y, x + half_x, y + half_y
-
-
-def _framed(picture: RgbImage, size: tuple[int, int]) -> RgbImage:
-    """Draw on paper of one size: the viewer treats a series of JPEGs as a video, whose size is constant."""
-    height, width = size
-    paper = np.full((height, width, 3), PAPER, np.uint8)
-    paper[: len(picture), : picture.shape[1]] = picture[:height, :width]
-    return paper
 
 
 PICTURE_PIXELS = 1600

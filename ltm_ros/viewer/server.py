@@ -35,7 +35,7 @@ LIVE_MEMORY = "384MiB"
 """Memory limit for the data that the server of a live view keeps for later viewers; the oldest goes first. While a
 viewer is open, the server uses up to twice that."""
 OPEN_MEMORY = "1GiB"
-"""Memory limit of a window, and of the server of a recording. Rerun's own limit for a window is 75 % of the machine."""
+"""Memory limit of the server of a recording."""
 _PR_SET_PDEATHSIG = 1
 _PROXY_VARIABLES = ("http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
 _NOWHERE = dict.fromkeys(_PROXY_VARIABLES, f"http://{LOOPBACK}:9") | {"no_proxy": LOOPBACK, "NO_PROXY": LOOPBACK}
@@ -71,8 +71,7 @@ def web_url(web_port: int, grpc_port: int) -> str:
 class RerunProcess:
     """A running Rerun binary in its own process group, which ends when this process does."""
 
-    def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
-        sink = subprocess.DEVNULL if quiet else None
+    def __init__(self, arguments: Sequence[str]) -> None:
         self._page: WebServer | None = None
         self._config = tempfile.TemporaryDirectory(prefix="ltm-rerun-")
         private = Path(self._config.name, "rerun", "analytics.json")
@@ -83,8 +82,8 @@ class RerunProcess:
         self._process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [str(rerun_binary()), "--bind", LOOPBACK, "--hide-welcome-screen", *arguments],
             stdin=subprocess.DEVNULL,
-            stdout=sink,
-            stderr=sink,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             env=os.environ | _NOWHERE | {"XDG_CONFIG_HOME": self._config.name},
             start_new_session=True,
             preexec_fn=_end_with_parent(),
@@ -115,10 +114,6 @@ class RerunProcess:
     @property
     def pid(self) -> int:
         return self._process.pid
-
-    def wait(self) -> int:
-        """Wait until the viewer is closed; return its exit status."""
-        return self._process.wait()
 
     def running(self) -> bool:
         return self._process.poll() is None

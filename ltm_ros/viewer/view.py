@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +25,7 @@ from ltm_core.site.site import Site
 from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer import scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
-from ltm_ros.viewer.fuel_maps import ChangeLayer, ChangePicture, FuelMaps, change_classes
+from ltm_ros.viewer.fuel_maps import ChangeLayer, ChangePicture, change_classes
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -64,8 +63,6 @@ class RerunView:
         self._cameras: dict[str, MapCamera] = {}
         self._poses: dict[str, Pose] = {}
         self._shown: set[str] = set()
-        self._node_colors: dict[str, tuple[int, int, int]] = {}
-        self._plotted: set[str] = set()
         self._undated: dict[str, Callable[[int], None]] = {}
         """What waits for the first stamp of the time line."""
         self._live = serve
@@ -85,7 +82,6 @@ class RerunView:
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
         self._fuel = scene_geometry.FuelLayer(dem, site.fuel_geometry(dem), label_set)
         self._fuel_geometry = site.fuel_geometry(dem)
-        self._fuel_maps: FuelMaps | None = None
         self._change = ChangeLayer()
         if sinks:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
@@ -187,18 +183,6 @@ class RerunView:
             if changed:
                 self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
-    def log_fuel_layers(self, stamp_ns: int, rasters: Mapping[str, NDArray[Any]]) -> None:
-        """Log the fuel map's layers besides the life form, as in `FuelMaps.draw`; stamp 0 as in `log_fuel_map`."""
-        if not stamp_ns:
-            self._undated["layers"] = lambda first_ns: self.log_fuel_layers(first_ns, rasters)
-            return
-        with self._at(stamp_ns):
-            if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
-                places = [MapCamera(name, None, camera.position) for name, camera in self._cameras.items()]
-                self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
-            for name, picture in self._fuel_maps.draw(rasters).items():
-                self._recording.log(f"fuel_layers/{name}", picture)
-
     def log_change(self, stamp_ns: int, kinds: UInt8Array, geometry: GridGeometry) -> None:
         """Log kinds of change (H, W) of a window of the terrain's grid, 255 not observed, map frame."""
         with self._at(stamp_ns):
@@ -210,27 +194,6 @@ class RerunView:
         map."""
         with self._at(stamp_ns):
             self._recording.log("map/change", self._change.update(cells, points, kinds))
-
-    def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
-        """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ...
-
-        A recording begins with its first frame: earlier measures would open it at a time without images."""
-        if not stamp_ns or not (self._live or self._shown):
-            return
-        with self._at(stamp_ns):
-            node = node_name.strip("/")
-            color = self._node_colors.setdefault(node, archetypes.distinct_color(len(self._node_colors)))
-            for key, value in values.items():
-                entity = f"health/{key}/{node}"
-                if entity not in self._plotted:
-                    self._plotted.add(entity)
-                    self._recording.log(entity, rr.SeriesLines(colors=[color]), static=True)
-                self._recording.log(entity, rr.Scalars(value))
-
-    def log_text(self, level: str, text: str) -> None:
-        """Log a line of text, at the time of the last logged data."""
-        with self._lock:
-            self._recording.log("log", rr.TextLog(text, level=level))
 
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
@@ -263,11 +226,9 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene_geometry.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        height, width = self._fuel_geometry.shape
         fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
-        prompts, tall = bool(self._site.vocabulary), 1.2 * height > width
-        tabs = Tabs(fusion=fusion, prompts=prompts, terrain=terrain, tall=tall)
-        return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
+        tabs = Tabs(fusion=fusion, prompts=bool(self._site.vocabulary), terrain=terrain)
+        return site_blueprint(names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:
         """Return a window around the cameras and the ground before them, within the fuel grid."""

@@ -21,7 +21,7 @@ from ltm_core.base.errors import LtmError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.schemas import message_class
-from ltm_msgs_py.cells import msg_to_changed, msg_to_fuel_cells
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes, tile_window
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.json_topics import msg_to_model
@@ -88,7 +88,6 @@ CONVERTERS: list[tuple[Any, Callable[[Any], object]]] = [
     (OccupancyGrid, lambda message: tile_window(msg_to_classes(message)[1], GRID)), (PointCloud2, msg_to_columns),
     (PointCloud2, msg_to_changed),
     (PointCloud2, lambda message: msg_to_votes(message, GRID, LabelSet.load().names, "north")),
-    (PointCloud2, lambda message: msg_to_fuel_cells(message, GRID)),
     (PolygonStamped, lambda message: region_of(message, GRID)), (String, msg_to_model),
     (DiagnosticArray, stamp_of),
 ]  # fmt: skip

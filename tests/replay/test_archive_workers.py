@@ -25,7 +25,7 @@ def test_a_task_that_kills_its_workers_is_named_and_the_others_end(small_site: S
     options = ArchiveOptions((small_site.bag,), small_site.path, tmp_path / "out", frames_per_task=3)
     deadly = look_through(options, lambda done, total: None).tasks[0]
     with pytest.raises(ArchiveError, match=r"3 of 12 frames failed \(3 task\)"):
-        reprocessed(options, on_workers(2, partial(deadly_work, deadly.evidence_key)))
+        reprocessed(options, on_workers(2, partial(deadly_work, deadly.key)))
     record = json.loads((tmp_path / "out/run.json").read_text())
     assert [failure["place"] for failure in record["failures"]] == [deadly.label]
     assert "several workers died of it" in record["failures"][0]["why"]

@@ -10,11 +10,11 @@ from ltm_ros.archive.task import TaskReport, work
 
 
 def deadly_work(deadly: str, task: Task, settings: TaskSettings) -> TaskReport:
-    return os._exit(9) if task.evidence_key == deadly else work(task, settings)
+    return os._exit(9) if task.key == deadly else work(task, settings)
 
 
 def full_disk_at_3(task: Task, settings: TaskSettings) -> TaskReport:
-    if task.evidence_key == "3":
+    if task.key == "3":
         raise OSError("the disk is full")
     return TaskReport(1)
 

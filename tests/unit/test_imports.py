@@ -39,7 +39,7 @@ ON_DEMAND = {
     "rosbags": "SQLite bags, and message definitions where no ROS is installed",
     "pyarrow": "archives worked again",
     "jinja2": "reports of the demo and of fires",
-    "av": "videos for `ltm import`, RTSP streams",
+    "av": "RTSP streams",
 }
 NOT_ON_A_TOWER = {
     *("rerun", "jinja2", "tokenizers", "pyretechnics", "rosbags", "pyarrow"),

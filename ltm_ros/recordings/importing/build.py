@@ -2,48 +2,30 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Self
-
-import numpy as np
 
 from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
-from ltm_core.base.number_text import moment_of_stamp
-from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_radians
-from ltm_core.cameras.sensor_pose import Attitude, Fix
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.sensors import attitude_to_msg, camera_to_msg, fix_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import POSES, ImportedImage, Photo, PhotoPose, read_pose_file
+from ltm_ros.recordings.importing.photo import ImportedImage, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
-from ltm_ros.recordings.importing.sensor_track import SensorTrack
-from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMU, POSE, camera_topic
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
 """Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
-_BESIDE_NS = 1_000_000_000
-"""Time for which fixes and attitudes are written before the first photo and after the last."""
-_ANGLES = ("azimuth", "pitch", "roll")
-_UNKNOWN = (UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, UNKNOWN_AZIMUTH_SIGMA_DEG)
-"""Standard deviations of unknown angles."""
-_SUFFIXES = {"jpeg": ".jpg", "png": ".png"}
 
 
 @dataclass
@@ -72,7 +54,6 @@ def import_photos(
     assumed: Assumptions | None = None,
     skip_bad: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    photos_out: Path | None = None,
     refinement: PoseRefinement | None = None,
 ) -> ImportReport:
     """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
@@ -81,16 +62,14 @@ def import_photos(
     listed there are used. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
     without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
     names none; by default the site's only camera. `skip_bad`: skip photos that cannot be imported, instead of stopping.
-    `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for the
-    upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in their
-    images.
+    `progress(done, total)`: each photo is read twice, to place it and to write it. `refinement`: finds the photos'
+    poses in their images.
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed."""
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
     if site is not None:
         around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
-        assumed = replace(assumed, covers=around.covers)
     files, skipped = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
@@ -108,7 +87,7 @@ def import_photos(
         row = _row_of(file, rows)
         try:
             name = _camera_name(row, camera, site)
-            item = place(_read(file, row), row, name, around, assumed)
+            item = place(file.read(), row, name, around, assumed)
             _check_size(item, name, site)
         except ConfigError:
             raise
@@ -132,22 +111,16 @@ def import_photos(
 
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
-    folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
-    with BagWriter(out, custom_data=custom) as writer, folder or nullcontext():
-        readings = deque(_readings(report.site, placed))
+    with BagWriter(out, custom_data=custom) as writer:
         frames = CameraFrames({camera_topic(report.site, name, POSE): name for name, *_ in placed})
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            item = place(_read(file, row), row, name, around, assumed)
+            item = place(file.read(), row, name, around, assumed)
             if refinement is not None:
                 item, found = refinement.refine(name, file.name, item)
                 report.refined.append((file.name, found))
-            _write_readings(writer, readings, stamp_ns)
             _write(writer, report.site, name, item, stamp_ns, frames)
-            if folder is not None:
-                folder.add(file.name, name, item, stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
-        _write_readings(writer, readings)
     return report
 
 
@@ -165,32 +138,6 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
             writer.write_raw(transforms, TF_TYPE, raw, stamp_ns)
 
 
-_Reading = tuple[str, str, Fix | Attitude]
-"""Topic and frame of what a device reported."""
-
-
-def _readings(site: str, placed: Sequence[tuple[str, ImportedImage, PhotoPose, int]]) -> list[_Reading]:
-    """Return the fixes and attitudes of recorded tracks as the device reported them, by stamp, from a second before its
-    first photo to a second after its last one."""
-    stamps: dict[tuple[str, SensorTrack], list[int]] = {}
-    for camera, file, _, stamp in placed:
-        for track in file.tracks:
-            stamps.setdefault((camera, track), []).append(stamp)
-    found: list[_Reading] = []
-    for (camera, track), taken in stamps.items():
-        topics = {kind: camera_topic(site, camera, topic) for kind, topic in ((Fix, FIX), (Attitude, IMU))}
-        for one in track.readings(min(taken) - _BESIDE_NS, max(taken) + _BESIDE_NS):
-            found.append((topics[type(one)], f"{camera}_device", one))
-    return sorted(found, key=lambda reading: reading[2].stamp_ns)
-
-
-def _write_readings(writer: BagWriter, readings: deque[_Reading], until_ns: int | None = None) -> None:
-    while readings and (until_ns is None or readings[0][2].stamp_ns <= until_ns):
-        topic, frame, one = readings.popleft()
-        msg = fix_to_msg(one, frame) if isinstance(one, Fix) else attitude_to_msg(one, frame)
-        writer.write(topic, msg, one.stamp_ns)
-
-
 def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:
     missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
@@ -198,23 +145,16 @@ def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Pat
     return [file for file in files if any(name in rows for name in _names_of(file))]
 
 
-def _names_of(file: ImportedImage) -> tuple[str, str, str]:
-    """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
-    return file.name, Path(file.name).with_suffix("").as_posix(), file.capture
+def _names_of(file: ImportedImage) -> tuple[str, str]:
+    """Return the names that a pose file may use: the photo's, and that without the suffix."""
+    return file.name, Path(file.name).with_suffix("").as_posix()
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
-    """Return its own row, or its capture's, which then gives the capture's start."""
+    """Return its own row."""
     if rows is None:
         return PhotoPose(name=file.name)
     return next(rows[name] for name in _names_of(file) if name in rows)
-
-
-def _read(file: ImportedImage, row: PhotoPose) -> Photo:
-    """Read a photo; a frame with its own row has that row's time."""
-    photo = file.read()
-    own = row.name in _names_of(file)[:2] and row.pose != PartialPose()
-    return replace(photo, sensed=replace(photo.sensed, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
@@ -298,50 +238,3 @@ def _apart(
         last[name] = stamp_ns
         result.append((name, file, row, stamp_ns))
     return sorted(result, key=lambda item: item[3])
-
-
-class PhotoFolder:
-    """A new or empty folder for the upright photos and `poses.csv`. Raises RecordingError otherwise."""
-
-    def __init__(self, path: Path, frame: SiteFrame) -> None:
-        self._path, self._frame = path, frame
-        self._rows: list[dict[str, str]] = []
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RecordingError(f"{path} exists already and is not an empty folder: remove it, or give another folder")
-
-    def __enter__(self) -> Self:
-        self._path.mkdir(parents=True, exist_ok=True)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        columns = list(dict.fromkeys(key for row in self._rows for key in row))
-        with (self._path / POSES).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(self._rows)
-
-    def add(self, name: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
-        """Add a photo, with its pose in the bag, and its stated standard deviations."""
-        photo, pose, lens = item.photo, item.pose, item.camera
-        stem = Path(name).with_suffix("").as_posix().replace("/", "_")
-        file, used = f"{stem}{_SUFFIXES[photo.image_format]}", {row["name"] for row in self._rows}
-        if file in used:  # of the same photo in another format
-            file = f"{stem}_{len(used)}{_SUFFIXES[photo.image_format]}"
-        (self._path / file).write_bytes(photo.data)
-        taken = moment_of_stamp(stamp_ns)
-        x, y, z = pose.position
-        row = {"name": file, "camera": camera, "stamp": taken.isoformat(), "crs": self._frame.crs}
-        row |= {"x": f"{x + self._frame.x_origin:.3f}", "y": f"{y + self._frame.y_origin:.3f}", "z": f"{z:.3f}"}
-        sigmas = np.zeros(6) if item.covariance is None else pose_sigmas(pose, item.covariance)
-        for key, value, sigma, unknown in zip(_ANGLES, pose.angles_deg, sigmas[3:], _UNKNOWN, strict=True):
-            if sigma < 0.99 * unknown:  # unknown values stay empty
-                row |= {f"{key}_deg": f"{value:.4f}"} | ({f"{key}_sigma_deg": f"{sigma:.4g}"} if sigma > 0 else {})
-        if item.covariance is not None:
-            row |= {"position_sigma": f"{sigmas[0]:.4g}", "height_sigma": f"{sigmas[2]:.4g}"}
-        row |= {"width": str(lens.width), "height": str(lens.height)}
-        row |= {key: f"{getattr(lens, key):.4f}" for key in ("fx", "fy", "cx", "cy")}
-        names = ("k1", "k2", "p1", "p2", "k3")
-        row |= {key: f"{value!r}" for key, value in zip(names, lens.distortion, strict=True) if value}
-        self._rows.append(row)

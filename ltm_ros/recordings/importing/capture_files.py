@@ -17,8 +17,6 @@ from ltm_core.base.errors import RecordingError
 MOST_MEMBERS = 100_000
 LARGEST_TABLE = 64 << 20
 """Maximum bytes of a CSV file: an hour of attitudes at 100 Hz has 55 MB."""
-LARGEST_JSON = 32 << 20
-"""Maximum bytes of a JSON file, which needs twenty times as much memory while it is read."""
 MOST_ROWS = 1_000_000
 _BROKEN = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError),

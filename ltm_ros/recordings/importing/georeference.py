@@ -178,8 +178,6 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         )
     if stated == PartialCalibration() and fixed.calibration is not None:
         stated = fixed.calibration
-    if stated == PartialCalibration():
-        stated = photo.sensed.calibration
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
     if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # for a cropped image, it may be outside
         raise CameraError(

@@ -1,9 +1,8 @@
-"""Read a camera's intrinsics from the metadata of photos, videos and drone subtitles. No other code interprets them."""
+"""Read a camera's intrinsics from the metadata of photos. No other code interprets them."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,9 +34,6 @@ _LEAST_SENSOR_MM = 4.4
 _NO_SENSOR_MM = 29.5, 34.5
 """There is no sensor between APS-H and full frame; some cameras state one."""
 _OFFSETS = {"fx": 0.0, "fy": 0.0, "cx": 0.5, "cy": 0.5}
-
-_VIDEO_FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-_SUBTITLE = re.compile(r"\b(focal_len|dzoom_ratio|DZOOM)\s*:?\s*(\d+(?:[.,]\d+)?)")
 
 
 @dataclass(frozen=True)
@@ -194,25 +190,6 @@ def _xmp_calibration(xmp: Mapping[str, str], size: tuple[float, float], plane: t
         centre = middle
     cx, cy = centre
     return PartialCalibration(fx=focal[0], fy=focal[-1], cx=cx, cy=cy, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2)
-
-
-def lens_of_video(tags: Mapping[str, str]) -> LensFacts:
-    """Return the facts of a video's tags."""
-    return LensFacts(focal_35mm=positive(tags.get(_VIDEO_FOCAL)))
-
-
-def lens_of_subtitle(block: str) -> LensFacts | None:
-    """Return the facts of one block of DJI's subtitles; None if it has no focal length. Values without a decimal point
-    are tenths of a millimetre, and ten-thousandths of a zoom ratio."""
-    found: dict[str, str] = dict(_SUBTITLE.findall(block))
-    focal, zoom = found.get("focal_len", ""), found.get("dzoom_ratio", found.get("DZOOM", "1"))
-    value, ratio = positive(focal.replace(",", ".")), positive(zoom.replace(",", ".")) or 1.0
-    if value is None:
-        return None
-    return LensFacts(
-        focal_35mm=value if re.search("[.,]", focal) or value < 100 else value / 10,
-        zoom=max(ratio / 10_000 if ratio >= 1000 else ratio, 1.0),
-    )
 
 
 def _pair(tags: Mapping[int, Any], names: tuple[int, int]) -> tuple[float, float] | None:

@@ -35,7 +35,7 @@ from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
-from ltm_ros.recordings.importing.sensor_track import Sensed, SensorTrack
+from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
@@ -55,9 +55,7 @@ _TURNS = {
 @dataclass(frozen=True)
 class Photo:
     """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
-    known position and direction.
-
-    `reencoded`: whether `data` was compressed again, because of the format or because it was turned upright."""
+    known position and direction."""
 
     path: Path
     data: bytes
@@ -66,7 +64,6 @@ class Photo:
     height: int
     exif: ExifFacts
     sensed: Sensed
-    reencoded: bool
     lens: LensFacts = field(default_factory=LensFacts)
 
     @property
@@ -83,14 +80,11 @@ class ImportedImage:
     """A photo to import, whatever file contains it.
 
     `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
-    each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
-    capture, if its row gives the start; empty: none. `tracks`: recorded sensors that may apply to it."""
+    each time, because a season's photos do not fit in memory."""
 
     name: str
     path: Path
     read: Callable[[], Photo]
-    capture: str = ""
-    tracks: tuple[SensorTrack, ...] = ()
 
 
 def read_photo(path: Path) -> Photo:
@@ -111,11 +105,10 @@ def photo_of(data: bytes, path: Path) -> Photo:
         exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
         facts = exif_facts(exif, str(path))
         turn, encoding = orientation(data, path), image_format(data)
-        reencoded = turn != 1 or not encoding
         pixels = upright(decode_rgb(data, str(path)), turn)
         height, width = pixels.shape[:2]
         lens = lens_of_photo(exif, xmp, width, height)
-        if not reencoded:
+        if turn == 1 and encoding:
             stored = without_tail(data)
         elif isinstance(image, JpegImageFile):
             stored = _turned_jpeg(image, pixels, turn)
@@ -123,7 +116,7 @@ def photo_of(data: bytes, path: Path) -> Photo:
             stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
     sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
-    return Photo(path, stored, encoding, width, height, facts, sensed, reencoded, lens)
+    return Photo(path, stored, encoding, width, height, facts, sensed, lens)
 
 
 def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
@@ -155,9 +148,6 @@ def sensed_by_exif(facts: ExifFacts) -> Sensed:
     )
 
 
-POSES = "poses.csv"
-"""Name of the pose file beside photos that were written upright."""
-
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
 
 
@@ -182,21 +172,18 @@ def columns() -> list[str]:
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Return rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names
-    without suffix, from a folder of pose files, as `ltm pose photo` writes it.
+    """Return rows by photo name, from a CSV with a header line; or by the photos' names without suffix, from a folder
+    of pose files, as `ltm pose photo` writes it.
 
     Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
     line), or a photo listed twice."""
     if path.is_dir():
         return _pose_files(path)
-    readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise ConfigError(f"pose file {path} must end in .csv, .yaml or .yml")
+    if path.suffix.lower() != ".csv":
+        raise ConfigError(f"pose file {path} must be a CSV file (.csv), or a folder of pose files")
     poses: dict[str, PhotoPose] = {}
-    unnamed = _SECTIONS if path.suffix.lower() == ".csv" else ()
-    for place, row in reader(path):
-        pose = checked(PhotoPose, row, place, unnamed=unnamed)
+    for place, row in _csv_rows(path):
+        pose = checked(PhotoPose, row, place, unnamed=_SECTIONS)
         if pose.name in poses:
             raise ConfigError(f"{place}: {pose.name} is listed twice")
         poses[pose.name] = pose
@@ -248,10 +235,3 @@ def _sectioned(row: dict[str, str]) -> dict[str, Any]:
         if values := {name: value for name, value in row.items() if name in model.model_fields}:
             content[section] = values
     return content
-
-
-def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    content = read_yaml(path)
-    if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
-        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one per photo, each with a name")
-    return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

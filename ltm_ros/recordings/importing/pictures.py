@@ -19,13 +19,11 @@ from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,
     read_sensor_logger,
-    read_sensor_logger_json,
 )
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
-from ltm_ros.recordings.importing.video import SUFFIXES as VIDEO_SUFFIXES
-from ltm_ros.recordings.importing.video import is_video, video_pictures
 
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
+_VIDEOS = (".mp4", ".mov", ".m4v")
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """Orientation of a phone by the EXIF orientation of its back camera: its sensor's rows are along the screen's side."""
 
@@ -39,7 +37,7 @@ class SkippedFile:
 
 
 def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[ImportedImage], list[SkippedFile]]:
-    """Return the photos of files, folders with their subfolders, zips and videos, and the files that are not imported.
+    """Return the photos of files, folders with their subfolders, and zips, and the files that are not imported.
     A sensor recording without photos of its own applies to all photos beside it, by their time.
 
     Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
@@ -52,7 +50,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
         if not path.exists():
             raise RecordingError(f"no photo, folder or recording at {path}")
         inside: list[ImportedImage] = []
-        for part in _found_in(path, assumed):
+        for part in _found_in(path):
             match part:
                 case SensorTrack():
                     tracks.append(part)
@@ -77,7 +75,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
         others = f" ({skipped[0].path.name}: {skipped[0].why})" if skipped else ""
         raise RecordingError(
             f"no photos in {', '.join(map(str, paths))}{others}; supported: "
-            f"{', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and recordings of phones"
+            f"{', '.join(SUFFIXES)} and recordings of phones"
         )
     return found, skipped
 
@@ -94,37 +92,29 @@ def _apart(found: list[ImportedImage], folder: Path) -> list[ImportedImage]:
     ]
 
 
-def _found_in(path: Path, assumed: Assumptions) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
+def _found_in(path: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
     if path.is_dir() or is_zip(path):
         files = CaptureFiles(path)
         if is_sensor_logger(files):
             yield from _sensor_logger(files)
         elif path.is_dir():
-            yield from _in_folder(path, assumed)
+            yield from _in_folder(path)
         else:
             raise RecordingError(
                 f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
                 "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
             )
-    elif path.suffix.lower() == ".json":
-        track = read_sensor_logger_json(path)
-        if track is None:
-            raise RecordingError(f"{path}: is not a recording of Sensor Logger (a list of objects with `sensor`)")
-        yield track
-    elif is_video(path):
-        yield from video_pictures(path, assumed)
     else:
         yield _photo_file(path)
 
 
-def _in_folder(folder: Path, assumed: Assumptions) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
+def _in_folder(folder: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
     """Yield what a folder without a capture holds. Hidden files, such as AppleDouble's `._IMG_1.JPG`, are ignored."""
     try:
         paths = sorted(folder.iterdir())
     except OSError as error:
         yield SkippedFile(folder, f"the folder cannot be read ({error.strerror})")
         return
-    photos = {path.stem.lower() for path in paths if path.suffix.lower() in SUFFIXES}
     for path in paths:
         suffix = path.suffix.lower()
         if suffix == ".icloud":
@@ -132,32 +122,17 @@ def _in_folder(folder: Path, assumed: Assumptions) -> Iterator[ImportedImage | S
         elif path.name.startswith(".") or (path.is_dir() and path.is_symlink()):
             continue
         elif path.is_dir():
-            yield from _found_in(path, assumed)
+            yield from _found_in(path)
         elif suffix in SUFFIXES and path.is_file():
             yield _photo_file(path)
-        elif suffix == ".mov" and path.stem.lower() in photos:
-            yield SkippedFile(path, "video of a Live Photo; give the file itself to import it")
-        elif suffix in VIDEO_SUFFIXES and path.is_file() and is_video(path):
-            yield from _video(path, assumed)
+        elif suffix in _VIDEOS:
+            yield SkippedFile(path, "video; make photos of its frames, such as with ffmpeg")
         elif suffix in (".tif", ".tiff"):
             yield SkippedFile(path, "TIFF, perhaps a map; give the file itself to import it")
         elif suffix in _RAW:
             yield SkippedFile(path, "raw photo; export it as JPEG")
-        elif suffix != ".srt":  # subtitles are read with their video
-            yield SkippedFile(path, "not a supported photo or video")
-
-
-def _video(path: Path, assumed: Assumptions) -> list[ImportedImage]:
-    """Return the frames of a video; if it is damaged, one that raises the reason, as a damaged photo does."""
-    try:
-        return video_pictures(path, assumed)
-    except RecordingError as error:
-        reason = error
-
-    def read() -> Photo:
-        raise reason
-
-    return [ImportedImage(path.name, path, read)]
+        else:
+            yield SkippedFile(path, "not a supported photo")
 
 
 def _photo_file(path: Path) -> ImportedImage:
@@ -176,7 +151,6 @@ def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]
             path.name,
             path,
             lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns),
-            tracks=(track,),
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
@@ -195,7 +169,7 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
                 return told
         return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
 
-    return replace(picture, read=read, tracks=tuple(tracks))
+    return replace(picture, read=read)
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:

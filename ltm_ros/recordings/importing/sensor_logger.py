@@ -1,4 +1,4 @@
-"""Read recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames, or one JSON file.
+"""Read recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames.
 
 Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `time` is nanoseconds since 1970 UTC;
 `altitude` is above the WGS 84 ellipsoid; a negative accuracy marks an invalid value; `bearing` is the course of travel,
@@ -7,11 +7,10 @@ with x to true north on iOS, and y to magnetic north on Android."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,8 @@ from scipy.spatial.transform import Rotation
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import ENU_FROM_ENU, ENU_FROM_NWU
-from ltm_core.storage.config_io import read_text
-from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
-from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
+from ltm_ros.recordings.importing.capture_files import CaptureFiles, table
+from ltm_ros.recordings.importing.sensor_track import Attitudes, Fixes, SensorTrack, ascending
 
 SOURCE = "Sensor Logger"
 _PLACE = (
@@ -33,7 +31,6 @@ TABLES = {
     "Location": _PLACE,
     "LocationGps": _PLACE,
     "Orientation": ("time", "qx", "qy", "qz", "qw", "yaw", "pitch", "roll"),
-    "Barometer": ("time", "relativeAltitude", "pressure"),
     "Metadata": ("platform",),
 }
 """The tables that are read, with their columns."""
@@ -42,8 +39,6 @@ _TILT_SIGMA_DEG = 1.0
 """Standard deviation of pitch and roll from a hand-held phone in degrees: 0.5 to 1."""
 _AGREE = math.radians(3.0)
 """Maximum difference between a quaternion and the angles beside it."""
-_STANDARD_ATMOSPHERE = 44_330.0, 0.1903
-"""Metres and exponent of h = a (1 - (p / p0) ^ b)."""
 
 Table = Mapping[str, Sequence[str]]
 
@@ -61,24 +56,6 @@ def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
         if (member := files.find(f"{name}.csv")) is not None
     }
     return _track(tables, str(files.path))
-
-
-def read_sensor_logger_json(path: Path) -> SensorTrack | None:
-    """Return the same from a JSON file; None for other JSON. Raises RecordingError as `read_sensor_logger`."""
-    try:
-        rows = json.loads(read_text(path, LARGEST_JSON, RecordingError, "utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: cannot be read as JSON ({error}); export the recording again") from error
-    if not isinstance(rows, list) or not all(isinstance(row, dict) and "sensor" in row for row in rows[:10]):
-        return None
-    tables: dict[str, dict[str, list[str]]] = {}
-    for row in rows:
-        name = str(row.get("sensor", "")) if isinstance(row, dict) else ""
-        if name in TABLES:
-            columns = tables.setdefault(name, {key: [] for key in TABLES[name] if key in row})
-            for key, values in columns.items():
-                values.append(str(row.get(key, "")))
-    return _track(tables, str(path))
 
 
 def camera_frames(files: CaptureFiles) -> dict[str, int]:
@@ -99,12 +76,11 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
             "the photos' positions in a pose file (--poses)"
         )
     metadata = tables.get("Metadata", {})
-    orientation, barometer = tables.get("Orientation"), tables.get("Barometer")
+    orientation = tables.get("Orientation")
     return SensorTrack(
         SOURCE,
         _fixes(location, place),
         None if orientation is None else _attitudes(orientation, _first(metadata, "platform").lower(), place),
-        None if barometer is None else _climb(barometer, place),
         on_foot=True,
     )
 
@@ -139,7 +115,6 @@ def _fixes(location: Table, place: str) -> Fixes:
         accuracy[order],
         vertical[order],
         not known,
-        ellipsoid[order],
     )
 
 
@@ -189,19 +164,6 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     return likely
 
 
-def _climb(barometer: Table, place: str) -> Climb | None:
-    stamps = _stamps(barometer, place, "Barometer")
-    metres = _optional(barometer, "relativeAltitude", len(stamps))
-    pressure = _valid(_optional(barometer, "pressure", len(stamps)))
-    order = ascending(stamps)
-    if not np.isfinite(metres).any() and np.isfinite(pressure).any():
-        first = pressure[order][np.isfinite(pressure[order])][0]
-        scale, exponent = _STANDARD_ATMOSPHERE
-        metres = scale * (1 - (pressure / first) ** exponent)
-    order = order[np.isfinite(metres[order])]
-    return Climb(stamps[order], metres[order]) if len(order) else None
-
-
 def _first(columns: Table, name: str) -> str:
     values: Any = columns.get(name) or [""]
     return str(values[0])
@@ -234,7 +196,7 @@ def _numbers(values: Sequence[str]) -> Float64Array:
 
 
 def _valid(values: Float64Array) -> Float64Array:
-    """Return accuracies and pressures; zero and negative ones are invalid."""
+    """Return accuracies; zero and negative ones are invalid."""
     with np.errstate(invalid="ignore"):
         return np.where(values > 0, values, np.nan)
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
-from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -15,28 +13,18 @@ from scipy.spatial.transform import Rotation, Slerp
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
-from ltm_core.cameras.camera_config import PartialCalibration
-from ltm_core.cameras.sensor_pose import Attitude, Fix, optical_angles_deg
-
-
-@dataclass(frozen=True, eq=False)
-class Walk:
-    """Track of a device at eye height: `lon`, `lat` (N,) WGS 84 degrees, and its `climb` (N,)."""
-
-    lon: Float64Array
-    lat: Float64Array
-    climb: Float64Array
+from ltm_core.cameras.sensor_pose import optical_angles_deg
 
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
-    `source`: of the values, for the user. `stamp`: exact, or without a zone by the device's clock; None: by EXIF.
+    `source`: of the values, for the user. `stamp`: exact; None: by EXIF.
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
-    sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
-    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
-    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start."""
+    sea level. `in_flight`: whether a drone took it. `climb`: above the take-off place. `on_foot`:
+    whether a person carried it, at eye height. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and
+    `roll_deg` are of the upright image. Sigmas are standard deviations."""
 
     source: str = "EXIF"
     stamp: datetime | None = None
@@ -48,15 +36,13 @@ class Sensed:
     ellipsoidal: bool | None = None
     in_flight: bool = False
     climb: float | None = None
-    walk: Walk | None = None
+    on_foot: bool = False
     azimuth_deg: float | None = None
     azimuth_ref: Literal["T", "M"] | None = None
     azimuth_sigma_deg: float | None = None
     pitch_deg: float | None = None
     roll_deg: float | None = None
     tilt_sigma_deg: float | None = None
-    calibration: PartialCalibration = field(default_factory=PartialCalibration)
-    seconds: float = 0.0
     missing: str = ""
     """Reason why there is no position, if known."""
 
@@ -66,9 +52,8 @@ class Sensed:
         for names in _PARTS:
             if getattr(self, names[0]) is None:
                 taken |= {name: getattr(own, name) for name in names}
-        for name in ("stamp", "seconds", "calibration"):
-            if getattr(own, name):
-                taken[name] = getattr(own, name)
+        if own.stamp is not None:
+            taken["stamp"] = own.stamp
         return replace(self, **taken)  # type: ignore[arg-type]
 
 
@@ -91,7 +76,7 @@ _WALKING_SPEED = 1.4
 @dataclass(frozen=True, eq=False)
 class Fixes:
     """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
-    NaN if unknown. `ellipsoid`: altitude (N,) above the WGS 84 ellipsoid, if the device states that, too."""
+    NaN if unknown."""
 
     stamp_ns: Int64Array
     lon: Float64Array
@@ -100,7 +85,6 @@ class Fixes:
     position_sigma: Float64Array
     altitude_sigma: Float64Array
     ellipsoidal: bool | None = None
-    ellipsoid: Float64Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,23 +100,13 @@ class Attitudes:
 
 
 @dataclass(frozen=True, eq=False)
-class Climb:
-    """`metres` (K,) above where the recording began, at `stamp_ns` (K,) ascending."""
-
-    stamp_ns: Int64Array
-    metres: Float64Array
-
-
-@dataclass(frozen=True, eq=False)
 class SensorTrack:
-    """`on_foot`: carried at eye height, so that the ground along its track gives the start height."""
+    """What the sensors of a device recorded along its way."""
 
     source: str
     fixes: Fixes | None = None
     attitudes: Attitudes | None = None
-    climb: Climb | None = None
     on_foot: bool = False
-    _walk: list[Walk | None] = field(default_factory=list)
 
     def at(self, stamp_ns: int, device_from_optical: Float64Array) -> Sensed:
         """Return the track's values for a photo: `device_from_optical` (3, 3) is how its camera is mounted."""
@@ -143,27 +117,7 @@ class SensorTrack:
         else:
             facts |= position
         facts |= self._angles(stamp_ns, device_from_optical)
-        climb = self._climbed(stamp_ns)
-        if climb is not None:
-            facts |= {"climb": climb, "walk": self._walked()}
-        return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
-
-    def readings(self, begin_ns: int, end_ns: int) -> Iterator[Fix | Attitude]:
-        """Yield the fixes, and the attitudes with a known north, as the device reported them in a time, by stamp."""
-        found: list[Fix | Attitude] = []
-        if (fixes := self.fixes) is not None:
-            height = fixes.altitude if fixes.ellipsoidal else fixes.ellipsoid
-            for n in range(*np.searchsorted(fixes.stamp_ns, (begin_ns, end_ns))):
-                variances = np.array([fixes.position_sigma[n], fixes.position_sigma[n], fixes.altitude_sigma[n]]) ** 2
-                covariance = np.diag(variances) if np.isfinite(variances).all() else None
-                altitude = np.nan if height is None else float(height[n])
-                lon, lat = float(fixes.lon[n]), float(fixes.lat[n])
-                found.append(Fix(int(fixes.stamp_ns[n]), lon, lat, altitude, covariance))
-        if (told := self.attitudes) is not None and told.north is not None:
-            turns = told.rotations.as_matrix()
-            for n in range(*np.searchsorted(told.stamp_ns, (begin_ns, end_ns))):
-                found.append(Attitude(int(told.stamp_ns[n]), turns[n], None))
-        yield from sorted(found, key=attrgetter("stamp_ns"))
+        return Sensed(source=self.source, stamp=time_of(stamp_ns), on_foot=self.on_foot, **facts)  # type: ignore[arg-type]
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
         """Return the device's axes to east, north, up; None without a record at this time."""
@@ -186,8 +140,8 @@ class SensorTrack:
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (
-                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from the nearest GPS fix "
-                f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
+                f"the photo's time {time_of(stamp_ns).isoformat()} is {gap / 1e9:.0f} s from the nearest GPS fix "
+                f"({time_of(int(fixes.stamp_ns[near])).isoformat()}): check the clock, or its time zone (--time-zone)"
             )
         facts: dict[str, object] = {
             "lon": _at(fixes.stamp_ns, fixes.lon, stamp_ns),
@@ -218,22 +172,6 @@ class SensorTrack:
             }
         return facts
 
-    def _climbed(self, stamp_ns: int) -> float | None:
-        if self.climb is None or not len(self.climb.stamp_ns):
-            return None
-        _, gap = _nearest(self.climb.stamp_ns, stamp_ns)
-        return _at(self.climb.stamp_ns, self.climb.metres, stamp_ns) if gap <= _FIX_GAP_NS else None
-
-    def _walked(self) -> Walk | None:
-        fixes, climb = self.fixes, self.climb
-        if not self.on_foot or fixes is None or climb is None:
-            return None
-        if not self._walk:
-            inside = (fixes.stamp_ns >= climb.stamp_ns[0]) & (fixes.stamp_ns <= climb.stamp_ns[-1])
-            heights = np.interp(fixes.stamp_ns[inside], climb.stamp_ns, climb.metres)
-            self._walk.append(Walk(fixes.lon[inside], fixes.lat[inside], heights) if inside.any() else None)
-        return self._walk[0]
-
 
 def time_of(stamp_ns: int) -> datetime:
     """Return the time in UTC. Raises RecordingError for one outside the calendar."""
@@ -241,11 +179,6 @@ def time_of(stamp_ns: int) -> datetime:
         return moment_of_stamp(stamp_ns)
     except OverflowError as error:
         raise RecordingError(f"time {stamp_ns} ns is not in nanoseconds since 1970") from error
-
-
-def _shown(stamp_ns: int) -> str:
-    """Return a date, or seconds of a video."""
-    return time_of(stamp_ns).isoformat() if stamp_ns > 10**17 else f"{stamp_ns / 1e9:.1f} s"
 
 
 def ascending(stamp_ns: Int64Array) -> Int64Array:

@@ -97,27 +97,6 @@ def test_topics_and_times_are_chosen(bag: Path) -> None:
     assert list(reader.messages(start_ns=10_000)) == []
 
 
-def test_a_split_bag_is_read_as_one(tmp_path: Path) -> None:
-    parts = []
-    for part in range(2):
-        with BagWriter(tmp_path / f"part{part}") as writer:
-            for i in range(part * 5, part * 5 + 5):
-                writer.write("/a", String(data=str(i)), 1000 + i)
-        parts.append(tmp_path / f"part{part}/part{part}_0.mcap")
-    split = tmp_path / "split"
-    split.mkdir()
-    names = [f"split_{i}.mcap" for i in range(2)]
-    for part_file, name in zip(parts, names, strict=True):
-        part_file.rename(split / name)
-    info = yaml.safe_load((tmp_path / "part0/metadata.yaml").read_text())
-    info["rosbag2_bagfile_information"]["relative_file_paths"] = names
-    (split / "metadata.yaml").write_text(yaml.safe_dump(info))
-    reader = BagReader(split)
-    assert numbers(reader) == list(range(10))
-    assert reader.topic_infos()["/a"].message_count == 10
-    assert (reader.start_ns, reader.end_ns) == (1000, 1009)
-
-
 @pytest.mark.parametrize("cut", ["summary", "index", "chunk", "head"])
 def test_a_file_cut_short_is_read_up_to_the_cut_which_is_named(
     bag: Path, cut: str, caplog: pytest.LogCaptureFixture
@@ -142,25 +121,6 @@ def test_a_file_cut_short_is_read_up_to_the_cut_which_is_named(
         assert f"the record at byte {start} should have {length - 9} bytes" in note
     with pytest.raises(RecordingError, match=f"byte {end}"):
         BagReader(bag, allow_damaged=False)
-
-
-def test_a_broken_chunk_is_left_out_and_named_by_its_byte(bag: Path) -> None:
-    file = bag / "bag_0.mcap"
-    data = bytearray(file.read_bytes())
-    (start, length), lost = chunk_spans(file)[2], messages_in(file, chunk_spans(file)[2])
-    data[start + length // 2] ^= 0xFF
-    file.write_bytes(data)
-    reader = BagReader(bag)
-    found = numbers(reader)
-    assert COUNT - len(found) == lost > 0
-    (note,) = reader.damage
-    assert f"byte {start} is corrupt" in note
-    assert "crc" in note
-    assert reader.lost.keys() == {"/odd", "/even"}
-    assert reader.lost.total() == lost
-    gone = sorted({*range(1000, 1000 + 10 * COUNT, 10)} - {m.log_time_ns for m in reader.messages()})
-    assert f"({gone[0]} ns) to 1970-01-01T00:00:00.000Z ({gone[-1]} ns)" in note
-    assert reader.lost.total() == lost, "a second reading loses nothing more"
 
 
 def write_mcap(path: Path, chunking: bool = True, encoding: str = "cdr", schema: str = "std_msgs/msg/String") -> Path:
@@ -349,24 +309,6 @@ def test_messages_of_no_time_are_left_out(tmp_path: Path, chunking: bool, log_ti
     assert f"1 messages have times up to {max(log_time, sent)} ns, later than {2**63 - 1} ns, and are ignored" in note
     assert reader.end_ns is not None
     assert reader.end_ns <= 2**63 - 1
-
-
-def test_every_length_that_a_file_can_be_cut_to_is_read_or_refused(bag: Path, tmp_path: Path) -> None:
-    data = (bag / "bag_0.mcap").read_bytes()
-    counts = []
-    for end in range(0, len(data), 211):
-        file = tmp_path / "cut.mcap"
-        file.write_bytes(data[:end])
-        if end < 8:
-            with pytest.raises(RecordingError):
-                BagReader(file)
-            continue
-        reader = BagReader(file)
-        counts.append(len(list(reader.messages())))
-        assert len(reader.damage) == 1
-    assert counts == sorted(counts)
-    assert counts[0] == 0
-    assert counts[-1] == COUNT
 
 
 @pytest.mark.parametrize(

@@ -129,20 +129,3 @@ def test_a_disk_that_is_read_only_after_a_power_cut_keeps_no_recorder_from_its_s
         assert ring.repair() == []
     assert ring.repair() == [bag]
     assert numbers(bag) == [0, 1]
-
-
-def test_metadata_is_on_the_disk_before_it_has_its_name(
-    ring: RecordingRing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A power cut would else leave an empty one, which tells that the bag is finished."""
-    synced: list[tuple[str, bool]] = []
-    fsync = os.fsync
-
-    def noted(descriptor: int) -> None:
-        synced.append((Path(f"/proc/self/fd/{descriptor}").readlink().name, (bag / "metadata.yaml").exists()))
-        fsync(descriptor)
-
-    bag = ring.new_folder()
-    monkeypatch.setattr(os, "fsync", noted)
-    record(ring, bag, 1)
-    assert ("metadata.yaml.tmp", False) in synced

@@ -6,16 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
-from scenes.small_site import write_small_site
 
-from ltm_core.base.errors import ArchiveError
-from ltm_core.site.site_io import load_site
-from ltm_core.storage.image_io import LARGEST_FILE
-from ltm_ros.archive.content_digest import picture_digest
-from ltm_ros.archive.files import files_below
-from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import ArchiveImageReader
-from ltm_ros.archive.scan import photo_messages, photo_picture, recordings
+from ltm_ros.archive.files import files_below, write_result
+from ltm_ros.archive.scan import recordings
 
 
 def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
@@ -49,33 +42,20 @@ def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytes
         files_below(tmp_path)
 
 
-def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    site = load_site(write_small_site(tmp_path, recording=False).path)
-    folder = tmp_path / "photos"
-    folder.mkdir()
-    (folder / "poses.csv").write_text("name,camera,stamp\nhuge.jpg,tower,2026-06-01T12:00:00Z\n")
-    with (folder / "huge.jpg").open("wb") as file:
-        file.truncate(LARGEST_FILE + 1)  # it takes no room
-    photo, listed = files_below(folder)
-    monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
-    (message,) = photo_messages(listed, [photo], site)
-    assert f"huge.jpg has {LARGEST_FILE + 1} bytes; the maximum is 256 MiB" in message.trouble
-
-
-def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, data = tmp_path / "a.jpg", b"\xff\xd8" + b"photo" * 20
-    path.write_bytes(data)
-    picture = photo_picture(data, 7)
-    frame = ArchiveFrame("tower", 7, str(path), "", 7, len(data), picture_digest(picture), (), (), (), ())
-    reader = ArchiveImageReader()
-    assert bytes(reader.read(frame).data) == data
-    os.truncate(path, 1 << 40)
-    monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
-    with pytest.raises(ArchiveError, match="no longer contains the image"):
-        reader.read(frame)
-
-
 def test_a_file_of_any_name_is_a_recording_also_by_a_link(tmp_path: Path) -> None:
     (tmp_path / "recorded.bin").write_bytes(b"content")
     (tmp_path / "today").symlink_to(tmp_path / "recorded.bin")
     assert [found.name for found in recordings([tmp_path / "today"])] == [str(tmp_path / "recorded.bin")]
+
+
+def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced, sync = list[tuple[bool, int]](), os.fsync
+
+    def watched(file: int) -> None:
+        synced.append(((tmp_path / "votes/a.parquet").exists(), os.fstat(file).st_size))
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", watched)
+    write_result(tmp_path / "votes/a.parquet", b"content")
+    assert synced == [(False, 7)]
+    assert [(file.name, file.read_bytes()) for file in (tmp_path / "votes").iterdir()] == [("a.parquet", b"content")]

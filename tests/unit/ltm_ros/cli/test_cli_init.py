@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +9,6 @@ import numpy as np
 import pytest
 import rasterio
 from scenes.site_services import SiteServices, geotiff, grid
-from scenes.waiting import wait_for
 from typer.testing import CliRunner, Result
 
 from ltm_core.base.errors import ConfigError, LtmError
@@ -87,35 +83,6 @@ def test_much_data_is_fetched_only_after_a_yes(
     assert init(services, tmp_path, *NEW, given="n\n").exit_code == 1
     assert not (tmp_path / "getty").exists()
     assert init(services, tmp_path, *NEW, given="y\n").exit_code == 0
-
-
-@pytest.mark.parametrize(
-    ("ending", "stalled"), [(signal.SIGTERM, "/cog/USGS"), (signal.SIGINT, "/job"), (signal.SIGKILL, "/cog/USGS")]
-)
-def test_a_process_that_is_ended_leaves_nothing_half_written(
-    ending: signal.Signals, stalled: str, services: SiteServices, tmp_path: Path
-) -> None:
-    """After SIGKILL the next run removes what was left."""
-    part = tmp_path / ".getty.part"
-    services.stalls = lambda path: stalled in path and part.exists()
-    sources = services.sources(tmp_path / "sources.yaml")
-    # A shell's background job, such as a test run, starts with Ctrl-C ignored.
-    code = "from signal import *; signal(SIGINT, default_int_handler); from ltm_ros.cli.main import app; app()"
-    arguments = ["init", "--out", str(tmp_path / "getty"), "--sources", str(sources), *NEW]
-    process = subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=tmp_path, stderr=subprocess.DEVNULL)
-    try:
-        wait_for(lambda: services.stalled, "a request that stalls", process.poll)
-        process.send_signal(ending)
-        assert process.wait(30) == (-signal.SIGKILL if ending == signal.SIGKILL else 130)
-    finally:
-        process.kill()
-        process.wait()
-    assert not (tmp_path / "getty").exists()
-    assert part.exists() == (ending == signal.SIGKILL)
-    services.stalls = lambda path: False
-    result = init(services, tmp_path, *NEW)
-    assert (tmp_path / "getty/site.yaml").is_file(), result.output
-    assert {path.name for path in tmp_path.iterdir()} == {"cache", "getty", "sources.yaml"}
 
 
 def test_sources_are_listed(services: SiteServices) -> None:

@@ -105,7 +105,6 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
         ({"mark": ["1,2"], "place": "1,2"}, ConfigError, "give --mark"),
         ({"place": "1"}, ConfigError, "needs 2 or 3"),
         ({"place": "1,2"}, RegionError, "the DEM covers"),
-        ({"mark": ["north=1,2"], "mask": ["mast.png"]}, ConfigError, "give the camera's name"),
     ],
 )
 def test_what_cannot_be_is_told(tmp_path: Path, options: dict[str, Any], error: type[LtmError], said: str) -> None:

@@ -20,8 +20,9 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_msgs_py.cells import changed_to_msg, msg_to_fuel_cells
+from ltm_msgs_py.cells import changed_to_msg
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
+from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
@@ -106,9 +107,9 @@ def test_a_felled_wood_appears_in_the_map_once(site: Path, tmp_path: Path) -> No
         np.testing.assert_array_equal(values, state[name])
     node.handler.tick(5.0)
     np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], expected)
-    cells = msg_to_fuel_cells(node.outlet.on(FUEL_MAP_CELLS)[-1], node.fuel)
-    np.testing.assert_array_equal(cells.raster("changed", mask.shape, 0), mask)
-    assert set(cells.layers["prior"].tolist()) == {TREES}
+    cells = msg_to_columns(node.outlet.on(FUEL_MAP_CELLS)[-1])
+    assert cells["changed"].sum() == mask.sum()
+    assert set(cells["prior"].tolist()) == {TREES}
     touches = node.handler.persistence.store.touches((0, 0))
     assert [(t.source, t.frames, t.first_ns) for t in touches] == [("terrain", 1, BEGIN_NS)]
 

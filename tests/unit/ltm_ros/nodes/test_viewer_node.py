@@ -1,31 +1,23 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from scenes.outlets import Kept
 from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import MessageError
-from ltm_core.fuel.codes import FuelClimate
-from ltm_core.fuel.decision import layers_of_classes
-from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_msgs_py.cells import changed_to_msg, fuel_cells_to_msg
+from ltm_msgs_py.cells import changed_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
-from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
-    FUEL_MAP,
-    FUEL_MAP_CELLS,
     FUSED_DEPTH,
     NETWORK_DEPTH,
     TERRAIN_CHANGE,
@@ -103,7 +95,7 @@ def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Pa
     assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
 
 
-def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tmp_path: Path) -> None:
+def test_kinds_of_change_that_there_are_not_end_no_viewer(tmp_path: Path) -> None:
     small = write_small_site(tmp_path)
     path = small.path
     path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml", "terrain": {}}))
@@ -114,34 +106,4 @@ def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tm
     message = changed_to_msg(changed, np.array([300.0]), GridGeometry(0.0, 40.0, 10.0, 7, 4), STAMP)
     with pytest.raises(MessageError, match="change is 97; valid kinds are 0 to 3"):
         take[site_topic(small.site.name, TERRAIN_UPDATE)](message)
-    (frame,) = [frame for frame in small.frames(1) if frame.camera_name == "tower"]
-    node._view.log_pose("tower", STAMP, frame.pose, frame.camera)  # a recording begins with a frame
-    rate = [KeyValue(key="frames_hz", value="unknown"), KeyValue(key="queue", value="3")]
-    status = DiagnosticStatus(name="a driver", level=b"\0", values=rate)
-    take["/diagnostics"](DiagnosticArray(header=make_header(STAMP, ""), status=[status]))
     node.finish()
-    paths = {str(chunk.entity_path) for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
-    assert any("queue" in path for path in paths)
-    assert not any("frames_hz" in path for path in paths)
-
-
-def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:
-    small = write_small_site(tmp_path)
-    node = viewer(small.path, tmp_path / "view.rrd")
-    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
-    grid = small.site.fuel_geometry(small.dem)
-    classes = np.full(grid.shape, LifeForm.GRASS, np.uint8)
-    classes[2:4, 3:5] = LifeForm.BURNED
-    layers = layers_of_classes(classes, None, FuelClimate.named("dry"))
-    seen = replace(layers, last_seen=np.where(classes == LifeForm.BURNED, STAMP, 0))
-    cells = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP)
-    take[site_topic(small.site.name, FUEL_MAP_CELLS)](cells)
-    take[site_topic(small.site.name, FUEL_MAP)](classes_to_msg(classes, grid, STAMP))
-    elsewhere = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid.translated(9e5, 0.0), STAMP)
-    with pytest.raises(MessageError, match="outside the fuel grid"):
-        take[site_topic(small.site.name, FUEL_MAP_CELLS)](elsewhere)
-    node.finish()
-    found = {str(chunk.entity_path): chunk for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
-    assert {f"/fuel_layers/{name}" for name in ("life_form", "code", "entropy", "seen_by")} <= set(found)
-    context = str(found["/"].to_record_batch().to_pydict())
-    assert "burned" in context

@@ -1,20 +1,11 @@
 from __future__ import annotations
 
-import random
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.serialization import serialize_message
 from scenes.own_disk import run_on_own_disks
-from std_msgs.msg import String
 
-from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.bag.writer import Split
-from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits
-from ltm_ros.runtime.health import Health
-
-MINUTE_NS = 60 * 10**9
 PROGRAM = Path(__file__).parents[3] / "scenes" / "recording_process.py"
 CASES = ("full", "stopped_while_full", "floor", "killed")
 
@@ -78,43 +69,3 @@ def test_a_killed_recorder_leaves_what_was_flushed_and_the_next_one_ends_its_bag
     assert read["count"] == 22
     assert left == ["metadata.yaml"]
     assert "was not finished" in state["told"][0]
-
-
-def test_seven_days_stay_within_the_ring(tmp_path: Path) -> None:
-    """Simulated time: three cameras with a picture a minute each; a file holds an hour, an operator marks one."""
-    most, sent = 4_000_000, 0
-    limits = RecordingLimits(most, 0, Split(most // 4, 3600 * 10**9))
-    health, told = Health(), list[str]()
-    recording = BoundedRecording(tmp_path / "bag", "/ridge/recorder", limits, health, told.append)
-    cameras = [f"/ridge/{name}/image" for name in ("north", "east", "south")]
-    for topic in cameras:
-        recording.add_topic(topic, "std_msgs/msg/String", False)
-    noise = random.Random(5)
-    marked = tmp_path / "bag/bag_30.mcap"
-    largest = 0
-    for minute in range(7 * 24 * 60):
-        for topic in cameras:
-            text = f"{minute}:{noise.randbytes(60).hex()}"
-            recording.write(
-                topic, "std_msgs/msg/String", bytes(serialize_message(String(data=text))), minute * MINUTE_NS
-            )
-            sent += 1
-        if minute % 30 == 0:
-            recording.flush()
-            files = list(tmp_path.rglob("*.mcap"))
-            largest = max(largest, sum(file.stat().st_size for file in files if file != marked))
-            if marked.exists():
-                marked.with_name(f"{marked.name}.keep").touch()
-    assert recording.close()
-    assert most / 2 < largest <= most
-    assert int(health.summary()["frames_out"]) == sent
-    assert "dropped" not in "".join(told)
-    minutes = [
-        int(reader.decode(message).data.partition(":")[0])
-        for reader in [BagReader(tmp_path / "bag")]
-        for message in reader.messages([cameras[0]])
-    ]
-    hour = [*range(30 * 60, 31 * 60)]
-    assert minutes[:60] == hour, "the marked one is whole"
-    assert minutes[60:] == [*range(minutes[60], 7 * 24 * 60)], "and the newest are, without a gap"
-    assert int(health.summary()["noted.files_removed"]) > 30

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.io import MemoryFile
-from rasterio.warp import transform, transform_bounds
+from rasterio.warp import transform
 from scenes.site_services import SiteServices, geotiff, grid, opened
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.resources import project_path
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
@@ -116,26 +115,6 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     print(f"{services.bytes_sent / used:.2f} of the bytes used, {services.bytes_sent / expected:.2f} of those expected")
     assert used < services.bytes_sent <= 2 * used
     assert services.bytes_sent <= 1.1 * expected
-
-
-@pytest.mark.parametrize("name", ["bags/demo/dem.tif", "../shared/data/dem_bigtujunga/bigtujunga.tif"])
-def test_real_terrain_arrives_unchanged(name: str, services: SiteServices, tmp_path: Path) -> None:
-    path = (project_path(".") / name).resolve()
-    services.add_product("USGS_1M_11_x34y379_A.tif", path.read_bytes(), "2021-01-01")
-    with rasterio.open(path) as raster:
-        west, south, east, north = transform_bounds(raster.crs, "EPSG:4326", *raster.bounds)
-        lon, lat = (west + east) / 2, (south + north) / 2
-        source = named(services, tmp_path, "usgs_3dep_1m", resolution_m=abs(raster.res[0]))
-        area = Area.around(lon, lat, min(Area((west, south, east, north)).size_m) / 6)
-        fetched = source.fetch(source.plan(area), tmp_path / "out")
-        values, about = opened(fetched.files[0])
-        np.testing.assert_array_equal(
-            values, raster.read(1, window=raster.window(*about.bounds).round_lengths().round_offsets())
-        )
-        assert about.crs == raster.crs
-    inside = transform_bounds(about.crs, "EPSG:4326", *about.bounds)
-    assert inside[0] < area.bounds_lonlat[0] < area.bounds_lonlat[2] < inside[2]
-    assert values.size < raster.width * raster.height / 4
 
 
 def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(

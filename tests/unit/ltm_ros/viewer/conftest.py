@@ -54,8 +54,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points = np.array([[100.5, 219.5, 480.0], [101.5, 219.5, 481.0], [3.5, 292.5, 470.0]], np.float32)
     view.log_changed_cells(STAMP, cells, points, np.array([1, 1, 2], np.uint8))
     view.log_changed_cells(STAMP + 9, cells[1:2], points[1:2], np.array([0], np.uint8))
-    view.log_diagnostics(STAMP, "/ridge/north/depth", {"rate_hz": 2.0, "latency_p95_ms": 81.5, "dropped": 0.0})
-    view.log_text("WARN", "depth: slow")
     with pytest.raises(ImageError, match="south"):
         view.log_depth("south", STAMP, depth[:, :-1], camera)
     with pytest.raises(ImageError, match="south"):

@@ -5,18 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
+from scenes.rerun_site import STAMP, chunks
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer.fuel_maps import FuelMaps
 
-
-def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
+def test_recording_holds_scene_and_pictures(recording: Path) -> None:
     rows = chunks(recording)
-    latency = [row["Scalars:scalars"] for row in rows["/health/latency_p95_ms/ridge/north/depth"] if "stamp" in row]
-    assert latency == [[81.5]]
-    assert rows["/log"][0]["TextLog:text"] == ["depth: slow"]
     assert len(rows["/map/terrain"][0]["Mesh3D:vertex_positions"]) == 70 * 110
     (tile, *_) = [row for name, found in rows.items() if name.startswith("/map/fuel/") for row in found]
     assert tile["Mesh3D:albedo_factor"][0] & 0xFF < 255, "one sees the terrain through the fuel layer"
@@ -47,43 +42,6 @@ def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
     names = {entry["class_id"]: entry["class_description"]["info"]["label"] for entry in context}
     assert names[3] == "tree"
     assert names[255] == "unlabelled"
-
-
-def test_fuel_maps_show_all_before_anything_is_seen_and_then_the_part_that_is(tmp_path: Path) -> None:
-    """What is seen fills the picture, and its size stays when another window is drawn."""
-    where, dem = site(north={}), hills()
-    grid = where.fuel_geometry(dem)
-    maps = FuelMaps(grid, dem, LABELS, [])
-    nothing = {name: np.zeros(grid.shape, np.uint8) for name in ("entropy", "changed", "seen_by")}
-    prior = nothing | {"life_form": np.full(grid.shape, 3, np.uint8), "code": np.full(grid.shape, 102, np.int16)}
-
-    def shown(seen: np.ndarray) -> tuple[float, tuple[int, ...]]:
-        """Share of the map that is of cells that a camera sees, which are the only ones that are no grey relief."""
-        picture = maps.draw(prior | {"seen_by": seen.astype(np.uint8)})["seen_by"]
-        decoded = cv2.imdecode(np.array(picture.blob.as_arrow_array().to_pylist()[0], np.uint8), cv2.IMREAD_COLOR)
-        return float((np.ptp(decoded[: decoded.shape[0] // 2].astype(int), axis=-1) > 40).mean()), decoded.shape
-
-    seen = np.zeros(grid.shape, np.bool_)
-    nobody, size = shown(seen)
-    assert maps.window is None
-    assert nobody == 0.0
-    seen[10:18, 60:75] = True
-    few, same = shown(seen)
-    first = maps.window
-    assert first is not None
-    assert few > 5 * seen.mean(), "zoomed to what is seen"
-    west, south, east, north = first
-    row, col = np.array([9.5, 17.5]), np.array([59.5, 74.5])
-    x, y = grid.to_map(row, col)
-    assert west < x[0] < x[1] < east
-    assert south < y[1] < y[0] < north
-    seen[10:18, 75] = True
-    shown(seen)
-    assert maps.window == first, "one cell more needs no other window"
-    seen[2:60, 5:90] = True
-    _, larger = shown(seen)
-    assert maps.window != first
-    assert size == same == larger
 
 
 def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: Path) -> None:

@@ -9,7 +9,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from ltm_core.base.errors import CameraError
 from ltm_ros.recordings.importing.exif import xmp_values
-from ltm_ros.recordings.importing.intrinsics import intrinsics, lens_of_photo, lens_of_subtitle
+from ltm_ros.recordings.importing.intrinsics import intrinsics, lens_of_photo
 
 FULL_FRAME = math.hypot(36, 24)
 PHOTO, INTEROPERABILITY = 0x8769, 0xA005
@@ -150,19 +150,3 @@ def test_what_the_user_states_replaces_what_is_unknown() -> None:
     assert read(4000, 3000, {0xA405: 50}, focal_35mm=27.0).fx == pytest.approx(50 / FULL_FRAME * 5000)
     with pytest.raises(CameraError, match="--focal-35mm"):
         read(4290, 2856, {0x920A: 30.0})
-
-
-@pytest.mark.parametrize(
-    ("block", "focal_35mm", "zoom"),
-    [
-        ("[focal_len : 240]", 24.0, 1.0),
-        ("[focal_len: 24.00] [dzoom_ratio: 1.00]", 24.0, 1.0),
-        ("[focal_len: 162.00] [dzoom_ratio: 10000, delta:0]", 162.0, 1.0),  # Mavic 3, telephoto
-        ("[focal_len: 24,00] [dzoom_ratio: 20000, delta:0]", 24.0, 2.0),
-    ],
-)
-def test_subtitles_state_a_35_mm_equivalent(block: str, focal_35mm: float, zoom: float) -> None:
-    lens = lens_of_subtitle(block)
-    assert lens is not None
-    assert (lens.focal_35mm, lens.zoom) == (focal_35mm, zoom)
-    assert lens_of_subtitle("ISO:100 Shutter:60 EV: Fnum:F2.8") is None

@@ -25,25 +25,6 @@ def test_sigmas_come_back_from_a_covariance(pitch: float) -> None:
     np.testing.assert_allclose(sigmas, [4.0, 4.0, 7.0, 8.2, 1.0, 2.5], rtol=1e-9)
 
 
-def test_the_list_of_an_import_makes_the_same_recording(tmp_path: Path) -> None:
-    """Pixels, poses, sigmas and lenses: what is known goes to `ltm pose photo`, and comes back the same way."""
-    site = phone_site(tmp_path)
-    write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
-    folder = tmp_path / "photos"
-    import_photos([tmp_path / "walk.zip"], tmp_path / "bag", site=site, assumed=LENS, photos_out=folder)
-    import_photos([folder], tmp_path / "again", folder / "poses.csv", site)
-    for (stamp, camera, pose, covariance), (same, lens, found, sigmas) in zip(
-        imported(tmp_path / "bag"), imported(tmp_path / "again"), strict=True
-    ):
-        assert stamp == same
-        np.testing.assert_allclose(
-            [lens.fx, lens.fy, lens.cx, lens.cy], [camera.fx, camera.fy, camera.cx, camera.cy], atol=1e-4
-        )
-        np.testing.assert_allclose(found.position, pose.position, atol=1e-3)
-        np.testing.assert_allclose(found.rotation, pose.rotation, atol=2e-6)
-        np.testing.assert_allclose(sigmas, covariance, rtol=2e-3, atol=1e-6)
-
-
 def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) -> None:
     """As `ltm pose photo` leaves it, one a photo; the recording keeps the time."""
     site = phone_site(tmp_path)

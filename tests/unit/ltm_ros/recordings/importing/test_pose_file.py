@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -28,19 +27,6 @@ def test_csv_with_spaces_a_byte_order_mark_and_blank_lines(tmp_path: Path) -> No
         -0.1155,
     )
     assert (pose.pose.pitch_deg, pose.stamp, pose.calibration.k2) == (None, None, 0.0)
-
-
-def test_yaml_says_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "poses.yaml"
-    path.write_text(
-        "- name: a.jpg\n"
-        "  pose: {lon: 13.75, lat: 66.6, height_above_ground: 2, azimuth_deg: 230, azimuth_ref: true}\n"
-        "- {name: b.jpg, camera: north, calibration: {hfov_deg: 54}, stamp: 2024-07-04T18:30:15Z}\n"
-    )
-    poses = read_pose_file(path)
-    assert (poses["a.jpg"].pose.lon, poses["a.jpg"].pose.azimuth_ref) == (13.75, "true")
-    assert poses["b.jpg"].camera == "north"
-    assert poses["b.jpg"].stamp == datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,8 @@
-"""The folder of results, and who works the tasks."""
+"""Who works the tasks of an archive."""
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 from pathlib import Path
 
@@ -13,50 +12,24 @@ from scenes.archive_jobs import full_disk_at_3, thread_count
 
 from ltm_core.base.kernels import kernel_threads
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
-from ltm_ros.archive.files import ResultFolder
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport, on_workers
 from ltm_ros.runtime.ros_environment import available_cores
-
-
-def test_a_file_is_on_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    synced, sync = list[tuple[bool, int]](), os.fsync
-
-    def watched(file: int) -> None:
-        synced.append(((tmp_path / "votes/a.parquet").exists(), os.fstat(file).st_size))
-        sync(file)
-
-    monkeypatch.setattr(os, "fsync", watched)
-    results = ResultFolder(tmp_path)
-    results.write("votes/a.parquet", b"content")
-    assert synced == [(False, 7)]
-    assert results.names("votes") == {"a.parquet"}
-    assert results.read("votes/a.parquet") == b"content"
-
-
-def test_folders_are_no_files(tmp_path: Path) -> None:
-    """Somebody has put one beside the layers; they are what is removed when a later run has not written them."""
-    results = ResultFolder(tmp_path)
-    results.write("layers/code.tif", b"content")
-    results.write("layers/mine/notes.txt", b"content")
-    assert results.names("layers") == {"code.tif"}
-    assert results.names("nothing") == set()
-
 
 SETTINGS = TaskSettings("site.yaml", Path("out"), "code", TracingConfig(), LabellingConfig())
 
 
 def task(number: int) -> Task:
     frame = ArchiveFrame("east", number, "a.mcap", "/ridge/image", number, 5, "", (), (), (), ())
-    return Task((frame,), "", f"{number}", f"{number}")
+    return Task((frame,), "", f"{number}")
 
 
 @pytest.mark.slow  # starts processes
 def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
     done = list(on_workers(2, full_disk_at_3)([task(n) for n in range(6)], SETTINGS))
-    assert {one.task.evidence_key for one in done} == set("012345")
-    assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
+    assert {one.task.key for one in done} == set("012345")
+    assert {one.task.key: one.error for one in done if one.error} == {"3": "the disk is full"}
 
 
 @pytest.mark.slow  # starts processes

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,36 +13,26 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 from scenes.masked_site import hidden_of_view, write_turning_site
-from scenes.small_site import TOWER, write_small_site
+from scenes.small_site import write_small_site
 
 import ltm_ros.archive
-from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
-from ltm_msgs_py.bag.cdr import RAW_TYPE, RawPicture, picture_of
+from ltm_msgs_py.bag.cdr import RAW_TYPE, picture_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import image_to_msg
-from ltm_ros.archive.content_digest import (
-    code_digest,
-    evidence_digest,
-    file_digest,
-    look_digest,
-    picture_digest,
-    votes_digest,
-)
-from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
+from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
+from ltm_ros.archive.plan import code_digest, file_digest, site_digest
+from ltm_ros.archive.scan import picture_digest
 
 _SAYS = """
 import sys
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site_io import load_site
-from ltm_ros.archive.content_digest import evidence_digest, look_digest, votes_digest
-site = load_site(sys.argv[1])
-print(evidence_digest(site), votes_digest(site, "mast", TracingConfig(), LabellingConfig()), look_digest(site, "mast"))
+from ltm_ros.archive.plan import site_digest
+print(site_digest(load_site(sys.argv[1]), "mast", TracingConfig(), LabellingConfig()))
 """
 
 
@@ -68,35 +57,33 @@ def test_other_errors_of_the_network_give_other_evidence(tmp_path: Path) -> None
         (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
         content["expert"] = {"fuel": {"label_errors": str(tmp_path / "errors.yaml")}}
         site.path.write_text(yaml.safe_dump(content))
-        found.append(evidence_digest(load_site(site.path)))
+        found.append(_name(load_site(site.path), "mast"))
     assert found[0] != found[1]
 
 
-def test_masks_of_views_are_in_the_names_of_votes_and_looks(tmp_path: Path) -> None:
-    """None, one, and the same file with another mask in it: of the camera that has them alone."""
+def test_masks_of_views_are_in_the_names_of_their_camera_alone(tmp_path: Path) -> None:
+    """None, one, and the same file with another mask in it."""
     small = write_small_site(tmp_path, recording=False)
     site, turning = load_site(small.path), load_site(write_turning_site(small))
-    found = {camera: [_names(site, camera), _names(turning, camera)] for camera in ("tower", "mast")}
+    found = {camera: [_name(site, camera), _name(turning, camera)] for camera in ("tower", "mast")}
     write_mask(tmp_path / "view_mask.png", ~hidden_of_view())
     for camera, names in found.items():
-        names.append(_names(turning, camera))
-    for of_step in range(2):
-        assert len({names[of_step] for names in found["tower"]}) == 3
-        assert len({names[of_step] for names in found["mast"]}) == 1
+        names.append(_name(turning, camera))
+    assert {camera: len(set(names)) for camera, names in found.items()} == {"tower": 3, "mast": 1}
 
 
-def _names(site: Site, camera: str) -> tuple[str, str]:
-    return votes_digest(site, camera, TracingConfig(), LabellingConfig()), look_digest(site, camera)
+def _name(site: Site, camera: str) -> str:
+    return site_digest(site, camera, TracingConfig(), LabellingConfig())
 
 
 def test_limits_of_growth_are_in_the_names_of_votes(tmp_path: Path) -> None:
     small = write_small_site(tmp_path, recording=False)
     content = yaml.safe_load(small.path.read_text())
-    found = {votes_digest(small.site, "mast", TracingConfig(), LabellingConfig())}
+    found = {_name(small.site, "mast")}
     for part, growth in (({}, {"tree_line_m": 2400.0}), ({"steepest_deg": 49.0}, {}), ({"steepest_deg": None}, {})):
         changes = {"fuel": {"growth": growth}, "expert": {"fuel": {"growth": part}}}
         small.path.write_text(yaml.safe_dump(content | changes))
-        found.add(votes_digest(load_site(small.path), "mast", TracingConfig(), LabellingConfig()))
+        found.add(_name(load_site(small.path), "mast"))
     assert len(found) == 4
 
 
@@ -120,52 +107,6 @@ def test_a_folder_is_what_its_files_hold(tmp_path: Path) -> None:
     file.write_bytes(b"and after")
     os.utime(tmp_path / "map", ns=(state.st_atime_ns, state.st_mtime_ns))
     assert file_digest(tmp_path / "map") != before
-
-
-class _Pictures(ArchiveImageReader):
-    """Gives one picture for all frames."""
-
-    def __init__(self, rgb: UInt8Array) -> None:
-        super().__init__()
-        self._rgb = rgb
-
-    def read(self, frame: ArchiveFrame) -> RawPicture:
-        height, width, _ = self._rgb.shape
-        return RawPicture(frame.stamp_ns, height, width, "rgb8", 0, 3 * width, memoryview(self._rgb.tobytes()))
-
-
-@pytest.mark.parametrize(("azimuth_deg", "clear"), [(40.0, False), (60.0, True)])
-def test_what_a_view_s_mask_hides_is_not_judged(tmp_path: Path, azimuth_deg: float, clear: bool) -> None:
-    """A grey picture but for a roof of many colours, which one view hides."""
-    small = write_small_site(tmp_path, recording=False)
-    roof = np.zeros((TOWER.height, TOWER.width), np.bool_)
-    roof[60:, 80:] = True
-    write_mask(tmp_path / "roof.png", roof)
-    content = yaml.safe_load(small.path.read_text())
-    view = {"name": "roof", "azimuth_deg": 40.0, "pitch_deg": -14.0, "mask": "roof.png"}
-    content["cameras"]["tower"]["view_masks"] = [view]
-    small.path.write_text(yaml.safe_dump(content))
-    picture = np.full((TOWER.height, TOWER.width, 3), 120, np.uint8)
-    picture[roof] = np.random.default_rng(3).integers(60, 200, (int(roof.sum()), 3), np.uint8)
-    pose = Pose.from_angles((560.0, 470.0, 300.0), azimuth_deg, -14.0)
-    lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
-    frame = ArchiveFrame("tower", 1, "a.mcap", "", 1, 5, "", lens, (), (), ())
-    frame = replace(frame, position=tuple(pose.position), quaternion=tuple(pose.quaternion))
-    look = SmallLook(load_site(small.path), "tower", _Pictures(picture))
-    assert (look(frame) == "") == clear
-
-
-def test_a_dim_picture_is_clear_at_noon_alone(tmp_path: Path) -> None:
-    """As live: the site is in California."""
-    small = write_small_site(tmp_path, recording=False)
-    dim = np.random.default_rng(3).integers(20, 140, (TOWER.height, TOWER.width, 3), np.uint8)
-    look = SmallLook(load_site(small.path), "tower", _Pictures(dim))
-    said = []
-    for moment in ("2026-06-21T20:00", "2026-06-22T04:00"):
-        stamp = int(np.datetime64(moment, "ns").astype(np.int64))
-        lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
-        said.append(look(ArchiveFrame("tower", stamp, "", "", 1, 5, "", lens, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0), ())))
-    assert said == ["", "dusk: the sun is low and the image dim"]
 
 
 def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:
