@@ -15,9 +15,9 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
 from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
+from ltm_core.fuel.surface_change import LEAST_SHARE
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.surface.layers import LEAST_SHARE
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
