@@ -230,9 +230,8 @@ class EvidenceMap:
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
 
-    def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return (H, W) tree cover by labels and its standard error in %; NaN where unseen. `before` (H, W): cover from
-        other sources."""
+    def label_cover(self, before: Float64Array) -> Float64Array:
+        """Return (H, W) tree cover by labels in %; NaN where unseen. `before` (H, W): cover from other sources."""
         return label_cover(self._state["woody"], before)
 
     def seen_by(self, source: str) -> BoolArray:

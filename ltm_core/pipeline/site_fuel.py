@@ -132,7 +132,7 @@ def site_canopy(
 
 def _heights(
     site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
-) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
+) -> tuple[Float32Array | None, str]:
     """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
     `before`: metres, as of `stand_heights`."""
     path = None if state is None else state / TERRAIN_STORE

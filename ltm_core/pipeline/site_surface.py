@@ -62,7 +62,7 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
             ("confirmed surface", surface.surface_over, given.top),
         )
     )
-    return ConfirmedTerrain(entry, ground, top, surface, given.canopy_known, given.top)
+    return ConfirmedTerrain(entry, ground, top, surface, given.canopy_known)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:

@@ -227,15 +227,13 @@ class ConfirmedTerrain:
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
-    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: remark for the user."""
+    has what stood before; False: only what has changed differs from `ground`. `note`: remark for the user."""
 
     version: SurfaceVersion | None
     ground: Dem
     top: Dem
     surface: ConfirmedSurface | None = None
     canopy_known: bool = True
-    given: Dem | None = None
     note: str = ""
 
     @property
