@@ -148,7 +148,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
     model = estimate_errors(read, samples, size, config)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
-    joint = model.standardized(read, samples, size)
+    joint = model.standardized(read, samples)
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))

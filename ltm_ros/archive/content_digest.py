@@ -26,7 +26,7 @@ from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig
-from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest, label_columns
+from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture
@@ -119,8 +119,7 @@ def measured_digest(site: Site, camera: str, votes: str, fusing: FusingConfig) -
     the camera, which includes terrain and labels. Raises LtmError for missing files."""
     network = depth_manifest(site, camera, fusing)
     constants = load_fusion_config(network).model_dump(mode="json")
-    labels = label_columns(site, camera, fusing)
-    return digest(votes, network.model_dump(mode="json"), constants, labels, fusing.angle_sigma_deg, fusing.dem_sigma)
+    return digest(votes, network.model_dump(mode="json"), constants, fusing.angle_sigma_deg, fusing.dem_sigma)
 
 
 def look_digest(site: Site, camera: str) -> str:
