@@ -177,7 +177,6 @@ class DecisionConfig(StrictModel):
 class PoseCheckConfig(StrictModel):
     """Check that the terrain matches the photo (`pose_check`)."""
 
-    enabled: bool = chosen(True, "Whether a pose that contradicts the photo stops fusion.")
     reach_deg: float = chosen(2.5, "Range in degrees of the search for a better pose.")
     cells: int = chosen(480, "Number of columns of the contrast image.")
     least_edges: int = chosen(60, "Minimum number of terrain edges for the check.")

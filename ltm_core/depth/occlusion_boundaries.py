@@ -5,7 +5,6 @@ likelihood is greatest, under a prior that falls with the height of the cover. A
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -56,19 +55,6 @@ class BoundaryRules(NamedTuple):
         return cls(*compiled, *more)
 
 
-@dataclass(frozen=True, eq=False)
-class Silhouettes:
-    """Traced edges between a near surface and what is behind it, from the lowest in the image up, column by column.
-
-    `rows`, `cols`: (N,) int32, the topmost pixel of the near surface. `depth`: (N,) float32 metres of it. `raised`:
-    (N,) int32 pixels by which the photo puts the edge higher."""
-
-    rows: Int32Array
-    cols: Int32Array
-    depth: Float32Array
-    raised: Int32Array
-
-
 def refine_occlusion_boundaries(
     rgb: UInt8Array,
     ground: Float32Array,
@@ -80,9 +66,10 @@ def refine_occlusion_boundaries(
     config: FusionConfig,
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
-) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return them. `labels`: (H, W)
-    ids of `classes`, or None. `network`: its view at the photo's size. `edges`: of `ground`, if known."""
+) -> Int32Array:
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return by how many pixels (N,)
+    the photo puts each of `edges` higher. `labels`: (H, W) ids of `classes`, or None. `network`: its view at the
+    photo's size. `edges`: of `ground`, if known."""
     rules = config.boundaries
     edges = DepthDiscontinuities.of(ground, config.surface.jump) if edges is None else edges
     rows, cols = edges.rows, edges.cols
@@ -94,7 +81,7 @@ def refine_occlusion_boundaries(
     compiled = BoundaryRules.of(config, highest, camera.fy)
     _cut(color, ground, seen, classes.crest, view, compiled, rows, cols, raised)
     _raise(rows, cols, raised, ground, seen, classes.outline, view, compiled, surface, sigma)
-    return Silhouettes(rows, cols, ground[rows, cols], raised)
+    return raised
 
 
 @helper()

@@ -274,12 +274,7 @@ def surely_terrain(
 
 @helper()
 def log_against(
-    other: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    gross: np.float32,
-    rules: DecisionRules,
+    other: np.float32, off: np.float32, joint: np.float32, spread: np.float32, gross: np.float32, rules: DecisionRules
 ) -> np.float32:
     """Return the log likelihood ratio of the terrain against an object anywhere in front of it at the inverse depth
     `other`, 1/m. `off`: excess over the expected value, with variance `joint`, of its own `spread`. `gross`: share of

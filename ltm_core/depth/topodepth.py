@@ -279,9 +279,7 @@ def _judge(photo: Fusion) -> _JudgedPhoto:
         ground = with_labelled_sky(ground, labels, classes.sky)
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
     sigmas = settings.angle_sigma, settings.dem_sigma
-    check, jump = PoseCheck.none(), config.surface.jump
-    if config.pose_check.enabled:
-        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, jump, hidden)
+    check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, config.surface.jump, hidden)
     refused: tuple[FusionVerdict, str] | None = None
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):

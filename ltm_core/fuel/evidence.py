@@ -143,7 +143,7 @@ class EvidenceMap:
             np.uint32(second),
             np.uint16(1 + second // EPOCH_S),
             np.uint32(camera_hash(votes.source)),
-            *(state[name] for name in ACCUMULATED),
+            tuple(state[name] for name in ACCUMULATED),
         )
         if (looks := woody_looks(votes, self._forms)) is not None:
             add_looks(state, looks, _directions(looks.bearing), second, 1 + second // EPOCH_S)

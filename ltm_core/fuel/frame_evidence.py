@@ -37,11 +37,7 @@ class FrameEvidence:
 
 
 def frame_evidence(
-    votes: CellVotes,
-    forms: Int64Array,
-    errors: LabelErrors,
-    rules: FusionRules,
-    stands: UInt8Array | None = None,
+    votes: CellVotes, forms: Int64Array, errors: LabelErrors, rules: FusionRules, stands: UInt8Array | None = None
 ) -> FrameEvidence:
     """Return the evidence w n p(l) of each cell.
 
@@ -70,23 +66,20 @@ def frame_evidence(
     probability = _probability(votes, rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
     bearing = None
-    # The appearance model already uses the labels' confidence and the occlusion by plants.
+    # The appearance model already uses the labels' confidence.
     by_look = errors.appearance is not None and votes.visibility is not None
     if votes.confidence is not None and not by_look:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
     if votes.visibility is not None:
         cell = votes.geometry.resolution
         amount *= cell / np.hypot(cell, votes.visibility.footprint)
-        cosine = np.maximum(votes.visibility.cos_incidence.astype(np.float64), 0.02)
-        relief = 0.0 if by_look else rules.relief
-        parallax = relief * np.sqrt(1 - np.minimum(cosine, 1.0) ** 2) / cosine
         bearing = votes.visibility.bearing.astype(np.float64)
         probability, coverage = spread(
             rows,
             cols,
             probability,
             amount,
-            np.minimum(np.hypot(votes.visibility.sigma_along, parallax), rules.max_sigma) / cell,
+            votes.visibility.sigma_along.astype(np.float64) / cell,
             votes.visibility.sigma_across.astype(np.float64) / cell,
             bearing,
         )

@@ -103,11 +103,7 @@ class SurfaceNews:
 
 
 def news_of(
-    kinds: UInt8Array,
-    shift: Float32Array,
-    window: GridGeometry,
-    fuel: GridGeometry,
-    recorded: UInt8Array,
+    kinds: UInt8Array, shift: Float32Array, window: GridGeometry, fuel: GridGeometry, recorded: UInt8Array
 ) -> SurfaceNews:
     """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 

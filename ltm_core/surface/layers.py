@@ -15,10 +15,9 @@ from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.tile_pool import TilePool
 
 _FIELDS = (
-    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "label",
-    "base", "kind", "shift", "since", "by",
+    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "base", "kind",
+    "shift", "since",
 )  # fmt: skip
-_NO_LABEL = 255
 _NOT_LOOKED = 255
 
 
@@ -29,9 +28,8 @@ class SurfaceLayers:
     `bare`, `reference`: metres, as they were given. `height`: the updated surface: the reference (with the canopy that
     the first views found, where no surface raster was given), moved where change was accepted. `estimate`: what the
     cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN in unseen
-    cells. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
-    how many. `last_seen`: s, 0 never. `since`: s, when an accepted change had been seen, else 0. `by`: the mask of the
-    cameras that agreed on it. `label`: class last seen, 255 none."""
+    cells. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `since`:
+    s, when an accepted change had been seen, else 0."""
 
     geometry: GridGeometry
     bare: Float32Array
@@ -42,11 +40,7 @@ class SurfaceLayers:
     change: UInt8Array
     observed: BoolArray
     frames: NDArray[np.uint16]
-    cameras: UInt8Array
-    last_seen: UInt32Array
     since: UInt32Array
-    by: UInt32Array
-    label: UInt8Array
 
     @property
     def told(self) -> UInt8Array:
@@ -65,11 +59,10 @@ def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules
     bare, surface = reference.bare[part], reference.surface[part]
     if not parts:
         unknown = np.full(shape, np.nan, np.float32)
-        seconds = np.zeros(shape, np.uint32)
         return SurfaceLayers(
             reference.geometry.window(*window), bare, surface, surface.copy(), unknown, unknown.copy(),
-            np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8),
-            seconds, seconds.copy(), seconds.copy(), np.full(shape, _NO_LABEL, np.uint8),
+            np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16),
+            np.zeros(shape, np.uint32),
         )  # fmt: skip
     variance, _, sure = estimate_variance(parts, rules)
     base = np.nan_to_num(parts["base"])
@@ -84,14 +77,5 @@ def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules
         parts["kind"],
         sure,
         parts["frames"],
-        _bit_counts(parts["cameras"]),
-        parts["last"],
         parts["since"],
-        parts["by"],
-        np.where(parts["frames"] > 0, parts["label"], np.uint8(_NO_LABEL)).astype(np.uint8),
     )
-
-
-def _bit_counts(masks: UInt32Array) -> UInt8Array:
-    bits = np.unpackbits(np.ascontiguousarray(masks).view(np.uint8).reshape(*masks.shape, 4), axis=-1)
-    return np.asarray(bits.sum(axis=-1), np.uint8)

@@ -74,8 +74,8 @@ def frame_samples(
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
     depth, sigma = seen.copy(), spread.copy()
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    crests = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
-    above = _above_crests(crests.rows, crests.cols, crests.raised, ground, seen, view, true, step)
+    raised = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
+    above = _above_crests(edges.rows, edges.cols, raised, ground, seen, view, true, step)
     return FrameSamples(
         _standing(depth, sigma, view, standing, labels, ids, classes, true, step, config),
         _outline(above, labels, ids, traced.camera.fy),

@@ -93,13 +93,6 @@ def head(
     tree_contrast: Annotated[
         float, typer.Option(min=0, help="Minimum contrast (8-bit steps) of tree among more shrub.")
     ] = 0.0,
-    ridge: Annotated[
-        float,
-        typer.Option(min=1e-6, help="Penalty on coarse features; use less with photos of dozens of places."),
-    ] = 1.0,
-    rarity: Annotated[
-        float, typer.Option(min=0, max=1, help="Exponent of a class's area share that weights it in a photo.")
-    ] = 0.8,
     overlays: Annotated[
         Path | None,
         typer.Option(help="Draw the labels of held-out photos beside the truth (PNG).", callback=writable_folder),
@@ -118,7 +111,6 @@ def head(
     from rich.console import Console
 
     from ltm_core.base.errors import ModelError
-    from ltm_core.label_heads.head_fit import HeadFitConfig
     from ltm_core.label_heads.head_trial import score_photos, teach_head, write_overlay
     from ltm_core.label_heads.labelled_frames import evenly, read_frames, without_classes
     from ltm_core.vision.label_head import (
@@ -139,12 +131,9 @@ def head(
     made = f"ltm train head {photos.resolve().name}, {len(frames)} photos, numpy {np.__version__}"
     tag = f"{path.stem}_held_out"
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
-    rules, fit = (
-        Withdrawal(confidence=confidence, tree_contrast=tree_contrast),
-        HeadFitConfig(ridge=ridge, rarity=rarity),
-    )
+    rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
     with console.status("teaching"):
-        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look, fit)
+        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look)
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False

@@ -8,11 +8,7 @@ from scenes.called import called
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.occlusion_prior import (
-    OcclusionPrior,
-    mixture_moments,
-    occlusion_log_odds,
-)
+from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
 from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, average_row
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
