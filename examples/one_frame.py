@@ -24,7 +24,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.range_image import DepthImage, RangeImage
-from ltm_core.pipeline.frame_steps import PosedImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site

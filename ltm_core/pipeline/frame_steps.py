@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.base.errors import PoseError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import DescribedModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
@@ -36,25 +36,6 @@ from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.smoke import SmokeMemory
-
-
-@dataclass(frozen=True, eq=False)
-class PosedImage:
-    """`image`: (H, W, 3) uint8 RGB; `stamp_ns`: when it was taken, nanoseconds. Raises ImageError on another shape."""
-
-    image: UInt8Array
-    camera: Camera
-    pose: Pose
-    stamp_ns: int
-    camera_name: str
-
-    def __post_init__(self) -> None:
-        expected = (self.camera.height, self.camera.width, 3)
-        if self.image.shape != expected or self.image.dtype != np.uint8:
-            raise ImageError(
-                f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
-                f"its calibration expects {expected} uint8"
-            )
 
 
 class TracingConfig(DescribedModel):

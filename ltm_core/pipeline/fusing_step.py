@@ -18,15 +18,8 @@ from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import Fusion
 from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
 from ltm_core.geometry.range_image import DepthImage
-from ltm_core.pipeline.frame_steps import (
-    LabellingConfig,
-    LabellingStep,
-    PosedImage,
-    TracingConfig,
-    TracingStep,
-    VotingStep,
-    seen,
-)
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
 from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site

@@ -31,7 +31,7 @@ SELECT camera, stamp_ns FROM (
     FROM (SELECT camera, stamp_ns, view FROM frames ORDER BY stamp_ns LIMIT ?)
 ) WHERE number % 2 = 0
 """
-"""The second, fourth, ... frame of each view, of so many of the oldest."""
+"""The second, fourth, ... frame of each view, among the oldest frames."""
 _TABLE: Final = """
 CREATE TABLE frames (
     camera TEXT NOT NULL, stamp_ns INTEGER NOT NULL, view INTEGER NOT NULL, model TEXT NOT NULL,

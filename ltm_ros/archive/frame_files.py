@@ -18,7 +18,8 @@ from ltm_core.base.types import Columns, Float32Array
 from ltm_core.fuel.vote_columns import columns_to_votes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.frame_steps import LabellingConfig, PosedImage, TracingConfig
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.pipeline.fusing_step import FrameSteps, FrameVotes, FusingConfig, MeasuredFrame
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet

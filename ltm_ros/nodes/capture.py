@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.pipeline.frame_steps import PosedImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb

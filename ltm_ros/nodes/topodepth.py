@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, Fusion, FusionOutcome, FusionVerdict
-from ltm_core.pipeline.frame_steps import PosedImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
