@@ -84,7 +84,7 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     depth_network = DepthNetwork.open(site.depth_model)
     network = depth_network.predict(frame.image, frame.camera)
     direction = np.sqrt(np.radians(0.03) ** 2 + covariance.diagonal()[3:].max())  # of the calibration, and of the pose
-    settings = FusionSettings(float(direction), label_columns=segmenter.manifest.label_columns)
+    settings = FusionSettings(float(direction))
     constants = depth_network.fusion  # fitted with this network
     classes = ClassPriors.of(labels, constants)
     fused = fuse(depth, network, frame.image, segmentation.labels, classes, settings, config=constants)

@@ -148,12 +148,10 @@ def _cover(
 @dataclass(frozen=True)
 class FusionSettings:
     """Standard deviations of the inputs. angle_sigma: camera direction, radians, in addition to its pose's covariance.
-    dem_sigma: terrain heights, metres. label_columns: width of the network that made the labels, which limits their
-    resolution; 0: the photo's own."""
+    dem_sigma: terrain heights, metres."""
 
     angle_sigma: float = float(np.radians(0.03))
     dem_sigma: float = 1.0
-    label_columns: int = 0
 
 
 def fitted(

@@ -100,23 +100,13 @@ class ScaleConfig(StrictModel):
 
 
 class ErrorModelConfig(StrictModel):
-    """Systematic errors and noise of a network by region and depth (`error_model`)."""
+    """Systematic errors and noise of a network by depth (`error_model`)."""
 
-    regional: bool = chosen(True, "Whether corrections vary over the photo if held-out regions confirm them.")
-    by_depth: bool = chosen(True, "Whether bias and spread vary with the range.")
-    unsampled: float = chosen(4.0, "Variance of a region without samples, in multiples of that of held-out regions.")
-    shrink: tuple[float, ...] = chosen((4.0, 16.0, 64.0), "Weights of the prior, in samples, tried in turn.")
-    gain: float = chosen(0.97, "Share of the held-out error that corrections must reach to be used.")
-    winsor: float = chosen(6.0, "Standard deviations at which residuals are clipped.")
-    covered: float = chosen(4.0, "Standard deviations nearer than the terrain above which a sample is cover.")
-    blur: tuple[float, float, float] = chosen((1.0, 1.0, 1.5), "Smoothing in regions and half octaves.")
-    peak: float = chosen(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
     fewest: int = chosen(10, "Minimum number of samples for a spread.")
     belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
     densest: float = chosen(0.4, "Share of the samples in the densest part, which replaces the median.")
     least_spread: float = chosen(0.5, "Minimum spread of one range, as a share of the spread of all ranges.")
-    nearer: float = chosen(12.0, "Ratio to the ground's depth above which a sample is a near object.")
-    nearer_far: float = chosen(3.0, "The same ratio for far ground.")
+    nearer_far: float = chosen(3.0, "Ratio to the depth of far ground above which a sample is a near object.")
     biased: float = chosen(0.3, "Share of a range's bias by which it varies within the half octave.")
     beyond: float = chosen(1.5, "Growth factor of the spread for each half octave beyond all samples.")
     before: float = chosen(1.1, "Growth factor for each half octave nearer than all samples.")
@@ -161,7 +151,6 @@ class OcclusionConfig(StrictModel):
     )
     metre: float = fitted(0.14, "Decrease of the log odds per metre of height.")
     highest: float = chosen(30.0, "Height in metres above which the log odds do not decrease further.")
-    no_foot: float = fitted(1.0, "Decrease of the log odds if the image ends above the foot.")
     about: int = chosen(7, "Side of the square whose labels count, in cells of the network's depth.")
 
 
@@ -181,15 +170,13 @@ class DecisionConfig(StrictModel):
     open: float = chosen(0.1, "Probability above which the less likely depth also counts; 0.5: never.")
     elsewhere: float = chosen(4.0, "Variance of a network on objects, in multiples of its variance on ground.")
     between: float = chosen(0.3, "Sigma of a pixel's depth as a share of its neighbours' range.")
-    blurred: float = chosen(0.3, "Share of a disagreement above which a value between two sides is an edge.")
     ranges: float = chosen(3.0, "Number of e-foldings of depth over which an object is equally likely.")
     measured: float = chosen(0.5, "Relative standard deviation above which a network's depth is no measurement.")
 
 
 class PoseCheckConfig(StrictModel):
-    """Check that the terrain matches the photo (`pose_check`, `skyline_check`)."""
+    """Check that the terrain matches the photo (`pose_check`)."""
 
-    enabled: bool = chosen(True, "Whether a pose that contradicts the photo stops fusion.")
     reach_deg: float = chosen(2.5, "Range in degrees of the search for a better pose.")
     cells: int = chosen(480, "Number of columns of the contrast image.")
     least_edges: int = chosen(60, "Minimum number of terrain edges for the check.")
@@ -202,17 +189,6 @@ class PoseCheckConfig(StrictModel):
     clearly: float = chosen(0.6, "Share of the best contrast below which the given pose is suspected.")
     contrast: float = chosen(1.8, "Minimum contrast at the best place.")
     outstanding: float = chosen(4.0, "Minimum excess of the best contrast over the usual one, in spreads.")
-    skyline_gain: float = chosen(4.0, "Factor by which the skyline must fit better.")
-    skyline_as_well: float = chosen(1.25, "Multiple of the best cost up to which a fit is about as good.")
-    skyline_margin: float = chosen(0.25, "Margin of `skyline_as_well` in mean squared standard deviations.")
-    columns: int = chosen(480, "Approximate number of columns of the skyline.")
-    least_share: float = chosen(0.3, "Minimum share of columns with a known, far skyline.")
-    edge: float = chosen(0.75, "Sigma of the labels' edge, in steps between columns or cells.")
-    run: int = chosen(3, "Number of rows of land that end the sky.")
-    most: float = chosen(4.0, "Standard deviations above which a column is ignored (label errors, clouds).")
-    share: float = chosen(0.6, "Minimum share of the columns that remain visible after a shift.")
-    hopeless: float = chosen(3.0, "Mean squared standard deviations at the best place above which nothing fits.")
-    lucky: float = chosen(0.5, "Mean squared standard deviations below which better fits are random.")
 
 
 class FusionConfig(StrictModel):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.error_model import ErrorModel, ErrorTables
+from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.fusion_config import FusionConfig, UpsamplingConfig
 from ltm_core.depth.scale_fit import ScaleFit
 
@@ -42,14 +42,14 @@ class NetworkView(NamedTuple):
 
     `cells`: (4, h, w) float32 over the photo, edge to edge: gain and offset on the photo's `grey` (H, W), then the
     greatest and the least inverse depth, 1/m, among neighbours. `columns`, `parts`: for each column of the photo the
-    cell to its left, and how far it lies towards the next. `tables`: the network's error model. `gross`: see
+    cell to its left, and how far it lies towards the next. `errors`: the network's error model. `gross`: see
     `ScaleFit`. `there`: whether there is a network at all."""
 
     cells: Float32Array
     grey: UInt8Array
     columns: Int32Array
     parts: Float32Array
-    tables: ErrorTables
+    errors: ErrorModel
     gross: np.float32
     there: bool
 
@@ -62,14 +62,14 @@ class NetworkView(NamedTuple):
         at = (np.arange(grey.shape[1]) + 0.5) * (width / grey.shape[1]) - 0.5
         columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
         parts = np.clip(at - columns, 0, 1).astype(np.float32)
-        return cls(cells, grey, columns, parts, fit.error_model.tables, np.float32(fit.gross), True)
+        return cls(cells, grey, columns, parts, fit.error_model, np.float32(fit.gross), True)
 
     @classmethod
     def none(cls) -> NetworkView:
         """Return the view used without a network."""
         grey, column = np.zeros((1, 1), np.uint8), np.zeros(1, np.int32)
         cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)
-        return cls(cells, grey, column, part, ErrorModel.none().tables, np.float32(1.0), False)
+        return cls(cells, grey, column, part, ErrorModel.none(), np.float32(1.0), False)
 
     @property
     def shape(self) -> tuple[int, int]:

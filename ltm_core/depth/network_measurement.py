@@ -8,7 +8,7 @@ import numpy as np
 
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array
-from ltm_core.depth.error_model import ErrorTables, invert
+from ltm_core.depth.error_model import ErrorModel, invert
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.pixel_fusion import DecisionRules, elsewhere
 from ltm_core.depth.scale_fit import ScaleFit
@@ -28,7 +28,7 @@ class NetworkMeasurement:
         sigma is that of objects in front of it."""
         depth, sigma = np.empty_like(fit.inverse), np.empty_like(fit.inverse)
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
-        _measure(seen, fit.error_model.tables, DecisionRules.of(config.decision), sure, depth, sigma)
+        _measure(seen, fit.error_model, DecisionRules.of(config.decision), sure, depth, sigma)
         return cls(depth, sigma)
 
     def without(self, hidden: BoolArray) -> NetworkMeasurement:
@@ -46,7 +46,7 @@ class NetworkMeasurement:
 @kernel(nogil=True)
 def _measure(
     seen: tuple[Float32Array, Float32Array, Float32Array],
-    errors: ErrorTables,
+    errors: ErrorModel,
     rules: DecisionRules,
     sure: np.float32,
     depth: Float32Array,
@@ -58,11 +58,10 @@ def _measure(
     height, width = inverse.shape
     one, none = np.float32(1.0), np.float32(np.nan)
     for v in range(height):
-        row = v * errors.shift.shape[0] // height
         for u in range(width):
             depth[v, u], sigma[v, u] = none, none
             if inverse[v, u] > 0:
-                true, t = invert(row, u * errors.shift.shape[1] // width, inverse[v, u], errors)
+                true, t = invert(inverse[v, u], errors)
                 t = elsewhere(t, nearest[v, u], farthest[v, u], rules)
                 if t < sure * true:
                     depth[v, u], sigma[v, u] = one / true, t / (true * true)

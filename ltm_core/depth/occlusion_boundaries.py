@@ -5,7 +5,6 @@ likelihood is greatest, under a prior that falls with the height of the cover. A
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -13,7 +12,7 @@ import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.error_model import ErrorTables, expected_prediction
+from ltm_core.depth.error_model import ErrorModel, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel
@@ -56,19 +55,6 @@ class BoundaryRules(NamedTuple):
         return cls(*compiled, *more)
 
 
-@dataclass(frozen=True, eq=False)
-class Silhouettes:
-    """Traced edges between a near surface and what is behind it, from the lowest in the image up, column by column.
-
-    `rows`, `cols`: (N,) int32, the topmost pixel of the near surface. `depth`: (N,) float32 metres of it. `raised`:
-    (N,) int32 pixels by which the photo puts the edge higher."""
-
-    rows: Int32Array
-    cols: Int32Array
-    depth: Float32Array
-    raised: Int32Array
-
-
 def refine_occlusion_boundaries(
     rgb: UInt8Array,
     ground: Float32Array,
@@ -80,9 +66,10 @@ def refine_occlusion_boundaries(
     config: FusionConfig,
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
-) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return them. `labels`: (H, W)
-    ids of `classes`, or None. `network`: its view at the photo's size. `edges`: of `ground`, if known."""
+) -> Int32Array:
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return by how many pixels (N,)
+    the photo puts each of `edges` higher. `labels`: (H, W) ids of `classes`, or None. `network`: its view at the
+    photo's size. `edges`: of `ground`, if known."""
     rules = config.boundaries
     edges = DepthDiscontinuities.of(ground, config.surface.jump) if edges is None else edges
     rows, cols = edges.rows, edges.cols
@@ -94,7 +81,7 @@ def refine_occlusion_boundaries(
     compiled = BoundaryRules.of(config, highest, camera.fy)
     _cut(color, ground, seen, classes.crest, view, compiled, rows, cols, raised)
     _raise(rows, cols, raised, ground, seen, classes.outline, view, compiled, surface, sigma)
-    return Silhouettes(rows, cols, ground[rows, cols], raised)
+    return raised
 
 
 @helper()
@@ -129,10 +116,10 @@ def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) 
 
 
 @helper()
-def _answer(depth: np.float32, row: int, col: int, errors: ErrorTables) -> _Answer:
-    """Return what the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
+def _answer(depth: np.float32, errors: ErrorModel) -> _Answer:
+    """Return what the network says of a surface of known `depth`, which may be inf."""
     true = np.float32(1.0) / depth
-    less, spread = expected_prediction(row, col, true, errors)
+    less, spread = expected_prediction(true, errors)
     return true, less, spread, np.log(spread)
 
 
@@ -145,13 +132,11 @@ def _against(inverse: np.float32, answer: _Answer) -> np.float32:
 
 
 @helper()
-def _farther(
-    inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, errors: ErrorTables, most: np.float32
-) -> np.float32:
+def _farther(inverse: np.float32, near: _Answer, far: np.float32, errors: ErrorModel, most: np.float32) -> np.float32:
     """Return the network's log likelihood ratio of the far side, of depth `far`, to the near one."""
     if np.isnan(inverse) or np.isnan(far):
         return np.float32(0.0)
-    gain = _against(inverse, near) - _against(inverse, _answer(far, row, col, errors))
+    gain = _against(inverse, near) - _against(inverse, _answer(far, errors))
     return min(max(gain, -most), most)
 
 
@@ -171,9 +156,8 @@ def _cut(
     height = color.shape[0]
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
     far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
-    errors, ids, labelled, sky = view.tables, labels.ids, labels.known, labels.sky
+    errors, ids, labelled, sky = view.errors, labels.ids, labels.known, labels.sky
     sample, focal, jump, sure = rules.sample_rows, rules.focal, rules.jump, rules.network_sure
-    across, down = errors.shift.shape[1], errors.shift.shape[0]
     most = rules.strip_px
     if view.there:
         most = min(most, int(np.ceil(rules.strip_cells * np.float32(height) / view.cells.shape[1])))
@@ -181,14 +165,13 @@ def _cut(
         v: Any = np.int64(rows[i])  # else what takes them is compiled for each width
         u: Any = np.int64(cols[i])
         d = ground[v, u]
-        row, col = v * down // height, u * across // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
         # no pixel is of a tall class and the usual crest's strip will do.
         usual = min(most, int(crest[255] * focal / d))
         tall = min(most, int(rules.highest * focal / d))
         strip = usual
         share = np.float32(0.0)
-        below = _answer(d, row, col, errors)
+        below = _answer(d, errors)
         if view.there:
             low = upsample_pixel(view, min(v + sample, height - 1), u)
             high = upsample_pixel(view, max(v - tall - sample, 0), u)
@@ -197,7 +180,7 @@ def _cut(
             taller = labelled and crest[ids[v - s, u]] > crest[255]
             if not taller and share > 0:
                 inverse = upsample_pixel(view, v - s, u)
-                side = _farther(inverse, below, ground[v - s, u], row, col, errors, rules.network_most)
+                side = _farther(inverse, below, ground[v - s, u], errors, rules.network_most)
                 taller = share * side < -sure
             if not taller:
                 break
@@ -234,7 +217,7 @@ def _cut(
             further = np.float32(0.0)
             if share > 0:
                 inverse = upsample_pixel(view, r, u)
-                further = share * _farther(inverse, below, ground[r, u], row, col, errors, rules.network_most)
+                further = share * _farther(inverse, below, ground[r, u], errors, rules.network_most)
             if labelled:
                 label = ids[r, u]
                 if s * d > crest[label] * focal and further > -sure:

@@ -50,7 +50,6 @@ class OcclusionRules(NamedTuple):
 
     metre: np.float32
     highest: np.float32
-    no_foot: np.float32
 
     @classmethod
     def of(cls, config: OcclusionConfig) -> OcclusionRules:
@@ -130,8 +129,6 @@ def occlusion_log_odds(
     """Return the log odds that an object is in front of the ground at inverse depth `near` in a `row` of the photo,
     where labels give the `odds`; `column`: of `OcclusionPrior.feet`."""
     foot, rules = ground_contact(near, column, row), prior.rules
-    if foot == len(column):
-        odds -= rules.no_foot
     return np.float32(odds - rules.metre * min(height_above(prior, near, row, foot), rules.highest))
 
 

@@ -35,7 +35,6 @@ class DecisionRules(NamedTuple):
     open: np.float32
     elsewhere: np.float32
     between: np.float32
-    blurred: np.float32
     ranges: np.float32
     sure: np.float32
     """The value 1 - open."""
@@ -47,7 +46,7 @@ class DecisionRules(NamedTuple):
 
     @classmethod
     def of(cls, config: DecisionConfig) -> DecisionRules:
-        given = (np.float32(getattr(config, name)) for name in cls._fields[:11])
+        given = (np.float32(getattr(config, name)) for name in cls._fields[:10])
         few = math.log(config.open / (1.0 - config.open))
         widest = math.log(config.ranges / math.sqrt(2.0 * math.pi * OWN))
         more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.likelihood_weight, widest))
@@ -61,7 +60,7 @@ class FusionRow(NamedTuple):
     `nearest`, `farthest`: inverse depth, 1/m, that the network sees, and its neighbours' extremes. `true`: the
     terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `less`: by how much
     less than `true` it would say; `off`: by how much nearer it sees than it would say, with the variance `joint`.
-    `part`: to work in. `asked`: whether the two disagree or the terrain is unknown. `column`: of the error tables."""
+    `part`, `place`: to work in. `asked`: whether the two disagree or the terrain is unknown."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -78,14 +77,13 @@ class FusionRow(NamedTuple):
     joint: Float32Array
     part: Float32Array
     place: Int32Array
-    column: Int32Array
     asked: BoolArray
 
 
 @helper(fastmath={"nsz", "arcp", "contract"})
 def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionRules) -> int:
     """Compare one row of terrain with the network's view: fills `true` to `asked`; returns how many are asked.
-    `tables`: (C * D, 4), the row's of `interpolation_table`. One result a loop, so that compilers vectorise it."""
+    `tables`: `interpolation_table`. One result a loop, so that compilers vectorise it."""
     d, s, y, label = row.depth, row.sigma, row.seen, row.labels
     true, own, less, spread, off, joint = row.true, row.own, row.less, row.spread, row.off, row.joint
     near, back, asked, soft_share, disagree = row.nearest, row.farthest, row.asked, rules.soft, rules.disagree
@@ -95,7 +93,7 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
     for u in range(width):
         b = s[u] * true[u] * true[u]
         own[u] = b if d[u] < far else none
-    expected_predictions(true, tables, row.column, row.place, row.part, less, spread)
+    expected_predictions(true, tables, row.place, row.part, less, spread)
     for u in range(width):
         off[u] = y[u] - true[u] + less[u]
     for u in range(width):
@@ -170,7 +168,7 @@ def fuse_pixels(
         np.empty((4, view.cells.shape[2]), np.float32),
         np.empty((10, width), np.float32),
         np.full(width, 255, np.uint8),
-        np.empty((3, width), np.int32),
+        np.empty((2, width), np.int32),
         np.zeros(width, np.bool_),
     )
 
@@ -196,29 +194,26 @@ def _fuse(
     of 255. `between`, `work`, `index`, `asked`: work arrays."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
-    errors, gross, odds, feet = view.tables, view.gross, prior.odds, prior.feet
+    errors, gross, odds, feet = view.errors, view.gross, prior.odds, prior.feet
     tables = interpolation_table(errors)
     y, near, back = work[0], work[1], work[2]
     true, own, less, spread, off, joint, part = work[3], work[4], work[5], work[6], work[7], work[8], work[9]
-    place, column, cell = index[0], index[1], index[2]
+    place, cell = index[0], index[1]
     for u in range(width):
-        column[u], cell[u] = u * errors.shift.shape[1] // width, u * odds.shape[1] // width
+        cell[u] = u * odds.shape[1] // width
     for v in range(height - 1, -1, -1):
-        i = v * errors.shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
         label = labels.ids[v] if labels.known else unlabelled
-        row = FusionRow(
-            d, s, kind, label, y, near, back, true, own, less, spread, off, joint, part, place, column, asked
-        )
+        row = FusionRow(d, s, kind, label, y, near, back, true, own, less, spread, off, joint, part, place, asked)
         at = odds[v * odds.shape[0] // height]
         if view.there:
             upsample_row(view, v, between, work)
         if len(over):
-            _choose(row, over[v], i, prefers_over, view, rules)
+            _choose(row, over[v], prefers_over, view, rules)
         begin_row(d, s, kind)
         if not view.there:
             continue
-        count = compare_row(row, tables[i], labels.sky, rules)
+        count = compare_row(row, tables, labels.sky, rules)
         average_row(row, rules)
         if not count:
             continue
@@ -236,13 +231,12 @@ def _fuse(
                 edge = (near[u] - y[u]) / off[u]
                 if not edge < one or surely_terrain(known, off[u], joint[u], spread[u], rules):
                     continue
-                other = y[u] if edge < rules.blurred else near[u]
                 known = occlusion_log_odds(prior, known, other, feet[cell[u]], v)
                 likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
             if not (likely >= rules.open and other > 0):
                 continue
             # An int32: `network_measurement` has a compiled form of its own, without this kernel's fastmath.
-            inverse, t = invert(i, column[u], other, errors)
+            inverse, t = invert(other, errors)
             if nearer:
                 # The shifts were learned on ground; an object in front of it has the depth of the line alone, and its
                 # presence is known even if its depth is not.
@@ -280,12 +274,7 @@ def surely_terrain(
 
 @helper()
 def log_against(
-    other: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    gross: np.float32,
-    rules: DecisionRules,
+    other: np.float32, off: np.float32, joint: np.float32, spread: np.float32, gross: np.float32, rules: DecisionRules
 ) -> np.float32:
     """Return the log likelihood ratio of the terrain against an object anywhere in front of it at the inverse depth
     `other`, 1/m. `off`: excess over the expected value, with variance `joint`, of its own `spread`. `gross`: share of
@@ -313,11 +302,11 @@ def network_chance(
 
 @helper()
 def _choose(
-    row: FusionRow, over: Float32Array, i: int, prefers_over: Float32Array, view: NetworkView, rules: DecisionRules
+    row: FusionRow, over: Float32Array, prefers_over: Float32Array, view: NetworkView, rules: DecisionRules
 ) -> None:
     """Bare ground or canopy, in one row: the label's odds, and which of the two the network is nearer to."""
     far, one, half = np.float32(1e9), np.float32(1.0), np.float32(0.5)
-    depth, sigma, seen, labels, column, errors = row.depth, row.sigma, row.seen, row.labels, row.column, view.tables
+    depth, sigma, seen, labels, errors = row.depth, row.sigma, row.seen, row.labels, view.errors
     for u in range(len(depth)):
         c, d, s = over[u], depth[u], sigma[u]
         if c < far and (not d < far or abs(c - d) > s):
@@ -326,10 +315,10 @@ def _choose(
                 y, a = seen[u], np.float32(0.0)
                 if d < far:
                     a = one / d
-                m, t = expected_prediction(i, column[u], a, errors)
+                m, t = expected_prediction(a, errors)
                 to_ground = (y - a + m) / t
                 for_over = half * to_ground * to_ground + np.log(t)
-                m, t = expected_prediction(i, column[u], one / c, errors)
+                m, t = expected_prediction(one / c, errors)
                 to_over = (y - one / c + m) / t
                 for_over -= half * to_over * to_over + np.log(t)
                 odds += rules.canopy_weight * for_over

@@ -1,5 +1,4 @@
-"""Check that the terrain matches the photo: traced silhouettes against the photo's edges, and the traced skyline
-against that of the labels.
+"""Check that the terrain matches the photo: traced silhouettes against the photo's edges.
 
 The traced silhouettes are shifted over the photo's vertical gradient. The pose is suspected if only turns beyond the
 tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out."""
@@ -16,19 +15,16 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.labels import UNLABELLED
 
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """Result of the check. `edges`: number of terrain edges used; `columns`: of the skyline. `pitch_deg`,
-    `azimuth_deg`: turn of the camera (up, clockwise) with the best fit, 0 if unknown. `gain`: ratio of the fits.
-    `suspected`, and `reason` in words."""
+    """Result of the check. `edges`: number of terrain edges used. `pitch_deg`, `azimuth_deg`: turn of the camera (up,
+    clockwise) with the best fit, 0 if unknown. `gain`: ratio of the fits. `suspected`, and `reason` in words."""
 
     edges: int
-    columns: int
     pitch_deg: float
     azimuth_deg: float
     gain: float
@@ -40,7 +36,7 @@ class PoseCheck:
     @classmethod
     def none(cls) -> PoseCheck:
         """Return the result for a pose that is not checked."""
-        return cls(0, 0, 0.0, 0.0, 1.0, False, "", False)
+        return cls(0, 0.0, 0.0, 1.0, False, "", False)
 
 
 def check_pose(
@@ -52,40 +48,24 @@ def check_pose(
     config: PoseCheckConfig,
     labels: UInt8Array | None = None,
     classes: ClassPriors | None = None,
-    label_cell: float = 1.0,
     jump: float = SurfaceConfig().jump,
     hidden: BoolArray | None = None,
 ) -> PoseCheck:
     """Check one photo (H, W, 3) and its labels (H, W), if any, against its traced depth (H, W). `angle_sigma`,
-    `dem_sigma`: tolerances in radians and metres. `label_cell`: pixels of the photo per pixel of the labels' network.
-    `jump`: ratio of depths between two surfaces. `hidden`: (H, W), pixels that do not show the terrain."""
-    allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
+    `dem_sigma`: tolerances in radians and metres. `jump`: ratio of depths between two surfaces. `hidden`: (H, W),
+    pixels that do not show the terrain."""
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
     rows, cols = _far_edges(ground, jump, nearest, config.most_edges, hidden)
     if labels is not None and classes is not None:
         clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
         rows, cols = rows[clear_of_trees], cols[clear_of_trees]
-    columns = 0
-    found = _check_edges(rgb, rows, cols, camera, allowed, config) if len(rows) >= config.least_edges else None
-    reason = "the photo's edges fit the terrain's silhouettes"
-    if labels is not None and classes is not None:
-        limits = classes.crest, nearest, math.radians(config.reach_deg), config, label_cell
-        skyline = check_skyline(labels, classes.sky, ground, camera, angle_sigma, dem_sigma, *limits)
-        columns = 0 if skyline is None else skyline.columns
-        # All of a coarse network's edges may lie off by the same half of a cell.
-        coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
-        clear = skyline is not None and skyline.gain >= config.skyline_gain
-        if skyline is not None and clear and skyline.least_deg > allowed + coarse and (found is None or not found[3]):
-            found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
-            reason = "the labels' skyline fits the terrain's"
-    checked = len(rows) >= config.least_edges or columns > 0
-    if found is None:
-        return PoseCheck(len(rows), columns, 0.0, 0.0, 1.0, False, "", checked)
-    pitch, azimuth, gain, suspected = found
-    if suspected:
-        reason += f" {gain:.1f} times better with the camera turned by {pitch:+.2f} deg of pitch and "
-        reason += f"{azimuth:+.2f} deg of azimuth"
-    return PoseCheck(len(rows), columns, pitch, azimuth, gain, suspected, reason if suspected else "", checked)
+    if len(rows) < config.least_edges:
+        return PoseCheck(len(rows), 0.0, 0.0, 1.0, False, "", False)
+    allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
+    pitch, azimuth, gain, suspected = _check_edges(rgb, rows, cols, camera, allowed, config)
+    reason = f"the photo's edges fit the terrain's silhouettes {gain:.1f} times better with the camera turned by "
+    reason += f"{pitch:+.2f} deg of pitch and {azimuth:+.2f} deg of azimuth"
+    return PoseCheck(len(rows), pitch, azimuth, gain, suspected, reason if suspected else "")
 
 
 def _clear_of_trees(

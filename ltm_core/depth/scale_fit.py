@@ -40,7 +40,6 @@ def robust_line(
     y: Float64Array,
     weight: Float64Array | None = None,
     floor: float = 0.0,
-    seed: int = 0,
     rules: RegressionConfig = _RULES,
 ) -> Line | None:
     """Return the line through the points (N,) that at most half of them contradict; None for fewer than `rules.fewest`
@@ -48,7 +47,7 @@ def robust_line(
     weights = np.ones_like(x) if weight is None else weight
     if len(x) < rules.fewest or not np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     first, second = rng.integers(0, len(x), (2, rules.trials))
     run = x[second] - x[first]
     usable = np.abs(run) > rules.least_run * np.ptp(x)
@@ -148,7 +147,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
     model = estimate_errors(read, samples, size, config)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
-    joint = model.standardized(read, samples, size)
+    joint = model.standardized(read, samples)
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))
@@ -242,12 +241,7 @@ def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) 
 
 
 def _line_of(
-    scale: float,
-    shift: float,
-    values: Float64Array,
-    inverse: Float64Array,
-    weight: Float64Array,
-    config: FusionConfig,
+    scale: float, shift: float, values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
 ) -> Line:
     off = np.abs(scale * values + shift - inverse) * weight
     sigma = max(1.4826 * float(np.median(off)), config.scale.relative_floor)

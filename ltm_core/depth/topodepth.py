@@ -132,7 +132,6 @@ class FusedDepth(FusionOutcome):
             "inlier_ratio": round(self.inlier_ratio, 4),
             "scale": line.scale if line is not None else None,
             "shift": line.shift if line is not None else None,
-            "regional": bool(self.fit is not None and self.fit.error_model.regional),
             "share": {source.name.lower(): round(float(shares[source]), 4) for source in DepthSource},
             "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
         }
@@ -278,12 +277,9 @@ def _judge(photo: Fusion) -> _JudgedPhoto:
         labels = labels_behind(hidden, labels, ground, classes.sky)
     if labels is not None:
         ground = with_labelled_sky(ground, labels, classes.sky)
-    cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
     sigmas = settings.angle_sigma, settings.dem_sigma
-    check, jump = PoseCheck.none(), config.surface.jump
-    if config.pose_check.enabled:
-        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, jump, hidden)
+    check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, config.surface.jump, hidden)
     refused: tuple[FusionVerdict, str] | None = None
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):

@@ -15,9 +15,9 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
 from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
+from ltm_core.fuel.surface_change import LEAST_SHARE
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.surface.layers import LEAST_SHARE
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
@@ -27,8 +27,6 @@ ALIKE = 5.0
 """Distance in metres within which heights of a stand are correlated, as smoothed by the surface map."""
 _MOST_SAMPLES = 30
 """Maximum number of surface samples per side of a fuel cell."""
-_STANDING = 0.5
-"""Standard error of the cover of a thinned cell, as a share of the cover."""
 _CELLS = 1000
 """Number of fuel cells processed at a time."""
 
@@ -36,14 +34,10 @@ _CELLS = 1000
 @dataclass(frozen=True, eq=False)
 class SeenCanopy:
     """Observed canopy, (H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over
-    bare earth, metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a
-    changed surface is lower than higher, so that the rest may not have been confirmed as gone yet; None: nowhere."""
+    bare earth, metres, 0 where no canopy is left."""
 
     cover: Float32Array
     height: Float32Array
-    cover_sigma: Float32Array
-    height_sigma: Float32Array
-    thinned: BoolArray | None = None
 
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
@@ -57,61 +51,30 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
     counts = np.bincount(row[inside] * grid.width + col[inside], minlength=grid.width * grid.height)
     ratio = grid.resolution / cells.geometry.resolution
     chosen = np.flatnonzero(counts >= LEAST_SHARE * ratio**2)
-    lower = np.zeros(len(cells), np.bool_)
-    if terrain.given is not None:
-        lower = cells.surface < terrain.given.elevation_at(*cells.geometry.to_map(cells.rows, cells.cols))
-    lost = np.bincount(row[inside & lower] * grid.width + col[inside & lower], minlength=grid.width * grid.height)
-    found = np.full((4, grid.height * grid.width), np.nan, np.float32)
+    found = np.full((2, grid.height * grid.width), np.nan, np.float32)
     side = int(np.clip(round(ratio), 1, _MOST_SAMPLES))
     for start in range(0, len(chosen), _CELLS):
         part = chosen[start : start + _CELLS]
         found[:, part] = _measured(terrain.top, terrain.ground, grid, part, side)
-    thinned = (counts >= LEAST_SHARE * ratio**2) & (2 * lost > counts)
-    found[2] = np.where(thinned, np.hypot(found[2], _STANDING * found[0]), found[2])
-    cover, height, cover_sigma, height_sigma = found.reshape(4, *grid.shape)
-    return SeenCanopy(cover, height, cover_sigma, height_sigma, thinned.reshape(grid.shape))
+    return SeenCanopy(*found.reshape(2, *grid.shape))
 
 
 def measured_canopy(
     trees: BoolArray,
     new: BoolArray,
     changed: SeenCanopy | None,
-    labels: tuple[Float64Array, Float64Array] | None,
-    heights: tuple[Float32Array, Float32Array] | None,
+    cover: Float64Array | None,
+    height: Float32Array | None,
 ) -> SeenCanopy:
-    """Return the measured canopy of the cells with `trees` (H, W), from all sources.
-
-    Args:
-        new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
-        changed: from the confirmed surface.
-        labels: cover by labels and its standard error, % (`EvidenceMap.label_cover`).
-        heights: of stands and their standard errors, metres (`stand_heights`)."""
+    """Return the measured canopy of the cells with `trees` (H, W): that of the confirmed surface (`changed`); where it
+    has not changed, `cover` by labels, % (`EvidenceMap.label_cover`), and `height` of stands, metres (`stand_heights`),
+    in cells whose trees are `new` (H, W), or of whose trees the prior has no canopy."""
     unknown = np.full(trees.shape, np.nan, np.float32)
-    found = SeenCanopy(unknown, unknown, unknown, unknown) if changed is None else changed
-    moved, use = np.isfinite(found.cover), trees & new
-    cover, cover_sigma = (a.astype(np.float64) for a in (found.cover, found.cover_sigma))
-    if labels is not None:
-        value, sigma = labels
-        with np.errstate(invalid="ignore"):
-            weights = 1 / cover_sigma**2, 1 / sigma**2
-            # Where no canopy is left there is none to be found by labels: shrubs are woody too.
-            doubt = np.zeros(trees.shape, np.bool_) if found.thinned is None else found.thinned
-            both = moved & doubt & trees & np.isfinite(value) & (found.cover > 0)
-            mean = (weights[0] * cover + weights[1] * value) / (weights[0] + weights[1])
-            cover = np.where(both, mean, np.where(use & ~moved, value, cover))
-            cover_sigma = np.where(
-                both, 1 / np.sqrt(weights[0] + weights[1]), np.where(use & ~moved, sigma, cover_sigma)
-            )
-    tops, top_sigma = found.height, found.height_sigma
-    if heights is not None:
-        alone = use & ~moved
-        tops, top_sigma = (np.where(alone, h, t) for h, t in zip(heights, (tops, top_sigma), strict=True))
+    found = SeenCanopy(unknown, unknown) if changed is None else changed
+    use = trees & new & np.isnan(found.cover)
     return SeenCanopy(
-        cover.astype(np.float32),
-        tops.astype(np.float32),
-        cover_sigma.astype(np.float32),
-        top_sigma.astype(np.float32),
-        found.thinned,
+        found.cover if cover is None else np.where(use, cover, found.cover).astype(np.float32),
+        found.height if height is None else np.where(use, height, found.height),
     )
 
 
@@ -137,8 +100,7 @@ def with_seen_canopy(
 
 
 def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
-    """Return the cover, height and their standard errors (4, N) of cells by their flat places, from side x side points
-    each."""
+    """Return the cover and height (2, N) of cells by their flat places, from side x side points each."""
     rows, cols = np.divmod(cells, grid.width)
     offsets = (np.arange(side) + 0.5) / side - 0.5
     x, y = grid.to_map(rows[:, None, None] + offsets[:, None], cols[:, None, None] + offsets)
@@ -147,17 +109,8 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
     known = np.isfinite(above)
     canopy = known & (above >= TALL)
     stands, points = canopy.sum(axis=1), np.maximum(known.sum(axis=1), 1)
-    share = stands / points
     height = np.where(canopy, above, 0.0).sum(axis=1) / np.maximum(stands, 1)
-    spread = np.sqrt((np.where(canopy, above - height[:, None], 0.0) ** 2).sum(axis=1) / np.maximum(stands, 1))
-    independent = (grid.resolution / ALIKE) ** 2
-    # No sample is without error.
-    some = np.clip(share, 1 / independent, 1 - 1 / independent)
-    errors = (
-        100 * np.sqrt(some * (1 - some) / independent),
-        spread / np.sqrt(np.maximum(independent * share, 1)),
-    )
-    found = np.stack([100 * share, height, *errors])
+    found = np.stack([100 * stands / points, height])
     return np.where(known.any(axis=1), found, np.nan).astype(np.float32)
 
 
@@ -172,11 +125,11 @@ _SAID = 1 / 3
 """Standard error of a height from a prior map, as a share of the height."""
 
 
-def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> tuple[Float32Array, Float32Array]:
+def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> Float32Array:
     """Return, for the cells of a fuel grid (in the map frame), the mean height of objects of 2 m and more over bare
-    earth where independent views have measured it, and its standard error, metres; NaN where hardly anything was seen
-    to stand. `before` (H, W): heights of an earlier map, metres, combined with the measurement by their standard
-    errors; NaN or too low: not used."""
+    earth where independent views have measured it, metres; NaN where hardly anything was seen to stand. `before`
+    (H, W): heights of an earlier map, metres, combined with the measurement by their standard errors; NaN or too low:
+    not used."""
     size = fuel.width * fuel.height
     count, total, squares, cubes, noise = (np.zeros(size) for _ in range(5))
     top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
@@ -201,11 +154,6 @@ def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array)
         said = np.where(before >= TALL, before, np.nan).ravel()
         trust = 1 / variance, np.nan_to_num(1 / (_SAID * said) ** 2)
         height = (trust[0] * _SEEN_ABOVE * mean + trust[1] * np.nan_to_num(said)) / sum(trust)
-        sigmas = 1 / np.sqrt(sum(trust))
     # The weighted mean of what stands is at least TALL; from above it is too.
-    height = np.maximum(height, TALL)
-    known = count >= _LEAST_SHARE * ratio
-    return (
-        np.where(known, height, np.nan).reshape(fuel.shape).astype(np.float32),
-        np.where(known, sigmas, np.nan).reshape(fuel.shape).astype(np.float32),
-    )
+    found = np.where(count >= _LEAST_SHARE * ratio, np.maximum(height, TALL), np.nan)
+    return found.reshape(fuel.shape).astype(np.float32)

@@ -76,11 +76,6 @@ class CellAppearanceModel:
         """Return (FORMS,) whether the network was tested on a form."""
         return np.isfinite(self.weights[:, 0, 0])
 
-    @cached_property
-    def by_incidence(self) -> Float64Array:
-        """Return (K, SEEN, FORMS) weights for `frame_evidence.form_by_appearance`, 0 for unknown forms."""
-        return np.ascontiguousarray(np.nan_to_num(self.weights).transpose(1, 2, 0))
-
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
         """Return (N, FORMS) log likelihood of the features (N, SEEN), up to a constant for each cell; -inf for unknown
         forms."""

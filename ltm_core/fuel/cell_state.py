@@ -100,9 +100,9 @@ def _add(
             woody[r, c, v, k] = min(np.uint64(woody[r, c, v, k]) + np.uint64(sums[i, k]), ceiling)
 
 
-def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return cover and its standard error (...), %, from the sums (..., V, 3) of views and from an earlier map `before`
-    (...), %; NaN where neither exists. Computed on ln(-ln(1 - cover)), in which k is a shift."""
+def label_cover(woody: UInt32Array, before: Float64Array) -> Float64Array:
+    """Return cover (...), %, from the sums (..., V, 3) of views and from an earlier map `before` (...), %; NaN where
+    either is missing. Computed on ln(-ln(1 - cover)), in which k is a shift."""
     frames = woody[..., 0].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)
@@ -118,10 +118,8 @@ def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array,
         variance = _SIGMA**2 * np.where(whole < 1, 1 / whole, _ALIKE + (1 - _ALIKE) / whole)
         trust = 1 / variance, 1 / _SIGMA**2
         found = (trust[0] * mean + trust[1] * _log_density(before / 100)) / sum(trust)
-    density = np.exp(found)
-    cover, sigma = 1 - np.exp(-density), density * np.exp(-density) / np.sqrt(sum(trust))
     known = (whole > 0) & np.isfinite(before)
-    return np.where(known, 100 * cover, np.nan), np.where(known, 100 * sigma, np.nan)
+    return np.where(known, 100 * (1 - np.exp(-np.exp(found))), np.nan)
 
 
 def _log_density(share: Float64Array) -> Float64Array:

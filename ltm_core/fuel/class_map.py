@@ -163,13 +163,11 @@ def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridG
     return snapped
 
 
-def resampled(
-    classes: UInt8Array, geometry: GridGeometry, crs: str, phase: float = 15.0
-) -> tuple[UInt8Array, GridGeometry]:
+def resampled(classes: UInt8Array, geometry: GridGeometry, crs: str) -> tuple[UInt8Array, GridGeometry]:
     """Return the map by nearest cell on the grid of `snapped_grid`, with its errors."""
     from rasterio.warp import Resampling, reproject
 
-    target = snapped_grid(geometry, crs, phase)
+    target = snapped_grid(geometry, crs)
     result = np.full(target.shape, UNSEEN, np.uint8)
     reproject(
         classes,

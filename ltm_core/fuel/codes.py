@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
@@ -246,37 +246,6 @@ class FuelClimate(StrictModel):
     crosswalk_back: dict[int, int]
     """Map from every burnable FBFM13 code to FBFM40, within its fuel type."""
 
-    @model_validator(mode="after")
-    def _codes_are_known(self) -> FuelClimate:
-        models = fuel_models()
-        for system in FuelSystem:
-            known = models.codes(system)
-            for key, code in getattr(self.changed, system).model_dump().items():
-                if code not in known:
-                    raise ValueError(f"changed.{system}.{key} is {code}, which is not a code of {system}")
-        pairs = {"crosswalk": self.crosswalk, "under_trees": {k: to for k, (_, to) in self.under_trees.items()}}
-        if set(self.crosswalk) != set(models.fbfm40):
-            wrong = sorted(set(self.crosswalk) ^ set(models.fbfm40))
-            raise ValueError(f"crosswalk must give each burnable FBFM40 code once; wrong or missing: {wrong}")
-        if set(self.crosswalk_back) != set(models.fbfm13):
-            wrong = sorted(set(self.crosswalk_back) ^ set(models.fbfm13))
-            raise ValueError(f"crosswalk_back must give each burnable FBFM13 code once; wrong or missing: {wrong}")
-        for name, table in pairs.items():
-            for code, to in table.items():
-                if to not in partners(code):
-                    raise ValueError(f"{name}: {code} -> {to}; FBFM13 has {_listed(partners(code))} of its fuel type")
-        for code, to in self.crosswalk_back.items():
-            if code not in partners(to):
-                raise ValueError(f"crosswalk_back: {code} -> {to}, which is of another fuel type")
-        changed = self.changed
-        for key, code in changed.fbfm40.model_dump().items():
-            to = getattr(changed.fbfm13, key)
-            if to not in (partners(code) or (code,)):
-                raise ValueError(
-                    f"changed.fbfm13.{key} is {to}, of another fuel type than changed.fbfm40.{key}, {code}"
-                )
-        return self
-
     @classmethod
     def named(cls, name: str) -> FuelClimate:
         """Return a climate that ships with the project. Raises ConfigError with the list of names."""
@@ -300,10 +269,6 @@ class FuelClimate(StrictModel):
         for key in reversed(own):
             found[codes == own[key]] = other[key]
         return found
-
-
-def _listed(codes: range) -> str:
-    return ", ".join(map(str, codes)) or "none"
 
 
 Color = tuple[int, int, int]

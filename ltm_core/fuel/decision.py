@@ -75,7 +75,7 @@ class _JudgedCells:
     """(N, ...) what evidence and prior say of each cell on its own.
 
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
-    for. `fresh`, `regrown`: burned, and not or already grown over. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
+    for. `fresh`: burned, and not grown over yet. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
     index of the strongest other form. `log_odds` (N,): by how much looks make that likelier than any other form.
     `wants`: to change into it. `leans`: would with others about it."""
 
@@ -84,7 +84,6 @@ class _JudgedCells:
     agreeing: BoolArray
     has_prior: BoolArray
     fresh: BoolArray
-    regrown: BoolArray
     alpha: Float64Array
     challenger: Int64Array
     log_odds: Float64Array
@@ -180,15 +179,12 @@ class ChangeDecision:
         others[here] = -np.inf
         log_odds = cells.log_likelihood[here] - others.max(axis=1)
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
-        shown = cells.evidence[here] >= rules.min_evidence
         lasts = apart | (cells.cameras[here] > 1)
         # Whether it lasts is asked of the cells about it, not of this one.
         leans = has_prior & ~masked & (cells.evidence[here] >= rules.fill_evidence) & (log_odds >= 0)
-        wants = has_prior & ~masked & shown & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
+        wants = has_prior & ~masked & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
         fresh = burned & ~regrown
-        return _JudgedCells(
-            codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, log_odds, p_max, wants, leans
-        )
+        return _JudgedCells(codes, base, agreeing, has_prior, fresh, alpha, challenger, log_odds, p_max, wants, leans)
 
     def _settle(self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
         """Return what cells become, those of `changes` (N,) their challenger."""
@@ -263,7 +259,7 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: Fue
 
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
-    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0, min_cells=1, support=0.0)
+    rules = FusionRules(min_interval_s=0.0, min_cells=1, support=0.0)
     seen = (classes >= 1) & (classes <= FORMS)
     certain = np.zeros((int(seen.sum()), FORMS))
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0

@@ -143,7 +143,7 @@ class EvidenceMap:
             np.uint32(second),
             np.uint16(1 + second // EPOCH_S),
             np.uint32(camera_hash(votes.source)),
-            *(state[name] for name in ACCUMULATED),
+            tuple(state[name] for name in ACCUMULATED),
         )
         if (looks := woody_looks(votes, self._forms)) is not None:
             add_looks(state, looks, _directions(looks.bearing), second, 1 + second // EPOCH_S)
@@ -230,9 +230,8 @@ class EvidenceMap:
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
 
-    def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return (H, W) tree cover by labels and its standard error in %; NaN where unseen. `before` (H, W): cover from
-        other sources."""
+    def label_cover(self, before: Float64Array) -> Float64Array:
+        """Return (H, W) tree cover by labels in %; NaN where unseen. `before` (H, W): cover from other sources."""
         return label_cover(self._state["woody"], before)
 
     def seen_by(self, source: str) -> BoolArray:

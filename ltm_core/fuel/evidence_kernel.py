@@ -69,13 +69,7 @@ def with_neighbours(
 
 @kernel(nogil=True)
 def spread(
-    rows: Any,
-    cols: Any,
-    shares: Any,
-    weights: Any,
-    sigma_along: Any,
-    sigma_across: Any,
-    bearing: Any,
+    rows: Any, cols: Any, shares: Any, weights: Any, sigma_along: Any, sigma_across: Any, bearing: Any
 ) -> tuple[Float64Array, Float64Array]:
     """Return shares (N, F) averaged over the possible places of each cell's pixels, and the part of these that the
     frame sees.
@@ -181,30 +175,14 @@ def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
 
 @kernel()
 def accumulate(
-    rows: Any,
-    cols: Any,
-    amounts: Any,
-    supported: Any,
-    views: Any,
-    second: Any,
-    epoch: Any,
-    camera: Any,
-    shown: Any,
-    best: Any,
-    span: Any,
-    epochs: Any,
-    first: Any,
-    last: Any,
-    camera_hashes: Any,
-    seen_by: Any,
-    last_seen: Any,
-    burned_at: Any,
+    rows: Any, cols: Any, amounts: Any, supported: Any, views: Any, second: Any, epoch: Any, camera: Any, state: Any
 ) -> None:
     """Add `amounts` (N, F), whole numbers, to what the views (N,) show in an epoch; `supported` (N,): the form whose
-    frames are kept count of, -1 for none.
+    frames are kept count of, -1 for none. `state`: the arrays `cell_state.ACCUMULATED`.
 
     Each step is a sum of integers, a minimum, a maximum, or the choice of the newest or the least of a set: the state
     does not depend on the order of frames, to the last bit."""
+    shown, best, span, epochs, first, last, camera_hashes, seen_by, last_seen, burned_at = state
     ceiling = np.uint64(np.iinfo(np.uint32).max)
     for i in range(rows.size):
         r, c = rows[i], cols[i]

@@ -48,31 +48,11 @@ def _least(one: Any, other: Any) -> Any:
 
 
 @kernel()
-def merge_cells(
-    shown: Any,
-    best: Any,
-    span: Any,
-    epochs: Any,
-    first: Any,
-    last: Any,
-    camera_hashes: Any,
-    seen_by: Any,
-    last_seen: Any,
-    woody: Any,
-    woody_epoch: Any,
-    more_shown: Any,
-    more_best: Any,
-    more_span: Any,
-    more_epochs: Any,
-    more_first: Any,
-    more_last: Any,
-    more_camera_hashes: Any,
-    more_seen_by: Any,
-    more_last_seen: Any,
-    more_woody: Any,
-    more_woody_epoch: Any,
-) -> None:
-    """Merge the state of other frames into a tile: (tile, tile, *shape) each, see `evidence_state`."""
+def merge_cells(mine: Any, other: Any) -> None:
+    """Merge the state of other frames into a tile: the arrays `_MERGED`, (tile, tile, *shape), of each."""
+    shown, best, span, epochs, first, last, camera_hashes, seen_by, last_seen, woody, woody_epoch = mine
+    more_shown, more_best, more_span, more_epochs, more_first, more_last = other[:6]
+    more_camera_hashes, more_seen_by, more_last_seen, more_woody, more_woody_epoch = other[6:]
     for r in range(last_seen.shape[0]):
         for c in range(last_seen.shape[1]):
             last_seen[r, c] = max(last_seen[r, c], more_last_seen[r, c])
@@ -105,7 +85,7 @@ def merge_cells(
 
 
 _MERGED: Final = tuple(name for name in EVIDENCE_FIELDS if name != "burned_at")
-"""Merged fields, in the order of the kernel's arguments."""
+"""Merged fields, in the order of the kernel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +140,7 @@ def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
 def _merge_into_tile(tile: Tile, other: Tile) -> None:
     if not np.array_equal(tile["burned_at"], other["burned_at"]):
         raise ArchiveError("parts with different burns cannot be merged: add all burns to every part before its frames")
-    merge_cells(*(tile[name] for name in _MERGED), *(other[name] for name in _MERGED))
+    merge_cells(tuple(tile[name] for name in _MERGED), tuple(other[name] for name in _MERGED))
 
 
 def _distinct(camera: str, parts: list[Int64Array]) -> Int64Array:

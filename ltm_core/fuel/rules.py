@@ -55,9 +55,6 @@ class FusionRules(StrictModel):
     average a frame's clusters of errors, and narrow enough not to spread a change over its edges."""
     look_s: float = Field(3600.0, gt=0)
     """Seconds after which a frame of the same view is a new observation, because the light has changed."""
-    relief: float = Field(2.0, ge=0)
-    """Height in metres of plants above the terrain to which their pixels are traced; it displaces them along the line
-    of sight."""
     max_sigma: float = Field(300.0, gt=0)
     """Maximum standard deviation of a cell's position in metres; cells with more get no evidence."""
     posterior: float = Field(0.72, gt=0.5, lt=1)
@@ -67,8 +64,6 @@ class FusionRules(StrictModel):
     needs `support`."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
-    min_evidence: float = Field(2.0, ge=0)
-    """Minimum evidence for the new life form."""
     support: float = Field(8.0, ge=0)
     """Minimum sum of log odds of the confident neighbouring cells for the same change before any of them is reported:
     two cells of e^4 = 55 to 1 or four of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""

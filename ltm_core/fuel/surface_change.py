@@ -5,7 +5,7 @@ and what cameras had seen there before is void, as after a burn. From then on ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,23 +21,22 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import Key
 from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.layers import LEAST_SEEN, SHRUB_BELOW, FuelChange, SurfaceLayers, cover_after, fuel_changes
 
 UNSEEN: Final = 255
 """Value in a grid of changes for cells that independent views have not seen."""
 SOURCE: Final = "terrain"
 """Name under which the store records the source of a change; no camera may have it."""
-_BLOCK: Final = 16
-"""Number of fuel cells per side that are processed together."""
+LEAST_SHARE: Final = 0.25
+"""Minimum share of the seen part of a fuel cell that must have changed in one way."""
+LEAST_SEEN: Final = 0.1
+"""Minimum share of a fuel cell that independent views must have seen."""
+SHRUB_BELOW: Final = 3.0
+"""Height in metres below which new growth is shrub if no label contradicts."""
+_CHANGES: Final = (ChangeKind.REMOVED, ChangeKind.GROWN, ChangeKind.LOWERED)
 _CODES: Final = 1000
 """Factor of the recorded number of a cell: its kind of change times this, plus the initial code (0: its own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
 """Fields of a cell's state that are reset when its cover is no longer known."""
-_KINDS: Final = {
-    FuelChange.REMOVED: ChangeKind.REMOVED,
-    FuelChange.GROWN: ChangeKind.GROWN,
-    FuelChange.MOVED_GROUND: ChangeKind.LOWERED,
-}
 
 
 class LivingFuelMap(EvidenceMap):
@@ -104,11 +103,7 @@ class SurfaceNews:
 
 
 def news_of(
-    kinds: UInt8Array,
-    shift: Float32Array,
-    window: GridGeometry,
-    fuel: GridGeometry,
-    recorded: UInt8Array,
+    kinds: UInt8Array, shift: Float32Array, window: GridGeometry, fuel: GridGeometry, recorded: UInt8Array
 ) -> SurfaceNews:
     """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 
@@ -117,26 +112,24 @@ def news_of(
         shift: (h, w) metres from the reference surface, NaN where it is not known.
         window: their geometry, in the map frame.
         recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
-    fuel_rows = fuel.cell_of(0.0, window.to_map(np.arange(window.height), 0)[1])[0]
-    fuel_cols = fuel.cell_of(window.to_map(0, np.arange(window.width))[0], 0.0)[1]
-    found: dict[tuple[int, int], tuple[int, float]] = {}
-    for row, col in _changed_cells(recorded, fuel_rows, fuel_cols):
-        seen = kinds[_span(fuel_rows, row, row + 1), _span(fuel_cols, col, col + 1)] != UNSEEN
-        if seen.sum() >= LEAST_SEEN * (fuel.resolution / window.resolution) ** 2:
-            found[row, col] = int(ChangeKind.NONE), float("nan")
-    for block_row, block_col in _blocks_changed(kinds, fuel_rows, fuel_cols):
-        part = (
-            _span(fuel_rows, block_row * _BLOCK, (block_row + 1) * _BLOCK),
-            _span(fuel_cols, block_col * _BLOCK, (block_col + 1) * _BLOCK),
-        )
-        height, width = kinds[part].shape
-        corner = window.window(part[0].start, part[1].start, height, width)
-        for cell in fuel_changes(_as_layers(kinds[part], shift[part], corner), fuel):
-            found[cell.row, cell.col] = int(_KINDS[cell.change]), cell.shift
-    news = [(row, col, kind, by) for (row, col), (kind, by) in sorted(found.items()) if recorded[row, col] != kind]
-    columns = np.array(news, np.float64).reshape(-1, 4).T
-    rows, cols = columns[:2].astype(np.int64)
-    return SurfaceNews(rows, cols, columns[2].astype(np.uint8), columns[3].astype(np.float32))
+    rows, cols = np.nonzero(kinds != UNSEEN)
+    x, y = window.to_map(rows, cols)
+    at = fuel.cell_of(x, y)
+    inside = fuel.contains(*at)
+    kind, moved = kinds[rows, cols][inside], shift[rows, cols][inside]
+    cell = (at[0] * fuel.width + at[1])[inside]
+    size = fuel.width * fuel.height
+    seen = np.bincount(cell, minlength=size)
+    counts = np.stack([np.bincount(cell[kind == one], minlength=size) for one in _CHANGES])
+    shown = (counts > 0).any(axis=0) & (counts.max(axis=0) >= LEAST_SHARE * seen)
+    now = np.where(shown, counts.argmax(axis=0) + 1, ChangeKind.NONE).astype(np.uint8)
+    judged = seen >= LEAST_SEEN * (fuel.resolution / window.resolution) ** 2
+    found = np.flatnonzero(judged & (now != recorded.ravel()))
+    own = (kind > 0) & (kind == now[cell])
+    cell, moved = cell[own], moved[own]
+    by = [float(np.median(moved[cell == place])) if now[place] else np.nan for place in found]
+    news_rows, news_cols = np.divmod(found, fuel.width)
+    return SurfaceNews(news_rows, news_cols, now[found], np.array(by, np.float32))
 
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
@@ -192,44 +185,15 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
         return None
     if kind == ChangeKind.LOWERED:
         return LifeForm.BARE if form in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE) else None
-    known = np.array([shown], np.uint8)
     if kind == ChangeKind.REMOVED:
         low = form == LifeForm.SHRUB and abs(shift) < SHRUB_BELOW
         if form != LifeForm.TREE and not low:
             return None
-        cover = cover_after(kind, shift, known)
-        return LifeForm.GRASS if cover is None or cover == form else cover
-    height = 0.0 if np.isnan(shift) else shift
-    if form in (LifeForm.TREE, LifeForm.BUILT) or (form == LifeForm.SHRUB and height < SHRUB_BELOW):
+        left = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BARE, LifeForm.BUILT)
+        return shown if shown in left and shown != form else LifeForm.GRASS
+    low = np.isnan(shift) or shift < SHRUB_BELOW
+    if form in (LifeForm.TREE, LifeForm.BUILT) or (form == LifeForm.SHRUB and low):
         return None
-    cover = cover_after(kind, height, known)
+    grown = shown if shown in (LifeForm.SHRUB, LifeForm.TREE, LifeForm.BUILT) else None
+    cover = grown or (LifeForm.SHRUB if low else LifeForm.TREE)
     return None if cover == form else cover
-
-
-def _span(cells: Int64Array, first: int, beyond: int) -> slice:
-    """Return where the ascending `cells` lie in [first, beyond)."""
-    return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
-
-
-def _changed_cells(recorded: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Return the fuel cells with a recorded change that the window touches."""
-    known = np.argwhere(recorded > 0)
-    inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
-    return [(int(r), int(c)) for r, c in known[inside]]
-
-
-def _blocks_changed(kinds: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Return the blocks of fuel cells in which anything has changed."""
-    row, col = np.nonzero((kinds > 0) & (kinds != UNSEEN))
-    pairs = np.unique(np.stack([rows[row] // _BLOCK, cols[col] // _BLOCK]), axis=1)
-    return [(int(r), int(c)) for r, c in pairs.T]
-
-
-def _as_layers(kinds: UInt8Array, shift: Float32Array, window: GridGeometry) -> SurfaceLayers:
-    """Return what the rule of both maps asks of: only changes, how far, and where anybody has looked."""
-    seen = kinds != UNSEEN
-    flat: NDArray[Any] = np.zeros(kinds.shape, np.float32)
-    given: dict[str, Any] = {field.name: flat for field in fields(SurfaceLayers)}
-    given |= {"geometry": window, "height": shift, "observed": seen, "change": np.where(seen, kinds, 0)}
-    given |= {"since": np.zeros(kinds.shape, np.uint32), "by": np.zeros(kinds.shape, np.uint32)}
-    return SurfaceLayers(**given | {"label": np.full(kinds.shape, UNSEEN, np.uint8)})

@@ -13,11 +13,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-from pydantic import Field
 from scipy import optimize
 
 from ltm_core.base.errors import ImageError, RecordingError
-from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.storage.config_io import LARGEST_TABLE, read_text
@@ -28,7 +26,14 @@ SITES_FILE: Final = "sites.csv"
 FOLDS: Final = 4
 _CUTS: Final = 8
 _MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
+_RIDGE: Final = 1.0
+"""Penalty on the squares of the weights of coarse maps, of features brought to unit spread: they hold more of the place
+than of the plant, and lead astray elsewhere. Chosen, as `_RARITY`, on the five views of `hpwren_towers`, each site by
+heads that the others taught."""
 _LAST_RIDGE: Final = 0.02
+_RARITY: Final = 0.8
+"""A class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0, each class alike,
+a lake of a few pixels."""
 _BIAS_RIDGE: Final = 0.1
 _LEAST_SPREAD: Final = 1e-3
 _STEPS: Final = 300
@@ -142,19 +147,6 @@ def _areas(named: BoolArray) -> Int64Array:
     return found
 
 
-class HeadFitConfig(StrictModel):
-    """Regularisation of a label head towards its network, and weights of the samples.
-
-    `ridge`: penalty on the squares of the weights of coarse maps, of features brought to unit spread (of the last one,
-    0.02). They hold more of the place than of the plant, and lead astray elsewhere: few places need 1, dozens bear
-    less. `rarity`: a class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0,
-    each class alike, a lake of a few pixels. Chosen on the five views of `hpwren_towers`, each site by heads that the
-    others taught."""
-
-    ridge: float = Field(default=1.0, gt=0)
-    rarity: float = Field(default=0.8, ge=0, le=1)
-
-
 @dataclass(frozen=True, eq=False)
 class FittedHead:
     """Fitted label head. `weights`: (F, K) of features as in `PhotoSamples`; `bias`: (K,)."""
@@ -163,39 +155,31 @@ class FittedHead:
     bias: Float64Array
 
 
-def fit_head(
-    samples: Sequence[PhotoSamples],
-    channels: Mapping[str, int],
-    config: HeadFitConfig | None = None,
-    one_view: bool = False,
-) -> FittedHead:
+def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], one_view: bool = False) -> FittedHead:
     """Return the mean of label heads trained on two thirds of the photos each, so that a single photo has less weight.
 
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample."""
-    config = config or HeadFitConfig()
     parts = min(_PARTS, len(samples))
     if one_view or parts < 2:
-        return _best_head(samples, channels, config)
-    heads = [
-        _best_head([s for k, s in enumerate(samples) if k % parts != part], channels, config) for part in range(parts)
-    ]
+        return _best_head(samples, channels)
+    heads = [_best_head([s for k, s in enumerate(samples) if k % parts != part], channels) for part in range(parts)]
     return FittedHead(np.mean([h.weights for h in heads], axis=0), np.mean([h.bias for h in heads], axis=0))
 
 
-def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], config: HeadFitConfig) -> FittedHead:
+def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> FittedHead:
     """Return the head that explains the samples best under the ridge."""
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
         raise ImageError("no labelled pixel in any photo; label areas first")
     scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
-    weight = np.concatenate([class_weights(s, config.rarity) for s in samples])
+    weight = np.concatenate([class_weights(s) for s in samples])
     weight /= weight.sum()
     mean, spread = features.mean(axis=0), features.std(axis=0) + _LEAST_SPREAD
     inputs = (features - mean) / spread
     count, size = scores.shape[1], features.shape[1]
     ridge = np.concatenate(
-        [np.full(width, _LAST_RIDGE if name == "last" else config.ridge) for name, width in channels.items()]
+        [np.full(width, _LAST_RIDGE if name == "last" else _RIDGE) for name, width in channels.items()]
     )[:, None]
     truth = np.eye(count)[labels]
 
@@ -216,10 +200,10 @@ def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], con
     return FittedHead(matrix, best[-count:] - mean @ matrix)
 
 
-def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
+def class_weights(samples: PhotoSamples) -> Float64Array:
     """Return (N,) weights of the samples of a photo; those of a class sum to a power of its share."""
     counts = np.bincount(samples.labels, minlength=len(samples.shares))
-    each = samples.shares**rarity / np.maximum(counts, 1)
+    each = samples.shares**_RARITY / np.maximum(counts, 1)
     return np.asarray(each[samples.labels], np.float64)
 
 

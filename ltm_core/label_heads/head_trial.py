@@ -13,7 +13,6 @@ from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.label_heads.head_fit import (
     FittedHead,
-    HeadFitConfig,
     PhotoSamples,
     balanced,
     by_area,
@@ -96,7 +95,6 @@ def teach_head(
     withdrawal: Withdrawal | None = None,
     one_view: bool = False,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
-    fit: HeadFitConfig | None = None,
 ) -> HeadTrial:
     """Train a label head on labelled photos.
 
@@ -135,7 +133,7 @@ def teach_head(
     rules = withdrawal or Withdrawal()
 
     def taught(by: Sequence[PhotoSamples]) -> LabelHead:
-        return as_head(name, fit_head(by, manifest.maps, fit, one_view), manifest.maps, rules)
+        return as_head(name, fit_head(by, manifest.maps, one_view), manifest.maps, rules)
 
     heads = {g: taught([s for s in samples if s.site != g]) for g in dict.fromkeys(groups)}
     judged, alike = _judged_by_others(segmenter, frames, groups, heads)

@@ -30,9 +30,6 @@ from ltm_core.vision.scene_view import SceneView
 class FusingConfig(DescribedModel):
     model: str = ""
     """Manifest name or path of a depth network; empty: `depth_model` of the site."""
-    label_model: str = ""
-    """Manifest name or path of the segmentation network, which states the resolution of its labels; empty: `model` of
-    the site."""
     threads: int = Field(1, ge=1)
     """Number of cores that the network may use."""
     angle_sigma_deg: float = Field(0.03, ge=0)
@@ -57,8 +54,6 @@ class FusingStep:
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
         self._config, self._site = config, site
         self._scene = site_scene_filter(site, camera)
-        self.label_columns = label_columns(site, camera, config)
-        """Columns of the network that makes the labels; 0: unknown."""
         self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
         # Bare earth is asked for only where depth is traced to something else.
@@ -102,9 +97,7 @@ class FusingStep:
         """Return the settings with the sigma of the camera's direction from its pose's covariance, if given."""
         known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self._config.angle_sigma_deg)
-        return FusionSettings(
-            float(np.sqrt(angle**2 + known)), self._config.dem_sigma, label_columns=self.label_columns
-        )
+        return FusionSettings(float(np.sqrt(angle**2 + known)), self._config.dem_sigma)
 
 
 def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
@@ -114,14 +107,3 @@ def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkMani
     if not model:
         raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
     return NetworkManifest.find(model).serving(site.camera(camera).label_head)
-
-
-def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
-    """Return the columns of the network that labels a camera's images; 0 if it is unknown here, because another
-    computer may run it."""
-    try:
-        return (
-            NetworkManifest.find(config.label_model or site.model).serving(site.camera(camera).label_head).label_columns
-        )
-    except ModelError:
-        return 0

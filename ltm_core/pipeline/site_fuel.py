@@ -32,7 +32,7 @@ from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import TERRAIN_STORE, open_stored_surface
+from ltm_core.pipeline.site_surface import STORE_FILE, open_stored_surface
 from ltm_core.site.networks import camera_label_errors, labels_state, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import SurfaceVersion
@@ -132,10 +132,10 @@ def site_canopy(
 
 def _heights(
     site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
-) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
+) -> tuple[Float32Array | None, str]:
     """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
     `before`: metres, as of `stand_heights`."""
-    path = None if state is None else state / TERRAIN_STORE
+    path = None if state is None else state / STORE_FILE
     if path is None or site.terrain is None or site.surface is not None or not path.is_file():
         return None, ""
     try:

@@ -62,7 +62,7 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
             ("confirmed surface", surface.surface_over, given.top),
         )
     )
-    return ConfirmedTerrain(entry, ground, top, surface, given.canopy_known, given.top)
+    return ConfirmedTerrain(entry, ground, top, surface, given.canopy_known)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
@@ -98,7 +98,6 @@ def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
     return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
 
 
-STORE_FILE = "terrain.sqlite"
 STABLE_CLASSES = ("grass", "bare", "built")
 """Classes whose surface does not move; frames are registered on them."""
 UNCOMMITTED = 500
@@ -153,7 +152,7 @@ class SiteTerrain:
         return self.map.add(frame)
 
 
-TERRAIN_STORE: Final = "terrain.sqlite"
+STORE_FILE: Final = "terrain.sqlite"
 """Name of a site's store in the folder of its terrain node."""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -86,16 +85,8 @@ def votes_to_bytes(votes: CellVotes) -> bytes:
     for name, column in columns.items():
         table[name] = column
     file = io.BytesIO()
-    header = {"descr": _description(table.dtype), "fortran_order": False, "shape": table.shape}
-    np.lib.format.write_array_header_1_0(file, header)
-    file.write(table.tobytes())
+    np.save(file, table, allow_pickle=False)
     return file.getvalue()
-
-
-@functools.cache
-def _description(dtype: np.dtype[Any]) -> Any:
-    """As `numpy.save` writes it; frames of a network have one or two dtypes, and this takes longer than all else."""
-    return np.lib.format.dtype_to_descr(dtype)
 
 
 def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:

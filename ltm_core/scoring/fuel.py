@@ -27,11 +27,7 @@ class FuelScore:
 
 
 def score_fuel(
-    classes: UInt8Array,
-    geometry: GridGeometry,
-    truth: UInt8Array,
-    truth_geometry: GridGeometry,
-    class_count: int,
+    classes: UInt8Array, geometry: GridGeometry, truth: UInt8Array, truth_geometry: GridGeometry, class_count: int
 ) -> FuelScore:
     """Score a map on the cells that both rasters cover, in one CRS with coinciding cells.
 
@@ -98,11 +94,7 @@ class MapScore:
 
 
 def score_map(
-    name: str,
-    life_form: UInt8Array,
-    truth: UInt8Array,
-    prior: Int16Array | None,
-    seen: BoolArray,
+    name: str, life_form: UInt8Array, truth: UInt8Array, prior: Int16Array | None, seen: BoolArray
 ) -> MapScore:
     """Score a map, (H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
     cells = seen & (truth >= 1) & (truth <= len(LifeForm))

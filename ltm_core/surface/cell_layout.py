@@ -20,13 +20,12 @@ TILE = 64
 TILE_BITS = 6
 CELLS = TILE * TILE
 PLACE_BITS = 2 * TILE_BITS
-NO_LABEL = 255
 
 
 ESTIMATE = np.dtype(
     [("dz", "f4"), ("looks", "f4"), ("weight", "f4"), ("relative_variance", "f4"), ("pose_variance", "f4"),
      ("first", "u4"), ("last", "u4"), ("cameras", "u4"), ("base", "f4"), ("c_dz", "f4"), ("c_looks", "f4"),
-     ("frames", "u2"), ("label", "u1"), ("kind", "u1")]
+     ("frames", "u2"), ("kind", "u1"), ("_", "u1")]
 )  # fmt: skip
 """Fields that every observation of a cell reads: 48 bytes."""
 CANDIDATE = np.dtype(
@@ -34,14 +33,14 @@ CANDIDATE = np.dtype(
      ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
 """Fields read only by observations that contradict the estimate, and by labels."""
-DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
+DECISION = np.dtype([("shift", "f4"), ("since", "u4")])
 """Fields that no observation reads: the decision on change."""
 
 _STORED = (
-    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "label",
+    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames",
     "base", "c_dz", "c_looks", "c_weight", "c_relative_variance", "c_pose_variance", "c_first", "c_last", "c_cameras",
     "c_frames",
-    "kind", "shift", "since", "by", "watched",
+    "kind", "shift", "since", "watched",
 )  # fmt: skip
 _BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
 FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) for name in _STORED}
@@ -54,10 +53,10 @@ class TileCells(NamedTuple):
 
     Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and
     `weight`, that of share / variance; `relative_variance`, the mean of that of a shift of the whole stand, and
-    `pose_variance`; `first`, `last` seen (s), `cameras` (a bit each), `frames`, `label` last seen. `base`: the canopy
+    `pose_variance`; `first`, `last` seen (s), `cameras` (a bit each), `frames`. `base`: the canopy
     that the first observations found (0 with a surface raster, NaN before). `watched`: the cameras whose labels have
     shown for an hour that something stands. Of the candidate: the same, with c_. Of an accepted change: kind, smoothed
-    `shift`, since, by. `high`: 1 if an estimate or a candidate may be high enough above the reference to be looked for
+    `shift`, since. `high`: 1 if an estimate or a candidate may be high enough above the reference to be looked for
     in images."""
 
     estimate: RecordArray
@@ -87,8 +86,7 @@ def place_of(row: int, col: int, across: int) -> int:
 SUM = np.dtype(
     [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("relative_variance", "f4"), ("pose", "f4"),
      ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
-     ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4"),
-     ("label", "u1"), ("_", "u1", 3)]
+     ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4")]
 )  # fmt: skip
 """Sums of one cell: over pixels that agree with the reference and over those that do not (off_); the least height above
 the reference at which a ray passed it (infinite: none) and by how many sigmas of range; and, of pixels that count by
@@ -158,5 +156,4 @@ def sum_of(sums: FrameSums, place: int) -> int:
         one.off_count = one.off_weight = one.off_moment = one.off_pose = 0.0
         one.lowest = math.inf
         one.stood = one.labelled = one.gone = one.stays = one.labelled_pose = 0.0
-        one.label = NO_LABEL
     return int(found) - 1

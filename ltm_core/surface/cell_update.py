@@ -14,7 +14,7 @@ import numpy as np
 
 from ltm_core.base.kernels import helper, kernel, prefetch
 from ltm_core.base.types import Int32Array
-from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, FrameSums, TileCells
+from ltm_core.surface.cell_layout import CELLS, PLACE_BITS, FrameSums, TileCells
 
 TALL = 10.0
 """Rise in metres above which a new object is a building or, more often, something that passes the camera."""
@@ -134,8 +134,6 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
             relative_variance, bounded = max(variance, (dz / one.passed) ** 2), True
         update_cell(cells, slot, k, dz, variance, relative_variance, pose, bounded, seconds, bit, wait, rules)
         e = cells.estimate[slot, k]
-        if one.label != NO_LABEL:
-            e.label = one.label
         if (e.looks > 0 and e.dz > rules.looked_for) or (e.c_looks > 0 and e.c_dz > rules.looked_for):
             cells.high[slot, k] = 1
     return observed
@@ -260,13 +258,7 @@ def update_cell(
     c.c_frames = min(c.c_frames + 1, 65535)
     # The candidate becomes the estimate when independent looks agree on it.
     passing = e.c_dz > TALL and e.c_looks < TALL_LOOKS and _bits(c.c_cameras) < 2
-    if not passing and independent(
-        c.c_cameras,
-        c.c_first,
-        c.c_last,
-        wait,
-        rules.settle,
-    ):
+    if not passing and independent(c.c_cameras, c.c_first, c.c_last, wait, rules.settle):
         e.dz = e.c_dz
         e.looks = min(e.c_looks, rules.memory)
         e.weight = c.c_weight * e.looks / e.c_looks

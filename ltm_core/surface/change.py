@@ -208,13 +208,13 @@ def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str,
 
 
 _OF_ESTIMATE = ("looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras")
-_NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by", "watched")
+_NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "watched")
 
 
 def decide(
     peek: Callable[[Key], Tile | None], reference: Reference, window: Window, config: TerrainConfig, rules: Rules
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
-    """Return the changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
+    """Return the changes in a window, and its new fields base, kind, shift and since, (h, w) each.
 
     Change is where the smoothed shift exceeds the threshold and is significant, and the connected cells around it that
     moved the same way; regions smaller than `min_area` are left out."""
@@ -257,7 +257,6 @@ def decide(
     new = kind != parts["kind"]
     begun = new & (kind > 0)
     since = np.where(begun, parts["last"], np.where(kind > 0, parts["since"], 0)).astype(np.uint32)
-    by = np.where(begun, parts["cameras"], np.where(kind > 0, parts["by"], 0)).astype(np.uint32)
     own = own_shift(cells, variance, shift, reference.geometry.resolution)
     stands = standing & (kind == ChangeKind.GROWN)
     if stands.any():
@@ -269,7 +268,7 @@ def decide(
     changed = Changed(
         (rows + row).astype(np.int32), (cols + col).astype(np.int32), parts["kind"][new], kind[new], shift[new]
     )
-    return changed, {"base": base.astype(np.float32), "kind": kind, "shift": shift, "since": since, "by": by}
+    return changed, {"base": base.astype(np.float32), "kind": kind, "shift": shift, "since": since}
 
 
 def _levels(

@@ -4,11 +4,10 @@ All other cells of a terrain stay as they were given, to the bit."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from ltm_core.base.errors import RasterError, StoreError
 from ltm_core.base.strict_model import StrictModel
@@ -120,8 +119,6 @@ AS_GIVEN = ""
 VERSION = r"[0-9a-f]{16}"
 KEPT = 100
 """Number of versions whose files are kept; frames of months refer to the surface to which they were traced."""
-FORMAT = 1
-"""Format of the manifests that this release reads. A later format must state its number as `format`."""
 
 
 class SurfaceVersion(StrictModel):
@@ -151,71 +148,37 @@ class SurfaceVersion(StrictModel):
         return self.changed / max(1, self.seen)
 
 
-class CountedVersion(StrictModel):
-    """Entry of the history: a version was put into use by frames up to `as_of_ns`."""
-
-    version: str = Field(pattern=f"^{VERSION}$")
-    as_of_ns: int = Field(ge=0)
-
-
 class SurfaceManifest(StrictModel):
-    """List of versions. `current`: the version in use. `held`: it was reverted, and none follows automatically.
-    `history`: versions used, in order, without reverted ones; a version that returns is listed twice. `forgotten`:
-    earlier entries were dropped."""
+    """List of `versions` in the order in which they came into use, without reverted ones; one that returns is listed
+    again. `held`: the last one was reverted, and none follows automatically. `forgotten`: earlier ones were dropped."""
 
     site: str
-    current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
     held: bool = False
     versions: tuple[SurfaceVersion, ...] = ()
-    history: tuple[CountedVersion, ...] = ()
     forgotten: bool = False
 
-    @model_validator(mode="after")
-    def _current_is_listed(self) -> SurfaceManifest:
-        if self.current and self.entry(self.current) is None:
-            raise ValueError(f"current version {self.current} is not among the versions")
-        if any(self.entry(one.version) is None for one in self.history):
-            raise ValueError("a version of the history is not among the versions")
-        if self.current != (self.history[-1].version if self.history else AS_GIVEN):
-            raise ValueError(f"current version {self.current!r} is not the last of the history")
-        return self
+    @property
+    def current(self) -> str:
+        """Return the version in use; AS_GIVEN if there is none."""
+        return self.versions[-1].version if self.versions else AS_GIVEN
 
     def entry(self, version: str) -> SurfaceVersion | None:
         """Return the entry of a version; None if it is not listed."""
-        return next((one for one in self.versions if one.version == version), None)
+        return next((one for one in self.versions[::-1] if one.version == version), None)
 
     def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """Return the version in use at a time, with the stamp from which it was used; None: as given. Raises StoreError
-        for a time of which nothing is kept any more."""
-        past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
+        """Return the version in use at a time; None: as given. Raises StoreError for a time of which nothing is kept
+        any more."""
+        past = [one for one in self.versions if moment_ns is None or one.as_of_ns <= moment_ns]
         if past:
-            found = self.entry(past[-1].version)
-            return None if found is None else found.model_copy(update={"as_of_ns": past[-1].as_of_ns})
+            return past[-1]
         if self.forgotten and moment_ns is not None:
             kept = "none is kept"
-            if self.history:
-                since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
+            if self.versions:
+                since = np.datetime64(self.versions[0].as_of_ns, "ns").astype("datetime64[s]")
                 kept = f"{KEPT} are kept, the first of {since} UTC; give a later time"
             raise StoreError(
                 f"the surface used at that time is not kept: {kept}, or export bare earth as given with a site file "
                 "without terrain.trace_confirmed"
             )
         return None
-
-
-def of_later_release(content: bytes, error: ValidationError) -> str:
-    """Return the evidence that a later release wrote an unreadable manifest, a later format or only unknown keys;
-    empty: none, so it is damaged."""
-    try:
-        found = json.loads(content)
-    except (ValueError, RecursionError):
-        return ""
-    stated = found.get("format") if isinstance(found, dict) else None
-    if isinstance(stated, int) and stated > FORMAT:
-        return f"it is of format {stated}, and this release reads {FORMAT}"
-    problems = error.errors()
-    if any(one["type"] != "extra_forbidden" for one in problems):
-        return ""
-    return (
-        f"it has {', '.join('.'.join(map(str, one['loc'])) for one in problems[:3])}, which this release does not know"
-    )

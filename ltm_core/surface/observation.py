@@ -14,10 +14,18 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RecordArray, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.surface.cell_layout import NO_LABEL, TILE, FrameSums, clear, sum_of
-from ltm_core.surface.expected_view import EXPECTED_PIXEL, CameraView, Extremes, predict_view
+from ltm_core.surface.cell_layout import TILE, FrameSums, clear, sum_of
 from ltm_core.surface.observation_kernel import ObservationLimits, Pixels, observe
-from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid, stood_at
+from ltm_core.surface.reference_surface import (
+    BLOCK,
+    EXPECTED_PIXEL,
+    CameraView,
+    Extremes,
+    Reference,
+    ReferenceGrid,
+    predict_view,
+    stood_at,
+)
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.tracer import BoundedCache
 
@@ -66,8 +74,6 @@ def add_labels(
             one.gone += max(odds, np.float32(0.0))
             one.stays += max(-odds, np.float32(0.0))
             one.labelled_pose += pixel.pose_variance
-            if one.label == NO_LABEL:
-                one.label = ids[v, u]
 
 
 _WIDEST_WINDOW = 24
@@ -228,12 +234,10 @@ class Observer:
 
     def pixels(self, frame: DepthFrame) -> Pixels:
         """Return a frame in its compiled form."""
-        labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
         return Pixels(
             np.ascontiguousarray(frame.depth, np.float32),
             np.ascontiguousarray(frame.sigma, np.float32),
             np.ascontiguousarray(frame.measured).view(np.uint8),
-            np.ascontiguousarray(labels, np.uint8),
             self._step(frame),
             self.sampled(frame).cosines(),
         )

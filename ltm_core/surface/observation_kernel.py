@@ -18,12 +18,13 @@ import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
-from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, place_of, sum_of
-from ltm_core.surface.expected_view import CameraView, direction
+from ltm_core.surface.cell_layout import FrameSums, place_of, sum_of
 from ltm_core.surface.reference_surface import (
     LEAST_INCIDENCE,
+    CameraView,
     ReferenceGrid,
     cell_at,
+    direction,
     height_at,
     pose_variance,
     slopes_at,
@@ -65,13 +66,12 @@ class ObservationLimits(NamedTuple):
 
 class Pixels(NamedTuple):
     """Pixels of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis,
-    its sigma, whether it is a measurement, and labels ((0, 0): none). `cosines`: of the pixels in use, depth / slant
+    its sigma, and whether it is a measurement. `cosines`: of the pixels in use, depth / slant
     range."""
 
     depth: Float32Array
     sigma: Float32Array
     informs: UInt8Array
-    labels: UInt8Array
     step: int
     cosines: Float32Array
 
@@ -190,7 +190,6 @@ def observe(
     one below it."""
     rows, cols = expected_pixels.shape
     step = pixels.step
-    labelled = pixels.labels.size > 0
     reached = np.zeros(cols, np.float64)
     own = limits.own_sigma**2
     x0, y0, z0 = view.position[0], view.position[1], view.position[2]
@@ -215,7 +214,6 @@ def observe(
                 slack = 0.0
             elif math.isinf(sigma):
                 continue
-            label = pixels.labels[v * step, u * step] if labelled else NO_LABEL
             if not math.isinf(r) and nearest - slack <= r <= farthest + slack:
                 spread = float(pixel.spread)
                 # What only pixels beside it would see, a silhouette a little off its place, tells nothing.
@@ -234,8 +232,6 @@ def observe(
                 one.moment += w * ((expected - r) * incidence)
                 one.relative_variance += (sigma * incidence) ** 2 + aside
                 one.pose += pixel.pose_variance
-                if one.label == NO_LABEL:
-                    one.label = label
                 continue
             dx, dy, dz = direction(view, v, u)
             flat2 = dx * dx + dy * dy
@@ -279,5 +275,3 @@ def observe(
             one.off_weight += w
             one.off_moment += w * above
             one.off_pose += pose
-            if one.label == NO_LABEL:
-                one.label = label

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -11,14 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float32Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.storage.disk_io import written_whole
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.surface_map import SurfaceMap
 
 
@@ -66,7 +62,6 @@ BANDS: dict[Exported, dict[str, str]] = {
     "change": {"shift": "m", "sigma": "m", "kind": "1", "since": "days since 1970-01-01 UTC"},
 }
 """Name and unit of the bands of `write_export`."""
-"""Number of rows written at a time; the layers of a whole site may exceed the memory."""
 
 
 def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry: GridGeometry) -> None:
@@ -118,35 +113,3 @@ def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int
 
 def _moment(stamp_ns: int) -> str:
     return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() if stamp_ns else "no frame yet"
-
-
-def write_surface(
-    folder: Path | str, layers: SurfaceLayers, geometry: GridGeometry, newest_ns: int, cameras: Sequence[str]
-) -> list[Path]:
-    """Write `terrain_height.tif`, `_sigma`, `_change`, `_age` (hours from the last look to `newest_ns`) and `_since`
-    (s, with a second band: the mask of the cameras that agreed, bit i for the i-th of the tag `cameras`).
-
-    `geometry`: of the layers, in a named CRS. Each file appears whole or not at all. Raises ConfigError where the
-    folder is missing or cannot be written."""
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: the folder does not exist; create it first")
-    seen = layers.last_seen > 0
-    age = np.where(seen, (newest_ns // 1_000_000_000 - layers.last_seen.astype(np.int64)) / 3600, np.nan)
-    change = np.where(layers.observed | (layers.change > 0), layers.change, np.uint8(UNSEEN)).astype(np.uint8)
-    kinds = json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind})
-    named = {"cameras": json.dumps(list(cameras))}
-    files = []
-    for name, array, nodata, tags in (
-        ("height", layers.height, float("nan"), None),
-        ("sigma", layers.sigma, float("nan"), None),
-        ("change", change, UNSEEN, {"kinds": kinds}),
-        ("age", age.astype(np.float32), float("nan"), None),
-        ("since", np.stack([layers.since, layers.by]), 0, named),
-    ):
-        path = folder / f"terrain_{name}.tif"
-        colors = {int(k): v for k, v in CHANGE_COLORS.items()} if name == "change" else None
-        with written_whole(path) as partial:
-            write_geotiff(partial, array, geometry, nodata=nodata, colormap=colors, tags=tags)
-        files.append(path)
-    return files

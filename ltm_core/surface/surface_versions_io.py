@@ -20,15 +20,7 @@ from pydantic import ValidationError
 from ltm_core.base.errors import RasterError, StoreError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.surface.confirmed_surface import (
-    AS_GIVEN,
-    KEPT,
-    ConfirmedSurface,
-    CountedVersion,
-    SurfaceManifest,
-    SurfaceVersion,
-    of_later_release,
-)
+from ltm_core.surface.confirmed_surface import AS_GIVEN, KEPT, ConfirmedSurface, SurfaceManifest, SurfaceVersion
 
 FOLDER = "surfaces"
 """Name of the folder beside the store of the terrain."""
@@ -52,8 +44,8 @@ class SurfaceVersions:
     geometry: GridGeometry
 
     def manifest(self) -> SurfaceManifest:
-        """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read, if a later release
-        wrote it, or if it is of another site."""
+        """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read or is of another
+        site."""
         path = self.folder / MANIFEST
         try:
             content = _read(path, _MOST_MANIFEST)
@@ -64,11 +56,6 @@ class SurfaceVersions:
         try:
             found = SurfaceManifest.model_validate_json(content)
         except ValidationError as error:
-            if later := of_later_release(content, error):
-                raise StoreError(
-                    f"{path}: a later release wrote this list of surfaces ({later}); it was not changed. Start that "
-                    "release again, or move the folder away to start afresh"
-                ) from error
             problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
             raise BrokenManifestError(problem) from error
         if found.site != self.site:
@@ -131,26 +118,12 @@ class SurfaceVersions:
             changed=len(surface),
             lowered=surface.lowered,
         )
-        others = tuple(one for one in before.versions if one.version != version)
-        versions = (*others, entry)[-KEPT:]
-        kept = {one.version for one in versions}
-        counted = (*before.history, CountedVersion(version=version, as_of_ns=as_of_ns))
-        # From the last on backwards, as far as all of it is kept.
-        gone = max((n for n, one in enumerate(counted) if one.version not in kept), default=-1)
-        first = max(gone + 1, len(counted) - KEPT)
+        versions = (*before.versions, entry)
+        kept = versions[-KEPT:]
         self._write(self.file(version), content)
-        self._replace(
-            before.model_copy(
-                update={
-                    "current": version,
-                    "held": False,
-                    "versions": versions,
-                    "history": counted[first:],
-                    "forgotten": before.forgotten or first > 0,
-                }
-            )
-        )
-        self._remove_all_but({self.file(one.version) for one in versions})
+        forgotten = before.forgotten or len(versions) > KEPT
+        self._replace(SurfaceManifest(site=before.site, versions=kept, forgotten=forgotten))
+        self._remove_all_but({self.file(one.version) for one in kept})
         return entry
 
     def _remove_all_but(self, kept: set[Path]) -> None:
@@ -163,12 +136,9 @@ class SurfaceVersions:
     def take_back(self) -> SurfaceManifest:
         """Make the version before the current one count, and hold it. Raises StoreError where none is current."""
         before = self.manifest()
-        entry = before.entry(before.current)
-        if entry is None:
+        if not before.versions:
             raise StoreError(f"{self.folder}: no confirmed surface is in use; nothing to revert")
-        history = before.history[:-1]
-        current = history[-1].version if history else AS_GIVEN
-        after = before.model_copy(update={"current": current, "held": True, "history": history})
+        after = before.model_copy(update={"held": True, "versions": before.versions[:-1]})
         self._replace(after)
         return after
 
@@ -227,15 +197,13 @@ class ConfirmedTerrain:
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
-    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: remark for the user."""
+    has what stood before; False: only what has changed differs from `ground`. `note`: remark for the user."""
 
     version: SurfaceVersion | None
     ground: Dem
     top: Dem
     surface: ConfirmedSurface | None = None
     canopy_known: bool = True
-    given: Dem | None = None
     note: str = ""
 
     @property

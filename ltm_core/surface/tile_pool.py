@@ -11,9 +11,9 @@ from ltm_core.base.types import Int32Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile
-from ltm_core.surface.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, TileCells
+from ltm_core.surface.cell_layout import CELL_BYTES, FIELDS, TILE, TileCells
 
-KIND, VERSION = "terrain", 4
+KIND, VERSION = "terrain", 5
 
 
 def schema_of(geometry: GridGeometry) -> StoreSchema:
@@ -130,4 +130,3 @@ class TilePool:
         self.cells.high[slot] = stored is not None
         if stored is None:
             self.cells.field("base")[slot] = self._fresh_base
-            self.cells.field("label")[slot] = NO_LABEL

@@ -13,56 +13,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.base.errors import ConfigError, StoreError
-from ltm_core.base.types import BoolArray, Int64Array
 from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors, transaction
-
-
-def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array, spare: int) -> BoolArray:
-    """Return a mask of the frames (N,) to drop to free at least `spare` bytes; all if they hold less. `stamps_ns`,
-    `sizes` (bytes): (N,) int64. `views`: (N,) a number for each view of each camera."""
-    order = np.argsort(stamps_ns, kind="stable")
-    gone = np.zeros(len(order), np.bool_)
-    while int(sizes[gone].sum()) < spare:
-        left = order[~gone[order]]
-        older = left[: (len(left) + 1) // 2]
-        chosen = older[_every_other(views[older])]
-        if not len(chosen):
-            chosen = left[_every_other(views[left])]
-        if not len(chosen):
-            # One frame of each view is left: the oldest views go.
-            freed = np.cumsum(sizes[left]) + int(sizes[gone].sum())
-            chosen = left[: int(np.searchsorted(freed, spare)) + 1]
-        if not len(chosen):
-            break
-        gone[chosen] = True
-    return gone
-
-
-def _every_other(views: NDArray[np.integer]) -> BoolArray:
-    """Return (N,) the second, fourth, ... of each view, in the order given."""
-    by_view = np.argsort(views, kind="stable")
-    ordered = views[by_view]
-    begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(ordered) else np.zeros(0, int)
-    lengths = np.diff(np.append(begins, len(ordered)))
-    rank = np.arange(len(ordered)) - np.repeat(begins, lengths)
-    result = np.zeros(len(views), np.bool_)
-    result[by_view] = rank % 2 == 1
-    return result
-
 
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
 LAYOUT: Final = 1
 FREED_SHARE: Final = 0.1
-"""Share of the outbox's bytes freed at once when it is full, because thinning reads all its content."""
+"""Share of the outbox's bytes freed at once when it is full."""
 LARGEST_FRAME: Final = 1 << 20
 """Maximum bytes of one frame; votes have at most 64 kB."""
 KEPT_DAMAGED: Final = 3
 """Number of damaged files kept beside the outbox for inspection."""
 
+_EVERY_OTHER: Final = """
+SELECT camera, stamp_ns FROM (
+    SELECT camera, stamp_ns, row_number() OVER (PARTITION BY camera, view ORDER BY stamp_ns) AS number
+    FROM (SELECT camera, stamp_ns, view FROM frames ORDER BY stamp_ns LIMIT ?)
+) WHERE number % 2 = 0
+"""
+"""The second, fourth, ... frame of each view, among the oldest frames."""
 _TABLE: Final = """
 CREATE TABLE frames (
     camera TEXT NOT NULL, stamp_ns INTEGER NOT NULL, view INTEGER NOT NULL, model TEXT NOT NULL,
@@ -199,14 +168,16 @@ class Outbox:
             aged = self._remove(old)
         if self.bytes <= self._max_bytes:
             return Removed(0, aged)
-        with named_errors(str(self._path)):
-            rows = self._db.execute("SELECT camera, stamp_ns, view, length(message) FROM frames").fetchall()
-        views: dict[tuple[str, int], int] = {}
-        numbers = np.array([views.setdefault((row[0], row[2]), len(views)) for row in rows], np.int64)
-        stamps, sizes = (np.array([row[column] for row in rows], np.int64) for column in (1, 3))
-        spare = self.bytes - round((1 - FREED_SHARE) * self._max_bytes)
-        gone = np.flatnonzero(thinned(stamps, numbers, sizes, spare))
-        return Removed(self._remove([rows[k][:2] for k in gone]), aged)
+        before = self.frames
+        while self.bytes > (1 - FREED_SHARE) * self._max_bytes:
+            with named_errors(str(self._path)):
+                # Of the older half, else of all; where one frame of each view is left, the oldest goes.
+                oldest = "SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT 1"
+                queries = [(_EVERY_OTHER, ((self.frames + 1) // 2,)), (_EVERY_OTHER, (self.frames,)), (oldest, ())]
+                found = (self._db.execute(*query).fetchall() for query in queries)
+                chosen = next(filter(None, found))
+            self._remove(chosen)
+        return Removed(before - self.frames, aged)
 
     def _remove(self, keys: Sequence[FrameKey]) -> int:
         if not keys:

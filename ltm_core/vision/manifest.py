@@ -277,12 +277,6 @@ class NetworkManifest(StrictModel):
         """Return the folder of the manifest file: where its relative paths start."""
         return self._folder
 
-    @property
-    def label_columns(self) -> int:
-        """Return the minimum number of label columns of a photo: such networks label every second pixel of their input,
-        and the pixels between are interpolated."""
-        return max(1, self.input.width // 2)
-
     def model_file(self) -> Path:
         """Return the path of the network, as `find_file` finds it. Raises ModelError."""
         return self.file_of(self.file)

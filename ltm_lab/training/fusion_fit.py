@@ -20,12 +20,10 @@ from ltm_core.base.types import Float64Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_lab.training.fusion_samples import CLASSES, FrameSamples, Samples
 
-STANDING = (*(f"occlusion.standing.{name}" for name in CLASSES), "occlusion.no_foot", "occlusion.metre",
-            "decision.likelihood_weight")  # fmt: skip
+STANDING = (*(f"occlusion.standing.{name}" for name in CLASSES), "occlusion.metre", "decision.likelihood_weight")
 OUTLINE = (*(f"boundaries.outline.{name}" for name in CLASSES), "boundaries.toward")
 CANOPY = (*(f"decision.canopy.{name}" for name in CLASSES), "decision.canopy_weight")
 _POSITIVE = (
-    "occlusion.no_foot",
     "occlusion.metre",
     "decision.likelihood_weight",
     "boundaries.toward",

@@ -41,7 +41,7 @@ class Samples(NamedTuple):
 
 
 class FrameSamples(NamedTuple):
-    """Of one frame. Features of `standing`: class shares, -no foot, -height, -log likelihood of the terrain; of
+    """Of one frame. Features of `standing`: class shares, -height, -log likelihood of the terrain; of
     `outline`: class, nearness to the crest; of `canopy`: class, log likelihood of the canopy."""
 
     standing: Samples
@@ -74,8 +74,8 @@ def frame_samples(
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
     depth, sigma = seen.copy(), spread.copy()
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    crests = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
-    above = _above_crests(crests.rows, crests.cols, crests.raised, ground, seen, view, true, step)
+    raised = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
+    above = _above_crests(edges.rows, edges.cols, raised, ground, seen, view, true, step)
     return FrameSamples(
         _standing(depth, sigma, view, standing, labels, ids, classes, true, step, config),
         _outline(above, labels, ids, traced.camera.fy),
@@ -107,13 +107,13 @@ def _standing(
 ) -> Samples:
     rules, seen = DecisionRules.of(config.decision), LabelView.of(labels, classes)
     found = _disagreements(depth, sigma, view, prior, seen, true, step, rules)
-    row, col, no_foot, height, against, other, terrain, truth = found.T
+    row, col, height, against, other, terrain, truth = found.T
     shares = _shares(labels, ids, classes.sky, prior.odds.shape, config.occlusion.about)
     place = shares[
         (row * prior.odds.shape[0] // depth.shape[0]).astype(int),
         (col * prior.odds.shape[1] // depth.shape[1]).astype(int),
     ]
-    numbers = np.stack([-no_foot, -np.minimum(height, config.occlusion.highest), -against], axis=1)
+    numbers = np.stack([-np.minimum(height, config.occlusion.highest), -against], axis=1)
     right = np.abs(np.log(truth / other)) < np.abs(np.log(truth / np.maximum(terrain, 1 / _FARTHEST)))
     features = np.concatenate([place, numbers], axis=1).astype(np.float64)
     return Samples(features, np.zeros(len(right)), right)
@@ -130,45 +130,42 @@ def _disagreements(
     step: int,
     rules: DecisionRules,
 ) -> Float64Array:
-    """(N, 8) of the pixels with truth where the network sees something nearer than the terrain, as `pixel_fusion` asks
-    of them: row, column, no foot, height, log likelihood of the terrain, inverse depth of the thing, of the terrain and
-    in truth."""
-    height, width = depth.shape
-    errors, odds, feet = view.tables, prior.odds, prior.feet
+    """(N, 7) of the pixels with truth where the network sees something nearer than the terrain, as `pixel_fusion` asks
+    of them: row, column, height, log likelihood of the terrain, inverse depth of the thing, of the terrain and in
+    truth."""
+    width = depth.shape[1]
+    errors, odds, feet = view.errors, prior.odds, prior.feet
     tables = interpolation_table(errors)
     seen, between = np.empty((3, width), np.float32), np.empty((4, view.cells.shape[2]), np.float32)
     work = np.empty((7, width), np.float32)
     place, asked = np.empty(width, np.int32), np.zeros(width, np.bool_)
-    column = (np.arange(width) * errors.shift.shape[1] // width).astype(np.int32)
     unlabelled, kind = np.full(width, np.uint8(255)), np.empty(width, np.uint8)
-    found, n = np.empty((truth.size, 8), np.float64), 0
+    found, n = np.empty((truth.size, 7), np.float64), 0
     for k in range(truth.shape[0]):
         v = k * step
-        i = v * errors.shift.shape[0] // height
         d, s = depth[v].copy(), sigma[v].copy()
         label = labels.ids[v] if labels.known else unlabelled
         row = FusionRow(
             d, s, kind, label, seen[0], seen[1], seen[2], work[0], work[1], work[2], work[3], work[4], work[5], work[6],
-            place, column, asked,
+            place, asked,
         )  # fmt: skip
         upsample_row(view, v, between, seen)
         begin_row(d, s, kind)
-        compare_row(row, tables[i], labels.sky, rules)
+        compare_row(row, tables, labels.sky, rules)
         for m in range(truth.shape[1]):
             u, t = m * step, truth[k, m]
             if not (asked[u] and kind[u] > 0 and row.off[u] > 0 and t > 0 and t < np.float32(1e9)):
                 continue
             edge = (row.nearest[u] - row.seen[u]) / row.off[u]
-            other = row.seen[u] if edge < rules.blurred else row.nearest[u]
+            other = row.seen[u]
             if not (edge < np.float32(1.0) and other > 0):
                 continue
             below = feet[u * odds.shape[1] // width]
             foot = ground_contact(other, below, v)
             out = found[n]
-            out[0], out[1], out[2] = v, u, foot == len(below)
-            out[3] = height_above(prior, other, v, foot)
-            out[4] = log_against(other, row.off[u], row.joint[u], row.spread[u], view.gross, rules)
-            out[5], out[6], out[7] = other, row.true[u], 1.0 / t
+            out[0], out[1], out[2] = v, u, height_above(prior, other, v, foot)
+            out[3] = log_against(other, row.off[u], row.joint[u], row.spread[u], view.gross, rules)
+            out[4], out[5], out[6] = other, row.true[u], 1.0 / t
             n += 1
     return found[:n]
 
@@ -239,7 +236,7 @@ def _two_surfaces(
 ) -> Float64Array:
     """(N, 6) of pixels with truth where a canopy raster and the ground differ: row, column, log likelihood of the
     canopy, depth of the ground, of the canopy, truth."""
-    errors, height, width = view.tables, depth.shape[0], depth.shape[1]
+    errors = view.errors
     found, n = np.empty((truth.size, 6), np.float64), 0
     for k in range(truth.shape[0]):
         for m in range(truth.shape[1]):
@@ -247,14 +244,13 @@ def _two_surfaces(
             c, d = over[v, u], depth[v, u]
             if not (c < np.float32(1e9) and t > 0 and (not d < np.float32(1e9) or abs(c - d) > sigma[v, u])):
                 continue
-            i, j = v * errors.shift.shape[0] // height, u * errors.shift.shape[1] // width
             y, a = upsample_pixel(view, v, u), np.float32(0.0)
             if d < np.float32(1e9):
                 a = np.float32(1.0) / d
-            less, spread = expected_prediction(i, j, a, errors)
+            less, spread = expected_prediction(a, errors)
             off = (y - a + less) / spread
             gain = 0.5 * off * off + np.log(spread)
-            less, spread = expected_prediction(i, j, np.float32(1.0) / c, errors)
+            less, spread = expected_prediction(np.float32(1.0) / c, errors)
             off = (y - np.float32(1.0) / c + less) / spread
             out = found[n]
             out[0], out[1], out[2] = v, u, gain - 0.5 * off * off - np.log(spread)

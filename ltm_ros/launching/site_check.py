@@ -150,10 +150,8 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
         given = {name: value for name, value in spec.parameters.items() if name != "use_sim_time"}
         try:
             checked(_config_of(importlib.import_module(spec.module)), given, f"nodes.{spec.executable}")
-            for key in ("model", "label_model"):
-                if name := given.get(key):
-                    depth = key == "model" and spec.executable == "topodepth"
-                    NetworkManifest.find(str(name)).require(depth)
+            if name := given.get("model"):
+                NetworkManifest.find(str(name)).require(spec.executable == "topodepth")
         except LtmError as error:
             wrong = True
             yield SiteFinding.of("site", "nodes", error)

@@ -18,7 +18,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.change import Changed
-from ltm_core.surface.surface_io import write_surface
+from ltm_core.surface.surface_io import BANDS, write_export
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
@@ -178,15 +178,13 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         if self._folder is None:
             raise ConfigError("no folder is configured for the terrain: set the node's parameter folder")
         self._settle()
-        window = self._map.seen_window()
-        if window is None:
+        if self._map.seen_window() is None:
             raise ConfigError("no frame has updated the terrain yet; there is nothing to write")
         self._map.commit()
-        layers = self._map.layers(window)
-        files = write_surface(
-            self._folder, layers, self._site.in_crs(layers.geometry), self._map.newest_ns, self._map.cameras
-        )
-        return f"written: {', '.join(path.name for path in files)}"
+        for what in BANDS:
+            path = self._folder / f"terrain_{what}.tif"
+            write_export(path, self._map, what, self._site.in_crs(self._map.reference.geometry))
+        return f"written: {', '.join(f'terrain_{what}.tif' for what in BANDS)}"
 
     def _confirm(self) -> str:
         assert self._confirmation is not None  # nosec B101 # tells the type checker what holds

@@ -29,7 +29,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.surface.confirmed_surface import CountedVersion, SurfaceManifest, SurfaceVersion
+from ltm_core.surface.confirmed_surface import SurfaceManifest, SurfaceVersion
 from ltm_core.surface.surface_versions_io import MANIFEST, SurfaceVersions
 from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
 from ltm_core.vision.areas import read_areas
@@ -45,9 +45,7 @@ from ltm_ros.recordings.importing.photo import read_pose_file
 _ENTRY = SurfaceVersion(
     version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1
 )
-_SURFACES = SurfaceManifest(
-    site="a", current=_ENTRY.version, versions=(_ENTRY,), history=(CountedVersion(version=_ENTRY.version, as_of_ns=5),)
-).model_dump_json(indent=1)
+_SURFACES = SurfaceManifest(site="a", versions=(_ENTRY,)).model_dump_json(indent=1)
 
 
 def _read_surfaces(path: Path) -> None:

@@ -109,7 +109,7 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
     assert np.median(shifts[block[rows, cols]]) > 5.0
 
     with rasterio.open(folder / "terrain_change.tif") as file:
-        assert int((file.read(1) == info["kinds"]["grown"]).sum()) == told
+        assert int((file.read(3) == info["kinds"]["grown"]).sum()) == told
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,7 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.topodepth import fuse
-from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.evidence_merge import PartialEvidence
-from ltm_core.fuel.frame_evidence import form_by_appearance
-from ltm_core.fuel.life_form import FORMS
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.kernels import KERNELS
@@ -85,13 +82,6 @@ def _fusion_of_a_photo(_: str) -> None:
     fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
 
 
-def _appearance(_: str) -> None:
-    """Compile the classification of a frame's cells by their appearance."""
-    none, own = np.zeros(0, np.int64), np.zeros((0, FORMS))
-    look = np.array([0.1, 0.5]), np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_)
-    form_by_appearance(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
-
-
 def _parts_of_an_archive(_: str) -> None:
     """Compile the merging of evidence that was counted in parts."""
     part, other = (
@@ -119,7 +109,6 @@ ALL = NODES | {
     "poses": _poses,
     "rays": _rays,
     "fusion of a photo": _fusion_of_a_photo,
-    "appearance": _appearance,
     "parts of an archive": _parts_of_an_archive,
     "samples": _samples,
 }

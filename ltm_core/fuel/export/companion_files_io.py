@@ -61,15 +61,11 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
     return _write(raster, renderer)
 
 
-def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
-    """Write a style that shows a band from black to white. Raises ConfigError if it cannot be written."""
-    renderer = _renderer("singlebandgray", grayBand=str(band), gradient="BlackToWhite")
+def write_grey_style(raster: Path, least: float, most: float) -> Path:
+    """Write a style that shows the first band from black to white. Raises ConfigError if it cannot be written."""
+    renderer = _renderer("singlebandgray", grayBand="1", gradient="BlackToWhite")
     stretch = SubElement(renderer, "contrastEnhancement")
-    for name, text in (
-        ("minValue", f"{least:g}"),
-        ("maxValue", f"{most:g}"),
-        ("algorithm", "StretchToMinimumMaximum"),
-    ):
+    for name, text in (("minValue", f"{least:g}"), ("maxValue", f"{most:g}"), ("algorithm", "StretchToMinimumMaximum")):
         SubElement(stretch, name).text = text
     return _write(raster, renderer)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
@@ -108,7 +108,10 @@ def make_landscape(
             difference to the DEM, and left aside where that is more than 50 m.
         seen: the canopy that was measured, on the grid of the layers; None: nowhere."""
     transfer = GridTransfer(source, source if target is None else target)
-    canopy = transfer.layer(_canopy(layers, prior, climate, seen), NODATA)
+    bands = canopy_bands(layers, prior, climate)
+    if seen is not None:
+        bands = with_seen_canopy(bands, seen, layers.code, climate.forest)
+    canopy = transfer.layer(bands, NODATA)
     codes = transfer.layer(surface_codes(layers, prior, climate, system), NODATA)
     heights, filled = transfer.heights(dem, frame), np.zeros(codes.shape, np.bool_)
     if spare is not None:
@@ -132,22 +135,10 @@ def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64
     return filled, wanted
 
 
-def _canopy(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, seen: SeenCanopy | None) -> Int16Array:
-    bands = canopy_bands(layers, prior, climate)
-    return bands if seen is None else with_seen_canopy(bands, seen, layers.code, climate.forest)
-
-
-def with_fuel(
-    landscape: Landscape,
-    layers: FuelLayers,
-    prior: FuelPrior | None,
-    climate: FuelClimate,
-    seen: SeenCanopy | None = None,
-) -> Landscape:
-    """Return a landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as in
-    `make_landscape`."""
+def with_fuel(landscape: Landscape, layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Landscape:
+    """Return a landscape of the fuel grid with the fuel and canopy of other layers on the same ground."""
     bands = landscape.bands.copy()
     bands[3] = surface_codes(layers, prior, climate, landscape.system)
-    bands[4:] = _canopy(layers, prior, climate, seen)
+    bands[4:] = canopy_bands(layers, prior, climate)
     bands[:, bands[0] == NODATA] = NODATA
     return replace(landscape, bands=bands)

@@ -16,16 +16,7 @@ from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.geometry.grid import GridGeometry
 
-LANDSCAPE_BANDS: Final = (
-    "elevation",
-    "slope",
-    "aspect",
-    "fuel",
-    "cover",
-    "height",
-    "base_height",
-    "bulk_density",
-)
+LANDSCAPE_BANDS: Final = ("elevation", "slope", "aspect", "fuel", "cover", "height", "base_height", "bulk_density")
 LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
 FLAT: Final = -1
 """LANDFIRE's aspect of level ground."""

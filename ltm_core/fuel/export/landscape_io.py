@@ -156,14 +156,13 @@ def write_raster(
     nodata: float | None,
     names: tuple[str, ...] = (),
     units: tuple[str, ...] = (),
-    colormap: Mapping[int, tuple[int, int, int]] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
     """Write a GeoTIFF atomically, with named bands. Raises ConfigError if it cannot be written."""
     import rasterio
 
     with written_whole(path) as partial:
-        write_geotiff(partial, array, geometry, nodata, colormap, tags)
+        write_geotiff(partial, array, geometry, nodata, tags=tags)
         if names:
             with rasterio.open(partial, "r+") as sink:
                 sink.descriptions, sink.units = names, units

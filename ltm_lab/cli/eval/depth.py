@@ -106,12 +106,11 @@ def depth(
     count = 0
     with console.status("scoring") as status:
         for frame in islice(scene.frames, limit):
-            called, columns = None, 0
+            called = None
             if segmenter is not None:
-                called, columns = segmenter.segment(frame.photo).labels, segmenter.manifest.label_columns
+                called = segmenter.segment(frame.photo).labels
             elif labels is Labels.truth:
                 called = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
-                columns = frame.labels.shape[1]
             estimates = [network.predict(frame.photo, frame.camera) for network in opened.values()]
             if depth_maps is not None:
                 values = read_depth_map(depth_maps, frame.camera_name, frame.stamp_ns, frame.photo.shape)
@@ -119,7 +118,7 @@ def depth(
             for place_of_error, error in enumerate(errors):
                 shown: dict[str, Float32Array] = {}
                 for estimate, (name, own) in zip(estimates, runs.items(), strict=True):
-                    sources = own[place_of_error].add(frame, Given(estimate, called, columns))
+                    sources = own[place_of_error].add(frame, Given(estimate, called))
                     shown |= sources if len(runs) == 1 else _of_network(name, sources)
                 if pictures is not None:
                     pictures.mkdir(parents=True, exist_ok=True)

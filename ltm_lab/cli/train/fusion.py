@@ -46,7 +46,7 @@ def fusion(
     console = Console()
     manifest, labels = NetworkManifest.find(model), LabelSet.load()
     network, segmenter = DepthNetwork.open(model), Segmenter.open(segmentation or DEFAULT_MODEL)
-    settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
+    settings = FusionSettings()
     # Always from the defaults: a fit that starts from its own result would creep.
     config = FusionConfig()
     folders: list[list[FrameSamples]] = []

@@ -71,12 +71,10 @@ class DepthEvaluationScore:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a frame is evaluated with: a network's depth of the photo as seen, labels of every pixel or None, and in how
-    many columns these were made (0: one for each of the photo)."""
+    """What a frame is evaluated with: a network's depth of the photo as seen, and labels of every pixel or None."""
 
     network: NetworkDepth
     labels: UInt8Array | None
-    label_columns: int = 0
 
 
 class DepthEvaluation:
@@ -116,7 +114,7 @@ class DepthEvaluation:
         rng = np.random.default_rng(frame.stamp_ns % 2**32 + 1)
         pose = _turned(frame.pose, self.pose_error_deg, rng)
         traced = self._tracer.trace(frame.camera, pose)
-        settings = FusionSettings(label_columns=given.label_columns)
+        settings = FusionSettings()
         over = None if self._over is None else self._over.trace(frame.camera, pose)
         fused = fuse(traced, given.network, frame.photo, given.labels, self._classes, settings, over, self._config)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape

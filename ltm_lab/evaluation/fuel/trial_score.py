@@ -23,6 +23,8 @@ from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial import Trial, frames
 from ltm_lab.evaluation.fuel.trial_country import World, make_world
 
+_WELL_SEEN = 2.0
+"""Evidence of a well seen cell."""
 RARE = 0.01
 """Share of cells that truly change in a year or two, at which reports of change are judged too."""
 
@@ -140,7 +142,7 @@ def run_fuel_job(job: FuelJob) -> list[TrialScore]:
             job.level,
             count,
             _share(flipped, patch),
-            _share(flipped, patch & (layers.evidence >= rules.min_evidence)),
+            _share(flipped, patch & (layers.evidence >= _WELL_SEEN)),
             _share(layers.changed & (layers.life_form != world.truth), seen & ~world.patch),
             float(kept.mean()),
             right,

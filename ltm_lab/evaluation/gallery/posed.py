@@ -80,7 +80,7 @@ class Posed:
         small = np.ascontiguousarray(photo[::STEP, ::STEP])
         traced = tracer.trace(fit.camera.scaled(STEP), fit.pose)
         angle = float(np.sqrt(_CALIBRATION**2 + np.diag(fit.pose_covariance)[3:].max()))
-        settings = FusionSettings(angle, label_columns=networks.segmenter.manifest.label_columns)
+        settings = FusionSettings(angle)
         classes, constants = ClassPriors.of(networks.names, networks.depth.fusion), networks.depth.fusion
         return cls(small, labels, traced, fuse(traced, network, small, labels, classes, settings, config=constants))
 

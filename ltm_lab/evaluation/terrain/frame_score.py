@@ -129,7 +129,7 @@ def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Se
     A frame whose pose the fusion suspects has no depth.
     """
     to_ground, to_surface = (TerrainTracer(dem, possible=NOTHING_BEYOND) for dem in (ground, before))
-    settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
+    settings = FusionSettings()
     classes = ClassPriors.of(segmenter.labels, network.fusion)
     known: dict[tuple[str, int], tuple[DepthFrame, str]] = {}
 

@@ -47,7 +47,7 @@ def site_file(tmp_path: Path) -> Path:
     for name, value in {"looks": 4, "weight": 16, "relative_variance": 0.2, "frames": 4, "cameras": 3}.items():
         whole[name][MEASURED] = value
     whole["first"][MEASURED], whole["last"][MEASURED] = FIRST, LAST
-    for name, value in {"dz": -11.5, "shift": -11.25, "kind": ChangeKind.REMOVED, "since": LAST, "by": 3}.items():
+    for name, value in {"dz": -11.5, "shift": -11.25, "kind": ChangeKind.REMOVED, "since": LAST}.items():
         whole[name][FELLED] = value
     tiles = {}
     for key in ((4, 1),):

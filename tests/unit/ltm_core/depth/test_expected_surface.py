@@ -45,10 +45,10 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)) + rng.normal(0, 8, (height, width, 1))
     surface, sigma = ground.copy(), np.full_like(ground, 2.0)
     camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
-    edges = refine_occlusion_boundaries(
+    raised = refine_occlusion_boundaries(
         np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera, CONFIG
     )
-    assert (np.abs(edges.raised - 5) <= 1).mean() > 0.9
+    assert (np.abs(raised - 5) <= 1).mean() > 0.9
     strip = grown & (rows < crest)
     assert (surface[strip] == 400.0).mean() > 0.85
     assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99

@@ -4,13 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes.networks import (
-    HEIGHT,
-    WIDTH,
-    changed,
-    write_classifier,
-    write_depth_network,
-)
+from scenes.networks import HEIGHT, WIDTH, changed, write_classifier, write_depth_network
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, UInt8Array

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.resources import config_path
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models, of_one_fuel_type, partners
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
@@ -119,20 +117,17 @@ def test_no_label_changes_an_analysts_own_model(own: int) -> None:
     np.testing.assert_array_equal(surface_codes(layers, prior, climate, F13), [[own, 8, own], [own, 8, 98]])
 
 
-@pytest.mark.parametrize(
-    ("key", "code", "to", "message"),
-    [
-        ("crosswalk", 102, 5, "crosswalk: 102 -> 5; FBFM13 has 1, 2, 3 of its fuel type"),
-        ("under_trees", 147, [10, 2], "under_trees: 147 -> 2; FBFM13 has 4, 5, 6, 7"),
-        ("crosswalk_back", 5, 102, "crosswalk_back: 5 -> 102, which is of another fuel type"),
-    ],
-)
-def test_a_climate_that_mixes_fuel_types_is_refused(key: str, code: int, to: object, message: str) -> None:
-    text = config_path("fuel/climates/dry.yaml").read_text(encoding="utf-8")
-    content = yaml.safe_load(text)
-    content[key][code] = to
-    with pytest.raises(ValueError, match=message):
-        FuelClimate.model_validate(content)
+@pytest.mark.parametrize("climate", CLIMATES)
+def test_the_tables_of_a_climate_name_each_code_once_and_mix_no_fuel_types(climate: str) -> None:
+    found, models = FuelClimate.named(climate), fuel_models()
+    assert found.crosswalk.keys() == models.fbfm40.keys()
+    assert found.crosswalk_back.keys() == models.fbfm13.keys()
+    pairs = [*found.crosswalk.items(), *((code, to) for code, (_, to) in found.under_trees.items())]
+    assert all(to in partners(code) for code, to in pairs)
+    assert all(code in partners(to) for code, to in found.crosswalk_back.items())
+    codes = found.changed.fbfm40.model_dump(), found.changed.fbfm13.model_dump()
+    assert set(codes[0].values()) <= models.codes(F40)
+    assert all(codes[1][key] in (partners(code) or (code,)) for key, code in codes[0].items())
 
 
 def test_an_unknown_climate() -> None:

@@ -49,9 +49,8 @@ def woody_share(cover: float, cosine: float) -> float:
 @pytest.mark.parametrize("cosine", [0.2, 0.5, 0.95])
 def test_the_flatter_the_sight_the_more_pixels_show_crowns_of_the_same_stand(cosine: float) -> None:
     """What is known before agrees, so that the result is the stand's cover whatever weighs how much."""
-    cover, sigma = label_cover(sums([woody_share(0.2, cosine)], [cosine]), np.array([20.0]))
+    cover = label_cover(sums([woody_share(0.2, cosine)], [cosine]), np.array([20.0]))
     assert cover[0] == pytest.approx(20.0, abs=0.6)
-    assert 5 < sigma[0] < 15
 
 
 def test_labels_and_what_is_known_before_meet_by_their_errors() -> None:
@@ -59,20 +58,16 @@ def test_labels_and_what_is_known_before_meet_by_their_errors() -> None:
     one, several = (
         label_cover(sums([woody_share(0.2, c) for c in angles], angles), before) for angles in ([0.5], [0.5, 0.4, 0.3])
     )
-    assert 20 < several[0][0] < one[0][0] < 80
-    assert several[1][0] < one[1][0]
-    blind = label_cover(sums([1.0], [0.05]), before)
-    assert blind[1][0] > several[1][0]
+    assert 20 < several[0] < one[0] < 80
 
 
 def test_nothing_is_said_of_cells_that_nobody_saw_or_that_had_no_trees() -> None:
     for state, before in ((np.zeros((1, VIEWS, 3), np.uint32), 50.0), (sums([0.5], [0.5]), np.nan)):
-        cover, sigma = label_cover(state, np.array([before]))
-        assert np.isnan([cover[0], sigma[0]]).all()
+        assert np.isnan(label_cover(state, np.array([before]))).all()
 
 
 def seen_cover(of: EvidenceMap) -> Float64Array:
-    return of.label_cover(NOTHING)[0]
+    return of.label_cover(NOTHING)
 
 
 def test_a_map_gathers_shares_of_the_newest_epoch_in_any_order() -> None:

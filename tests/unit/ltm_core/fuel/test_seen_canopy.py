@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,7 @@ def terrain(changed_cols: int) -> ConfirmedTerrain:
     cells = gone_rows.ravel().astype(np.int32), gone_cols.ravel().astype(np.int32)
     nan = np.full(len(cells[0]), np.nan, np.float32)
     surface = ConfirmedSurface(FINE, *cells, ground.elevation[cells], nan)
-    return ConfirmedTerrain(None, ground, surface.surface_over(top), surface, given=top)
+    return ConfirmedTerrain(None, ground, surface.surface_over(top), surface)
 
 
 def test_cover_and_height_are_those_of_what_is_left() -> None:
@@ -39,17 +37,11 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert seen is not None
     assert np.argwhere(np.isfinite(seen.cover)).tolist() == [[1, 2]]
     assert seen.cover[1, 2] == pytest.approx(100 / 3, abs=0.5)
-    assert seen.thinned is not None
-    assert np.argwhere(seen.thinned).tolist() == [[1, 2]]
     assert seen.height[1, 2] == pytest.approx(20.0, abs=0.5)
-    # A third of the cell stands, beside what is gone: half of that may be gone too.
-    assert 15 < seen.cover_sigma[1, 2] < 20
-    assert 0 <= seen.height_sigma[1, 2] < 2
 
 
-def canopy(cover: list[float], height: list[float], sigma: float = 5.0) -> SeenCanopy:
-    values = (np.array([v], np.float32) for v in (cover, height, [sigma] * len(cover), [1.0] * len(cover)))
-    return SeenCanopy(*values)
+def canopy(cover: list[float], height: list[float]) -> SeenCanopy:
+    return SeenCanopy(*(np.array([v], np.float32) for v in (cover, height)))
 
 
 def bands_of(cells: int) -> Int16Array:
@@ -77,18 +69,14 @@ def test_base_and_density_follow_what_was_measured() -> None:
     assert (with_seen_canopy(bands, seen, codes) == NODATA).all()
 
 
-def test_labels_count_where_trees_are_new_and_beside_a_confirmed_change() -> None:
+def test_labels_and_depth_count_where_trees_are_new() -> None:
     nan = np.nan
-    changed = canopy([40.0, nan, nan, nan, 0.0, 40.0], [12.0, nan, nan, nan, 0.0, 12.0], sigma=10.0)
-    changed = replace(changed, thinned=np.array([[True, False, False, False, True, False]]))
-    trees = np.array([[True, True, True, False, True, True]])
-    new = np.array([[False, True, False, True, True, True]])
-    labels = np.array([[20.0, 30.0, 30.0, 30.0, 50.0, 20.0]]), np.full((1, 6), 10.0)
-    heights = np.full((1, 6), 9.0, np.float32), np.full((1, 6), 2.0, np.float32)
-    found = measured_canopy(trees, new, changed, labels, heights)
-    np.testing.assert_allclose(found.cover, [[30.0, 30.0, nan, nan, 0.0, 40.0]], rtol=1e-6)
-    np.testing.assert_allclose(found.cover_sigma[0, :2], [10 / np.sqrt(2), 10.0], rtol=1e-6)
-    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0, 12.0]])
+    changed = canopy([40.0, nan, nan, nan, 0.0], [12.0, nan, nan, nan, 0.0])
+    trees = np.array([[True, True, True, False, True]])
+    new = np.array([[True, True, False, True, True]])
+    found = measured_canopy(trees, new, changed, np.full((1, 5), 30.0), np.full((1, 5), 9.0, np.float32))
+    np.testing.assert_allclose(found.cover, [[40.0, 30.0, nan, nan, 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0]])
     nothing = measured_canopy(trees, new, None, None, None)
     assert np.isnan(nothing.cover).all()
     assert np.isnan(nothing.height).all()
@@ -98,7 +86,7 @@ def test_labels_count_where_trees_are_new_and_beside_a_confirmed_change() -> Non
 def test_a_stand_that_is_low_now_is_no_denser_than_stands_are(said: int, most: int) -> None:
     """By the regressions alone one of 15 m that is 3 m high now would have 8 kg/m3."""
     bands = np.array([55, 150, 15, said], np.int16).reshape(4, 1, 1)
-    cover, height, sigma = (np.full((1, 1), value, np.float32) for value in (95, 3, 1))
-    found = with_seen_canopy(bands, SeenCanopy(cover, height, sigma, sigma), np.full((1, 1), 183, np.int16))
+    cover, height = (np.full((1, 1), value, np.float32) for value in (95, 3))
+    found = with_seen_canopy(bands, SeenCanopy(cover, height), np.full((1, 1), 183, np.int16))
     assert found[:2].ravel().tolist() == [95, 30]
     assert found[3, 0, 0] == most

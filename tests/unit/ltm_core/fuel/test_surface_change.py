@@ -85,6 +85,19 @@ def test_news_are_the_cells_whose_change_is_another() -> None:
     assert len(news_of(kinds, shift, geometry, FUEL, told)) == 0, "the same again is no news"
 
 
+def test_a_fuel_cell_takes_over_what_enough_of_its_seen_part_shows() -> None:
+    grid, fine = GridGeometry(0.0, 60.0, 30.0, 3, 2), GridGeometry(0.0, 60.0, 1.0, 90, 60)
+    kinds, shift = np.zeros(fine.shape, np.uint8), np.zeros(fine.shape, np.float32)
+    kinds[0:30, 30:50], shift[0:30, 30:50] = REMOVED, -11.0  # two thirds of fuel cell (0, 1)
+    kinds[30:35, 0:30], shift[30:35, 0:30] = GROWN, 5.0  # a sixth of (1, 0): too little
+    kinds[40:60, 60:90], shift[40:60, 60:90] = LOWERED, -3.0
+    kinds[30:60, 30:60] = UNSEEN
+    kinds[30:32, 30:60], shift[30:32, 30:60] = GROWN, 5.0  # 7 % of (1, 1) was seen: too little
+    news = news_of(kinds, shift, fine, grid, np.zeros(grid.shape, np.uint8))
+    found = list(zip(*(a.tolist() for a in (news.rows, news.cols, news.kind, news.shift)), strict=True))
+    assert found == [(0, 1, REMOVED, -11.0), (1, 2, LOWERED, -3.0)]
+
+
 def map_of(codes: np.ndarray | None, **rules: float) -> LivingFuelMap:
     return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
 

@@ -12,13 +12,7 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
-from ltm_core.label_heads.head_fit import (
-    FittedHead,
-    PhotoSamples,
-    by_area,
-    fit_head,
-    sites_of,
-)
+from ltm_core.label_heads.head_fit import FittedHead, PhotoSamples, by_area, fit_head, sites_of
 from ltm_core.label_heads.head_trial import teach_head
 from ltm_core.label_heads.labelled_frames import Frame, read_frames
 from ltm_core.vision.label_head import find_label_head, read_label_head

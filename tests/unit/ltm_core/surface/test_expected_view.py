@@ -31,7 +31,7 @@ def layers(rules: TerrainConfig) -> dict[str, np.ndarray]:
             surface.add(frame(np.where(BARE > 450.0, RAISED, LOWERED), source, hours))
     surface.decide()
     found = surface.layers()
-    return {name: getattr(found, name) for name in ("height", "sigma", "change", "frames", "last_seen")}
+    return {name: getattr(found, name) for name in ("height", "sigma", "change", "frames", "since")}
 
 
 def test_views_that_are_kept_and_views_that_are_not_give_the_same() -> None:

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import BoolArray
-from ltm_core.surface.change import (
-    WIDE,
-    regions,
-    stand_rise,
-)
+from ltm_core.surface.change import WIDE, regions, stand_rise
 
 pytestmark = pytest.mark.kernel
 

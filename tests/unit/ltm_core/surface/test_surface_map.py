@@ -49,7 +49,6 @@ def test_two_cameras_move_the_surface_and_are_named() -> None:
     assert np.array_equal(layers.height[layers.change == 0], layers.reference[layers.change == 0])
     assert np.array_equal(surface.reference.bare, dem(BARE).elevation)
     first = int(changed.rows[0]), int(changed.cols[0])
-    assert int(layers.by[first]) == 0b11
     assert int(layers.since[first]) == (BEGIN + HOUR // 2) // 1_000_000_000
     assert np.allclose(surface.heights_at(changed), layers.height[changed.rows, changed.cols])
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -116,28 +115,6 @@ def test_a_broken_manifest_is_told(versions: SurfaceVersions, text: str) -> None
     (versions.folder / MANIFEST).write_text(text)
     with pytest.raises(StoreError, match="cannot be read as a list of surfaces"):
         versions.manifest()
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"format": 2}, "it is of format 2, and this release reads 1"),
-        ({"format": 3, "current": {"version": 7}}, "it is of format 3"),
-        ({"confirmed_by": "ranger"}, "it has confirmed_by, which this release does not know"),
-    ],
-)
-def test_what_a_later_release_wrote_is_told_as_such_and_stays(
-    versions: SurfaceVersions, change: dict[str, object], told: str
-) -> None:
-    entry = versions.add(felled(101.0), 1_000, 9)
-    path = versions.folder / MANIFEST
-    later = json.dumps(json.loads(path.read_text()) | change)
-    path.write_text(later)
-    for asked in (versions.manifest, versions.manifest_of_writer, lambda: versions.add(felled(99.0), 2_000, 9)):
-        with pytest.raises(StoreError, match=f"a later release wrote this list of surfaces .{told}"):
-            asked()
-    assert path.read_text() == later
-    assert versions.file(entry.version).is_file()
 
 
 def test_old_versions_make_room_but_not_the_one_that_counts(

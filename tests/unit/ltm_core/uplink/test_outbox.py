@@ -76,6 +76,15 @@ def test_of_an_outbox_that_is_full_the_oldest_are_thinned_and_each_view_is_kept(
         assert outbox.bound(None) == Removed(0, 0)
 
 
+@pytest.mark.parametrize(("room", "kept"), [(900, {0, 8, 9}), (200, {9}), (60, set())])
+def test_no_view_is_lost_while_another_has_two_frames(tmp_path: Path, room: int, kept: set[int]) -> None:
+    with opened(tmp_path, max_bytes=room) as outbox:
+        outbox.put([frame(number, view=max(number - 7, 0)) for number in range(10)])
+        outbox.bound(None)
+        assert outbox.bytes <= 0.9 * room
+        assert kept <= {key[1] // SECOND for key in keys_of(outbox)}
+
+
 def test_what_is_too_old_goes_only_where_the_time_is_known(tmp_path: Path) -> None:
     with opened(tmp_path, max_age_s=60.0) as outbox:
         outbox.put([frame(5), frame(70)])

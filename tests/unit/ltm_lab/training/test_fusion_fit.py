@@ -21,8 +21,8 @@ def drawn(weights: Float64Array, seed: int, count: int = 6000) -> Samples:
     """Answers are drawn with the odds that the weights give."""
     rng = np.random.default_rng(seed)
     shares = rng.dirichlet(np.full(len(CLASSES), 0.3), count)
-    no_foot, height, against = rng.random(count) < 0.2, rng.uniform(0, 20, count), rng.normal(0, 2, count)
-    features = np.concatenate([shares, np.stack([-1.0 * no_foot, -height, -against], axis=1)], axis=1)
+    height, against = rng.uniform(0, 20, count), rng.normal(0, 2, count)
+    features = np.concatenate([shares, np.stack([-height, -against], axis=1)], axis=1)
     right = rng.random(count) < 1 / (1 + np.exp(-features @ weights))
     return Samples(features, np.zeros(count), right)
 
@@ -49,7 +49,7 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
 
 
 def test_constants_survive_their_file(tmp_path: Path) -> None:
-    config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "error_model.shrink": (2.0, 9.0)})
+    config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "error_model.belief": 2.5})
     write_fusion_config(tmp_path / "net_fusion.yaml", config, "a test")
     text = (tmp_path / "net_fusion.yaml").read_text()
     assert "a test" in text

@@ -132,7 +132,7 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
         chain.look(truth, hours)
     confirmed = chain.versions[-1]
     services = chain.terrain.services
-    while json.loads((chain.folder / MANIFEST).read_text())["current"]:
+    while json.loads((chain.folder / MANIFEST).read_text())["versions"]:
         assert "until terrain/confirm is called" in services["terrain/take_back"]()
     chain.hand_over()
     for hours in (6, 8):
@@ -201,32 +201,6 @@ def test_a_broken_list_of_surfaces_is_told_and_put_aside_and_the_terrain_lives(c
     assert (chain.folder.with_name(f"{FOLDER}.1") / MANIFEST).read_text() == "{"
     assert chain.versions[-1] != ""
     assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == chain.versions[-1]
-
-
-@pytest.mark.parametrize("when", ["at the start", "meanwhile"])
-def test_a_later_releases_list_stays_and_nothing_is_confirmed(chain: Chain, when: str) -> None:
-    truth = sunk(chain.small)
-    for hours in (0, 2, 4):
-        chain.look(truth, hours)
-    traced, path = chain.versions[-1], chain.folder / MANIFEST
-    assert traced
-    later = json.dumps(json.loads(path.read_text()) | {"format": 2})
-    path.write_text(later)
-    if when == "at the start":
-        chain.restart()
-        assert "a later release wrote this list of surfaces" in chain.health.last_error
-        assert "frames are traced to the original terrain" in chain.depth_health.last_error
-    path, files = chain.folder / MANIFEST, sorted(chain.folder.iterdir())
-    for hours in (6, 8):
-        chain.look(chain.small.dem, hours)
-    assert chain.versions[-1] == ("" if when == "at the start" else traced)
-    for service in ("terrain/confirm", "terrain/take_back"):
-        with pytest.raises(StoreError, match="a later release wrote"):
-            chain.terrain.services[service]()
-    chain.terrain.finish()
-    assert path.read_text() == later
-    assert sorted(chain.folder.iterdir()) == files
-    assert len(chain.told.on(TERRAIN_UPDATE)) > 0, "what is decided does not wait for the version"
 
 
 @pytest.mark.parametrize(

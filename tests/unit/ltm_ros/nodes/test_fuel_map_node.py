@@ -221,5 +221,5 @@ def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
     run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     before, after = json.loads(run.stdout)
-    assert before["ltm_core.fuel.frame_evidence.form_by_appearance"] == 1
+    assert before["ltm_core.fuel.evidence_kernel.with_neighbours"] == 1
     assert after == before
