@@ -178,7 +178,7 @@ def import_(
     height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
         float | None,
-        typer.Option(help="Height of a drone's take-off place (DEM datum, metres)."),
+        typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's."),
     ] = None,
     geoid_undulation_m: Annotated[
         float | None,

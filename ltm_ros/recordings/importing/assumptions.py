@@ -9,6 +9,8 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
+import numpy as np
+
 from ltm_core.base.errors import ConfigError, PoseError, RecordingError
 from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_height
@@ -97,11 +99,12 @@ class Assumptions:
     `pitch_deg`: None: reject a photo of unknown pitch, because a wrong one moves everything that it sees; likewise one
     of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
     `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from altitudes (H = h - N) unless these are
-    certainly above sea level. `start_height`: of a drone's take-off place, in the DEM's vertical datum. `focal_35mm`:
-    focal length in 35 mm equivalent. Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of
-    altitudes that state none, `ground_sigma` of heights above the terrain, `climb_sigma` of heights above the take-off
-    place, `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal
-    distribution), `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
+    certainly above sea level. `start_height`: of the camera at the start of a barometer's record, in the DEM's
+    vertical datum. `focal_35mm`: focal length in 35 mm equivalent.
+    Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
+    `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
+    `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
+    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
 
     pitch_deg: float | None = None
     height_above_ground: float = 2.0
@@ -160,12 +163,8 @@ def height_of(
     if known.z is not None:
         return _stated_height(photo, known.z, ground, notes)
     if known.height_above_ground is None:
-        on_foot = photo.sensed.on_foot and math.isfinite(ground)  # the terrain is more exact than its altitude
-        sensed = None
-        if photo.sensed.climb is not None and assumed.start_height is not None:
-            what = f"{photo.sensed.source} height above the take-off place"
-            sensed = assumed.start_height + photo.sensed.climb, assumed.climb_sigma, what
-        elif not on_foot:
+        sensed = _climbed(photo.sensed, site, assumed)
+        if sensed is None:
             sensed = _altitude(photo.sensed, ground, assumed, notes)
         if sensed is not None:
             z, sigma, what = sensed
@@ -182,7 +181,7 @@ def height_of(
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
-        if photo.sensed.altitude is None and not photo.sensed.on_foot:
+        if photo.sensed.altitude is None:
             notes.append(f"height is unknown: {above:g} m above the terrain is assumed")
     if math.isnan(ground):
         why = "there is no DEM (give --site)" if dem is None else "it is outside the DEM"
@@ -222,6 +221,28 @@ def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[s
     if z > ground + _SUSPECT_HEIGHT:
         notes.append(f"{what} {z:.1f} m is {z - ground:.1f} m above the terrain: {_MAYBE_ELLIPSOIDAL}")
     return z, sensed.altitude_sigma or assumed.altitude_sigma, what
+
+
+def _climbed(sensed: Sensed, site: Surroundings, assumed: Assumptions) -> tuple[float, float, str] | None:
+    """Return the height from the barometer. Weather moves it by tens of metres, so only the climb since the start is
+    used.
+
+    The start height is given by the user, or is the median that puts the whole walk at eye height above the terrain,
+    because single GPS fixes may be on other ground."""
+    if sensed.climb is None:
+        return None
+    what = f"{sensed.source} barometer's height"
+    if assumed.start_height is not None:
+        return assumed.start_height + sensed.climb, assumed.climb_sigma, what
+    if sensed.walk is None or site.dem is None:
+        return None
+    walk = sensed.walk
+    ground = site.dem.elevation_at(*site.frame.from_lonlat(walk.lon, walk.lat))
+    starts = (ground - walk.climb)[np.isfinite(ground)]
+    if not len(starts):
+        return None
+    start = float(np.median(starts)) + assumed.height_above_ground
+    return start + sensed.climb, math.hypot(assumed.ground_sigma, assumed.climb_sigma), what
 
 
 def _stated_height(photo: Photo, z: float, ground: float, notes: list[str]) -> float:

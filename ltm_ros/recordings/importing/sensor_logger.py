@@ -20,7 +20,7 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import ENU_FROM_ENU, ENU_FROM_NWU
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, table
-from ltm_ros.recordings.importing.sensor_track import Attitudes, Fixes, SensorTrack, ascending
+from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
 
 SOURCE = "Sensor Logger"
 _PLACE = (
@@ -31,6 +31,7 @@ TABLES = {
     "Location": _PLACE,
     "LocationGps": _PLACE,
     "Orientation": ("time", "qx", "qy", "qz", "qw", "yaw", "pitch", "roll"),
+    "Barometer": ("time", "relativeAltitude", "pressure"),
     "Metadata": ("platform",),
 }
 """The tables that are read, with their columns."""
@@ -39,6 +40,8 @@ _TILT_SIGMA_DEG = 1.0
 """Standard deviation of pitch and roll from a hand-held phone in degrees: 0.5 to 1."""
 _AGREE = math.radians(3.0)
 """Maximum difference between a quaternion and the angles beside it."""
+_STANDARD_ATMOSPHERE = 44_330.0, 0.1903
+"""Metres and exponent of h = a (1 - (p / p0) ^ b)."""
 
 Table = Mapping[str, Sequence[str]]
 
@@ -76,11 +79,12 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
             "the photos' positions in a pose file (--poses)"
         )
     metadata = tables.get("Metadata", {})
-    orientation = tables.get("Orientation")
+    orientation, barometer = tables.get("Orientation"), tables.get("Barometer")
     return SensorTrack(
         SOURCE,
         _fixes(location, place),
         None if orientation is None else _attitudes(orientation, _first(metadata, "platform").lower(), place),
+        None if barometer is None else _climb(barometer, place),
         on_foot=True,
     )
 
@@ -164,6 +168,19 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     return likely
 
 
+def _climb(barometer: Table, place: str) -> Climb | None:
+    stamps = _stamps(barometer, place, "Barometer")
+    metres = _optional(barometer, "relativeAltitude", len(stamps))
+    pressure = _valid(_optional(barometer, "pressure", len(stamps)))
+    order = ascending(stamps)
+    if not np.isfinite(metres).any() and np.isfinite(pressure).any():
+        first = pressure[order][np.isfinite(pressure[order])][0]
+        scale, exponent = _STANDARD_ATMOSPHERE
+        metres = scale * (1 - (pressure / first) ** exponent)
+    order = order[np.isfinite(metres[order])]
+    return Climb(stamps[order], metres[order]) if len(order) else None
+
+
 def _first(columns: Table, name: str) -> str:
     values: Any = columns.get(name) or [""]
     return str(values[0])
@@ -196,7 +213,7 @@ def _numbers(values: Sequence[str]) -> Float64Array:
 
 
 def _valid(values: Float64Array) -> Float64Array:
-    """Return accuracies; zero and negative ones are invalid."""
+    """Return accuracies and pressures; zero and negative ones are invalid."""
     with np.errstate(invalid="ignore"):
         return np.where(values > 0, values, np.nan)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Literal
 
@@ -17,13 +17,22 @@ from ltm_core.cameras.sensor_pose import optical_angles_deg
 
 
 @dataclass(frozen=True, eq=False)
+class Walk:
+    """Track of a device at eye height: `lon`, `lat` (N,) WGS 84 degrees, and its `climb` (N,)."""
+
+    lon: Float64Array
+    lat: Float64Array
+    climb: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
     `source`: of the values, for the user. `stamp`: exact; None: by EXIF.
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
-    sea level. `in_flight`: whether a drone took it. `climb`: above the take-off place. `on_foot`:
-    whether a person carried it, at eye height. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and
+    sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
+    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and
     `roll_deg` are of the upright image. Sigmas are standard deviations."""
 
     source: str = "EXIF"
@@ -36,7 +45,7 @@ class Sensed:
     ellipsoidal: bool | None = None
     in_flight: bool = False
     climb: float | None = None
-    on_foot: bool = False
+    walk: Walk | None = None
     azimuth_deg: float | None = None
     azimuth_ref: Literal["T", "M"] | None = None
     azimuth_sigma_deg: float | None = None
@@ -100,13 +109,23 @@ class Attitudes:
 
 
 @dataclass(frozen=True, eq=False)
+class Climb:
+    """`metres` (K,) above where the recording began, at `stamp_ns` (K,) ascending."""
+
+    stamp_ns: Int64Array
+    metres: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
 class SensorTrack:
-    """What the sensors of a device recorded along its way."""
+    """`on_foot`: carried at eye height, so that the ground along its track gives the start height."""
 
     source: str
     fixes: Fixes | None = None
     attitudes: Attitudes | None = None
+    climb: Climb | None = None
     on_foot: bool = False
+    _walk: list[Walk | None] = field(default_factory=list)
 
     def at(self, stamp_ns: int, device_from_optical: Float64Array) -> Sensed:
         """Return the track's values for a photo: `device_from_optical` (3, 3) is how its camera is mounted."""
@@ -117,7 +136,10 @@ class SensorTrack:
         else:
             facts |= position
         facts |= self._angles(stamp_ns, device_from_optical)
-        return Sensed(source=self.source, stamp=time_of(stamp_ns), on_foot=self.on_foot, **facts)  # type: ignore[arg-type]
+        climb = self._climbed(stamp_ns)
+        if climb is not None:
+            facts |= {"climb": climb, "walk": self._walked()}
+        return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
         """Return the device's axes to east, north, up; None without a record at this time."""
@@ -171,6 +193,22 @@ class SensorTrack:
                 "azimuth_sigma_deg": told.heading_sigma_deg,
             }
         return facts
+
+    def _climbed(self, stamp_ns: int) -> float | None:
+        if self.climb is None or not len(self.climb.stamp_ns):
+            return None
+        _, gap = _nearest(self.climb.stamp_ns, stamp_ns)
+        return _at(self.climb.stamp_ns, self.climb.metres, stamp_ns) if gap <= _FIX_GAP_NS else None
+
+    def _walked(self) -> Walk | None:
+        fixes, climb = self.fixes, self.climb
+        if not self.on_foot or fixes is None or climb is None:
+            return None
+        if not self._walk:
+            inside = (fixes.stamp_ns >= climb.stamp_ns[0]) & (fixes.stamp_ns <= climb.stamp_ns[-1])
+            heights = np.interp(fixes.stamp_ns[inside], climb.stamp_ns, climb.metres)
+            self._walk.append(Walk(fixes.lon[inside], fixes.lat[inside], heights) if inside.any() else None)
+        return self._walk[0]
 
 
 def time_of(stamp_ns: int) -> datetime:

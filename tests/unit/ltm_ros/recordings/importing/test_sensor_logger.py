@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from scenes.phone_site import LAT, LON, STAMP, imported, phone_site, picture, taken
+from scenes.phone_site import GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
 
 from ltm_core.base.errors import PoseError, RecordingError
 from ltm_core.cameras.sensor_pose import phone_camera
@@ -83,9 +83,9 @@ def test_a_walk_is_placed_by_the_phones_sensors(
         assert camera == photo.camera
         np.testing.assert_allclose(pose.position[:2], photo.pose.position[:2], atol=2e-3)
         np.testing.assert_allclose(pose.angles_deg, photo.pose.angles_deg, atol=2e-3)
-        # The ground falls by 0.9 m from one photo to the next, and the phone with it.
+        # The ground falls by 0.9 m from one photo to the next, and the barometer tells just that.
         np.testing.assert_allclose(pose.position[2], photo.pose.position[2], atol=0.05)
-        expected = pose_covariance(pose, 4.0, 1.0, 8.2, 1.0, 1.0)
+        expected = pose_covariance(pose, 4.0, math.hypot(1.0, 1.0), 8.2, 1.0, 1.0)
         np.testing.assert_allclose(covariance, expected, atol=1e-9)
 
 
@@ -124,6 +124,19 @@ def test_quaternions_that_contradict_their_angles_are_refused(tmp_path: Path) ->
         read_sensor_logger(CaptureFiles(changed(path, {"Orientation.csv": wrong})))
 
 
+def test_an_altitude_above_the_ellipsoid_needs_the_geoid(tmp_path: Path, site: Site) -> None:
+    """Android has no other; without the geoid's height the terrain tells more."""
+    path = recorded(tmp_path, "android")
+    empty = column_set(member(path, "Location.csv"), "altitudeAboveMeanSeaLevel", "")
+    path = changed(path, {"Barometer.csv": None, "Location.csv": empty})
+    report = import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
+    assert any("above the WGS 84 ellipsoid" in note and "--geoid-undulation-m" in note for _, note in report.notes)
+    assert imported(tmp_path / "bag")[1][2].position[2] == pytest.approx(GROUND - 0.9 + 1.6, abs=0.02)
+    known = Assumptions(focal_35mm=27.0, geoid_undulation=-35.4)
+    import_photos([path], tmp_path / "known", site=site, assumed=known)
+    assert imported(tmp_path / "known")[1][2].position[2] == pytest.approx(WALK[1].pose.position[2], abs=0.01)
+
+
 def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, site: Site) -> None:
     path = changed(recorded(tmp_path), {"Orientation.csv": None})
     with pytest.raises(PoseError, match=r"\.jpg has no direction in Sensor Logger.*azimuth_deg.*--refine"):
@@ -134,7 +147,7 @@ def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, 
     _, _, pose, covariance = imported(tmp_path / "bag")[0]
     np.testing.assert_allclose(
         covariance,
-        pose_covariance(pose, 4.0, 1.0, UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, 3.0),
+        pose_covariance(pose, 4.0, math.sqrt(2.0), UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, 3.0),
         atol=1e-9,
     )
 
