@@ -1,4 +1,4 @@
-"""`ltm pose import`: convert other tools' poses into pose files, and draw the terrain's lines over the photos."""
+"""`ltm pose import`: convert other tools' poses into pose files, and check their axes and units with photos."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_core.base.errors import ConfigError, PoseError
-from ltm_core.storage.disk_io import require_files
-from ltm_ros.cli.output import Overwrite, open_dems
+from ltm_ros.cli.output import Overwrite, open_dems, print_table
 
 if TYPE_CHECKING:
+    from ltm_core.base.types import UInt8Array
+    from ltm_core.cameras.foreign_camera import ForeignPose
     from ltm_core.geometry.camera import Camera
     from ltm_core.geometry.geodesy import SiteFrame
     from ltm_core.geometry.pose import Pose
-    from ltm_core.raster.dem import Dem
+    from ltm_ros.recordings.importing.pose_check import Placement
+
+_MOST_TESTED = 3
+"""Maximum number of photos by which axes and units are tested."""
+_LEAST_FIT = 0.35
+"""Minimum share of the photos' skylines on the terrain's below which a warning is printed."""
 
 
 def import_poses(
@@ -25,10 +30,15 @@ def import_poses(
     dem: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
     ] = None,
-    photos: Annotated[Path | None, typer.Option(help="Folder of the photos, for --picture.")] = None,
+    photos: Annotated[Path | None, typer.Option(help="Folder of the photos; with --dem, tests axes and units.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the poses, if neither file nor DEM states it.")] = None,
-    focal: Annotated[float | None, typer.Option(help="Focal length in pixels, if the file states no lens.")] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size, with --focal.")] = None,
+    focal: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH", help="Focal length: 1484px, 24/36 (mm/sensor width), or 0.9 of the longer side."
+        ),
+    ] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size. Default: that of the photos.")] = None,
     transform: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Similarity from COLMAP's model to the map.")
     ] = None,
@@ -36,17 +46,23 @@ def import_poses(
     picture: Annotated[Path | None, typer.Option(help="Folder for PNGs of terrain lines over the photos.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Convert poses of Metashape, COLMAP, OpenSfM, or omega, phi, kappa. Check them with --dem, --photos, --picture."""
+    """Convert poses of Metashape, COLMAP, OpenSfM, alproj, ImGRAFT, PRACTISE, Pic2Map, or omega, phi, kappa.
+
+    With --dem and --photos, other axes, angle units and image sides are tested, and used if they fit clearly better."""
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.geometry.geodesy import SiteFrame
-    from ltm_ros.recordings.importing.foreign_poses import problem_of, read_foreign_poses, read_transform
+    from ltm_core.base.errors import ConfigError, PoseError
+    from ltm_core.cameras.foreign_camera import alternatives
+    from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+    from ltm_core.storage.disk_io import require_files
+    from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses
+    from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
+    from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
-    if picture is not None and (photos is None or not dem):
-        raise ConfigError("--picture draws terrain over photos: give --dem and --photos")
-    console = Console()
-    tool, poses = read_foreign_poses(file, _camera(focal, size), read_transform(transform) if transform else None)
+    sides = _size(size, photos)
+    camera = _camera(focal, sides) if focal is not None and sides is not None else None
+    tool, poses = read_foreign_poses(file, sides, camera, read_transform(transform) if transform else None)
     names = [_file_name(pose.name) for pose in poses]
     if len(set(names)) < len(names):
         raise PoseError(f"{file}: several photos have the same name without suffix; rename them")
@@ -55,43 +71,99 @@ def import_poses(
     placed_in = crs or (terrain.geometry.crs if terrain is not None else None)
     if placed_in is None:
         raise ConfigError(f"{file}: the poses have no projected CRS; give --crs EPSG:... or --dem")
-    x, y = poses[0].pose(SiteFrame(placed_in)).position[:2]
+    x, y = poses[0].pose(SiteFrame(placed_in), lambda x, y: 0.0, 0.0).position[:2]
     frame = SiteFrame(placed_in, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
     local = terrain.in_frame(frame) if terrain is not None else None
-    by_stem = {path.stem: path for path in sorted(photos.iterdir())} if photos is not None else {}
-    written = 0
-    for foreign, name in zip(poses, names, strict=True):
-        if foreign.camera is None:
-            raise PoseError(f"{foreign.place}: no focal length is known; give --focal and --size")
-        pose = foreign.pose(frame, geoid_undulation_m)
-        if problem := problem_of(pose, local):
-            console.print(f"[yellow]{escape(foreign.name)}: rejected: {escape(problem)}", highlight=False)
+    placement = Placement(frame, local, ray_bend(True, 0.13), geoid_undulation_m)
+    seen = _photos(poses, photos) if photos is not None and local is not None else {}
+    found = readings(poses, placement, seen)
+    console = Console()
+    print_table(
+        console,
+        f"{tool}: {len(poses)} poses, tested with {len(seen)} photos",
+        ("reading", ">skyline that fits", ">cost", "problem"),
+        [
+            (r.how, "" if r.fits is None else f"{r.fits:.0%}", "" if r.cost is None else f"{r.cost:.1f}",
+             escape(r.problem or ""))
+            for r in found
+        ],
+    )  # fmt: skip
+    how = chosen_reading(found)
+    if how is not found[0]:
+        console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
+    elif how.fits is not None and how.fits < _LEAST_FIT:
+        console.print("[yellow]No reading fits the photos. Check position, focal length, distortion and the DEM.")
+    rejected = 0
+    for pose, name in zip(poses, names, strict=True):
+        chosen = alternatives(pose)[how.how]
+        placed = placement.placed(chosen)
+        if placed.problem is not None:
+            rejected += 1
+            console.print(f"[yellow]{escape(pose.name)}: rejected: {escape(placed.problem)}", highlight=False)
             continue
-        _write(out / name, pose, foreign.camera, frame, f"From {file.name} ({tool}).")
-        written += 1
-        stem = Path(name).stem
-        if picture is not None and local is not None and stem in by_stem:
-            _draw(picture / f"{stem}.png", by_stem[stem], foreign.camera, pose, local)
-    console.print(f"  {out}: {written} of {len(poses)} poses of {tool}", highlight=False)
-    if not written:
-        raise PoseError(f"{file}: no pose is possible on this terrain; check axes, units, heights and CRS")
+        _write(out / name, placed.pose, placed.camera, frame, f"From {file.name} ({tool}), {how.how}.")
+        if picture is not None and pose.name in seen:
+            _draw(picture / Path(name).with_suffix(".png"), seen[pose.name][0], chosen, placement, how.how)
+    console.print(f"  {out}: {len(poses) - rejected} pose files", highlight=False)
+    if rejected == len(poses):
+        raise PoseError(f"{file}: no pose is possible on this terrain")
 
 
 def _file_name(name: str) -> str:
     return f"{Path(name.replace(chr(92), '/')).name.rpartition('.')[0] or Path(name).name}.yaml"
 
 
-def _camera(focal: float | None, size: str | None) -> Camera | None:
-    """Return the camera of --focal and --size; None without them."""
+def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
+    """Return width and height as stated, or of the first photo; None if there is neither."""
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.image_io import read_rgb
+
+    if size is not None:
+        sides = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
+        if sides is None:
+            raise ConfigError(f"--size {size}: give width and height in pixels, such as 4000x3000")
+        return int(sides[1]), int(sides[2])
+    files = sorted(photos.iterdir()) if photos is not None else []
+    image = next((path for path in files if path.suffix.lower() in (".jpg", ".jpeg", ".png")), None)
+    if image is None:
+        return None
+    height, width = read_rgb(image).shape[:2]
+    return width, height
+
+
+def _camera(focal: str, size: tuple[int, int]) -> Camera:
+    """Return the camera of --focal."""
+
+    from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.camera import Camera
 
-    if focal is None and size is None:
-        return None
-    sides = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size or "")
-    if sides is None or focal is None or not focal > 0:
-        raise ConfigError(f"--focal {focal} --size {size}: give both in pixels, such as --focal 1484 --size 4000x3000")
-    width, height = int(sides[1]), int(sides[2])
-    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    number = r"\d+\.?\d*|\.\d+"
+    form = re.fullmatch(rf"({number})(px|/({number}))?", focal)
+    if form is None or not float(form[1]) > 0 or (form[3] and not float(form[3]) > 0):
+        raise ConfigError(f"--focal {focal}: give 1484px, 24/36 (mm/sensor width) or 0.9 (of the longer side)")
+    length, (width, height) = float(form[1]), size
+    fx = length if form[2] == "px" else length * width / float(form[3]) if form[3] else length * max(width, height)
+    return Camera(width, height, fx, fx, (width - 1) / 2, (height - 1) / 2)
+
+
+def _photos(poses: list[ForeignPose], folder: Path) -> dict[str, tuple[UInt8Array, UInt8Array]]:
+    """Return some of the photos with their labels, by the names of their poses."""
+    from ltm_core.storage.image_io import read_rgb
+    from ltm_core.vision.segmenter import Segmenter
+
+    by_stem = {path.stem: path for path in sorted(folder.iterdir())}
+    named = [(pose.name, by_stem.get(Path(_file_name(pose.name)).stem)) for pose in poses]
+    known = [(name, path) for name, path in named if path is not None]
+    if not known:
+        return {}
+    segmenter = Segmenter.open()
+    some = known[:: max(1, len(known) // _MOST_TESTED)][:_MOST_TESTED]
+    found = {}
+    for name, path in some:
+        photo = read_rgb(path)
+        found[name] = (photo, segmenter.segment(photo).labels)
+    return found
 
 
 def _write(path: Path, pose: Pose, camera: Camera, frame: SiteFrame, note: str) -> None:
@@ -103,17 +175,18 @@ def _write(path: Path, pose: Pose, camera: Camera, frame: SiteFrame, note: str) 
     write_pose_file(path, camera, pose, {}, guess, frame, [note])
 
 
-def _draw(path: Path, photo: Path, camera: Camera, pose: Pose, dem: Dem) -> None:
-    from ltm_core.geometry.geodesy import ray_bend
+def _draw(path: Path, photo: UInt8Array, foreign: ForeignPose, placement: Placement, how: str) -> None:
     from ltm_core.pictures import to_png
     from ltm_core.pictures.trace import pose_fit_picture
     from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
     from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
     from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-    from ltm_core.tracing.trace_io import read_photo
 
-    terrain = SearchTerrain(dem, ray_bend(True, 0.13))
-    horizon = terrain.horizon_for(camera, PosePrior(pose, 1.0), PicturePoseConfig())
+    placed = placement.placed(foreign)
+    if placement.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
+        return
+    terrain = SearchTerrain(placement.dem, placement.bend)
+    horizon = terrain.horizon_for(placed.camera, PosePrior(placed.pose, 1.0), PicturePoseConfig())
     path.parent.mkdir(parents=True, exist_ok=True)
-    drawn = pose_fit_picture(read_photo(photo, camera), camera, horizon, [(path.stem, camera, pose)])
-    path.write_bytes(to_png(drawn))
+    sheet = [(f"{foreign.name}, {how}", placed.camera, placed.pose)]
+    path.write_bytes(to_png(pose_fit_picture(photo, placed.camera, horizon, sheet)))

@@ -1,102 +1,49 @@
-"""Read poses of Metashape, COLMAP and OpenSfM, and lists of omega, phi, kappa."""
+"""Read poses of Metashape, COLMAP, OpenSfM, alproj, ImGRAFT, PRACTISE, Pic2Map, and lists of omega, phi, kappa."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree  # nosec B405 # documents with a DTD are rejected before they are parsed
 
 import numpy as np
-from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.cameras.plausibility import doubt_of_height
+from ltm_core.cameras.foreign_camera import (
+    UNITS,
+    UPWARD,
+    ForeignPose,
+    closest_camera,
+    omega_phi_kappa,
+)
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
-from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import read_text
-
-UPWARD = np.diag([1.0, -1.0, -1.0])
-"""Rotation between camera axes x right, y down, z forward, and x right, y up, z backward."""
-UNITS = {"degrees": np.pi / 180, "radians": 1.0, "gon": np.pi / 200}
-LARGEST = 256 << 20
-"""Maximum size of a file in bytes."""
-_EARTH = 6.3e6, 6.4e6
-"""Distances from the origin in metres between which coordinates are Earth-centred (EPSG:4978)."""
-_HIGHEST = 10e3
-"""Height in metres above which a coordinate is no height on a map, whose northings may be as long as that distance."""
-_TILTED_DEG = 60.0
-"""Roll in degrees above which a photo that does not look steeply down is not upright."""
-Similarity = tuple[float, Float64Array, Float64Array]
-"""Scale, rotation (3, 3) and shift (3,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class ForeignPose:
-    """A photo's pose and camera as another tool states them.
-
-    `position`: (3,) map coordinates without an origin, or Earth-centred (always if `earth`). `rotation`: (3, 3) from
-    optical axes to east, north, up. `place`: file and entry, for errors. `camera`: None if the file states no lens."""
-
-    name: str
-    place: str
-    position: Float64Array
-    rotation: Float64Array
-    camera: Camera | None
-    earth: bool = False
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.position).all() and np.isfinite(self.rotation).all()):
-            raise PoseError(f"{self.place}: position and rotation must be finite")
-        off = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
-        if off > 1e-3 or np.linalg.det(self.rotation) < 0:
-            raise PoseError(f"{self.place}: the matrix is no rotation (it is off by {off:.2g})")
-
-    def pose(self, frame: SiteFrame, undulation: float = 0.0) -> Pose:
-        """Return the pose in a map frame. `undulation`: of the geoid, metres, subtracted from ellipsoidal heights, as
-        Earth-centred coordinates have them."""
-        left, _, right = np.linalg.svd(self.rotation)
-        rotation = left @ right
-        x, y, z = (float(v) for v in self.position)
-        if self.earth or (_EARTH[0] < math.hypot(x, y, z) < _EARTH[1] and abs(z) > _HIGHEST):
-            lon, lat, height = _geodetic().transform(x, y, z)
-            rotation = _east_north_up(lon, lat) @ rotation
-            x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            to_grid = Rotation.from_euler("z", -frame.true_to_grid_deg(0.0, x, y), degrees=True).as_matrix()
-            return Pose(np.array([x, y, height - undulation]), to_grid @ rotation)
-        return Pose(np.array([x - frame.x_origin, y - frame.y_origin, z]), rotation)
-
-
-def problem_of(pose: Pose, dem: Dem | None) -> str | None:
-    """Return why a pose in the map frame is impossible; None if it is not. `dem`: None without terrain."""
-    _, pitch, roll = pose.angles_deg
-    if pitch > -45 and abs(roll) > _TILTED_DEG:
-        return f"the camera is rolled by {roll:.0f} deg; a pose file needs the upright photo, in optical axes"
-    if pitch > 45:
-        return f"it looks {pitch:.0f} deg up; check axes and units"
-    x, y, z = (float(v) for v in pose.position)
-    ground = math.nan if dem is None else float(dem.elevation_at(x, y))
-    return doubt_of_height(z, ground) if z <= ground else None
+from ltm_ros.recordings.importing.reconstructed_poses import (
+    LARGEST,
+    Similarity,
+    colmap_poses,
+    metashape_poses,
+    numbers_of,
+    opensfm_poses,
+)
 
 
 def read_foreign_poses(
     path: Path,
+    size: tuple[int, int] | None = None,
     camera: Camera | None = None,
     transform: Similarity | None = None,
 ) -> tuple[str, list[ForeignPose]]:
     """Return the tool whose file this is, by its content, and its poses.
 
-    `camera`: of formats that state no lens. `transform`: of a reconstruction that is not on the map. Raises PoseError
-    that names file and entry."""
+    `size`: width and height of formats that do not state them. `camera`: of formats that state no lens. `transform`: of
+    a reconstruction that is not on the map. Raises PoseError that names file and entry."""
     if path.is_dir():
         for name in ("images.txt", "reconstruction.json"):
             if (path / name).is_file():
@@ -110,6 +57,10 @@ def read_foreign_poses(
         ("Metashape", head.startswith("<"), lambda: metashape_poses(path, text)),
         ("COLMAP", path.name == "images.txt", lambda: colmap_poses(path, text, transform)),
         ("OpenSfM", head.startswith("["), lambda: opensfm_poses(path, text)),
+        ("alproj", head.startswith("{"), lambda: _alproj(path, text)),
+        ("PRACTISE", "cam_foc" in text, lambda: _practise(path, text, size)),
+        ("Pic2Map", "Pose estimation parameters" in text or "X position" in text, lambda: _pic2map(path, text, size)),
+        ("ImGRAFT", len(numbers_of(text)) == 20, lambda: _imgraft(path, text)),
         ("omega, phi, kappa", True, lambda: _omega_phi_kappa(path, text, camera)),
     ]
     tool, read = next((tool, read) for tool, fits, read in readers if fits)
@@ -124,172 +75,146 @@ def read_foreign_poses(
     return tool, poses
 
 
-def read_transform(path: Path) -> Similarity:
-    """Return the similarity of a text file: scale, quaternion w x y z and shift (COLMAP's model_aligner), or a matrix
-    of 12 or 16 numbers. Raises PoseError."""
-    values = np.array(numbers_of(read_text(path, 1 << 16, PoseError)))
-    if len(values) == 8:
-        return float(values[0]), Rotation.from_quat(values[[2, 3, 4, 1]]).as_matrix(), values[5:]
-    if len(values) in (12, 16):
-        return _similarity(values[:12].reshape(3, 4))
-    raise PoseError(f"{path}: has {len(values)} numbers; give 8 (scale, quaternion, shift), 12 or 16 (a matrix)")
+def _alproj(path: Path, text: str) -> list[ForeignPose]:
+    """One set of parameters, or several by the photos' names. Pan from north, tilt up, roll to the right, degrees."""
+    content = json.loads(text)
+    many = {path.stem: content} if "pan" in content else content
+    return [_alproj_pose(name, values, f"{path}: {name}") for name, values in many.items()]
 
 
-def _similarity(matrix: Float64Array) -> Similarity:
-    scale = float(np.cbrt(np.linalg.det(matrix[:, :3])))
-    return scale, matrix[:, :3] / scale, matrix[:, 3]
+_ALPROJ_TERMS = ("a1", "a2", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4")
 
 
-def numbers_of(text: str) -> list[float]:
-    """Return the numbers in a text without comments."""
-    text = re.sub(r"(?m)#.*$", "", text)
-    return [float(word) for word in re.findall(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])", text)]
+def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
+    if p.get("model") == "fisheye":
+        raise PoseError(f"{place} is a fisheye; only its pinhole model is imported")
+    width, height = int(p["w"]), int(p["h"])
+    f = width / 2 / math.tan(math.radians(float(p["fov"])) / 2)
+    cx, cy = (float(p[key] if p.get(key) is not None else side / 2) for key, side in (("cx", width), ("cy", height)))
+    # Its image is mirrored, and then its columns.
+    start = Camera(width, height, f, f, width - cx, cy)
+    terms = {key: float(p.get(key) or 0.0) for key in _ALPROJ_TERMS}
+    camera = start
+    if any(terms.values()):
+        middle = np.array([cx, cy])
 
+        def project(rays: Float64Array) -> Float64Array:
+            x, y = ((start.project(rays) - middle) / middle).T
+            r = x * x + y * y
+            t = terms
+            over, under = t["k1"] * r + t["k2"] * r**2 + t["k3"] * r**3, t["k4"] * r + t["k5"] * r**2 + t["k6"] * r**3
+            u = x * (1 + over) / (1 + under) + 2 * t["p1"] * x * y + t["p2"] * (r + 2 * x * x) + t["s1"] * r
+            v = y * (1 + t["a1"] + over) / (1 + t["a2"] + under) + t["p1"] * (r + 2 * y * y) + 2 * t["p2"] * x * y
+            out = np.column_stack([u + t["s2"] * r**2, v + t["s3"] * r + t["s4"] * r**2])
+            return np.asarray(out * middle + middle, np.float64)
 
-def metashape_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the cameras of an XML export. Its camera axes are the optical ones; pixels count from the image's
-    corner, the centre from its middle."""
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise PoseError(f"{path}: XML with a document type is not read")
-    try:
-        root = ElementTree.fromstring(text)  # nosec B314 # without a DTD, see above
-    except ElementTree.ParseError as error:
-        raise PoseError(f"{path}: is not XML ({error})") from error
-    chunk = root if root.tag == "chunk" else root.find(".//chunk")
-    if chunk is None:
-        raise PoseError(f"{path}: has no <chunk>; export the cameras of Metashape as XML")
-    cameras = {sensor.get("id"): _metashape_camera(sensor, str(path)) for sensor in chunk.iter("sensor")}
-    place = chunk.find("transform")
-    place = place if place is not None else chunk.find("components/component/transform")
-    if place is None or place.find("rotation") is None:
-        raise PoseError(f"{path}: the chunk is not on the map (no <transform>); align it with its GPS or markers first")
-    scale = float(place.findtext("scale", "1"))
-    turn = np.array(numbers_of(place.findtext("rotation", ""))).reshape(3, 3)
-    shift = np.array(numbers_of(place.findtext("translation", ""))).reshape(3)
-    poses = []
-    for entry in chunk.iter("camera"):
-        matrix = entry.findtext("transform")
-        if matrix is None or entry.get("enabled") in ("0", "false"):
-            continue
-        at = np.array(numbers_of(matrix)).reshape(4, 4)
-        name = entry.get("label") or ""
-        position, rotation = scale * turn @ at[:3, 3] + shift, turn @ at[:3, :3]
-        where = f"{path}: camera {name}"
-        poses.append(ForeignPose(name, where, position, rotation, cameras.get(entry.get("sensor_id"))))
-    return poses
-
-
-def _metashape_camera(sensor: ElementTree.Element, place: str) -> Camera | None:
-    found = sensor.findall("calibration")
-    size = sensor.find("resolution")
-    if not found or size is None:
-        return None
-    calibration = next((c for c in found if c.get("class") == "adjusted"), found[-1])
-    if calibration.get("type", sensor.get("type")) != "frame":
-        raise PoseError(f"{place}: sensor {sensor.get('label')} is no frame camera; only those are imported")
-    values = {e.tag: float(e.text or 0) for e in calibration if e.tag not in ("resolution", "covariance")}
-    width, height = int(size.get("width", 0)), int(size.get("height", 0))
-    f = values.get("f") or values["fx"]
-    if values.get("k4") or abs(values.get("b2", 0.0)) > 0.5:
-        raise PoseError(f"{place}: sensor {sensor.get('label')} has k4 or skew (b2); calibrate it without them")
-    # Its first tangential term is that along x, which is p2 of OpenCV.
-    lens = tuple(values.get(key, 0.0) for key in ("k1", "k2", "p2", "p1", "k3"))
-    cx, cy = (width - 1) / 2 + values.get("cx", 0.0), (height - 1) / 2 + values.get("cy", 0.0)
-    fy = values.get("fy", f)
-    return Camera(width, height, f + values.get("b1", 0.0), fy, cx, cy, lens)  # type: ignore[arg-type]
-
-
-_COLMAP = {
-    "SIMPLE_PINHOLE": "f cx cy",
-    "PINHOLE": "fx fy cx cy",
-    "SIMPLE_RADIAL": "f cx cy k1",
-    "RADIAL": "f cx cy k1 k2",
-    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
-    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-}
-"""Parameters of COLMAP's camera models."""
-
-
-def colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[ForeignPose]:
-    """Return the images of images.txt, whose rotations are world to camera; the first pixel's centre is 0.5."""
-    cameras: dict[str, Camera] = {}
-    place = path.with_name("cameras.txt")
-    for line in _lines(read_text(place, LARGEST, PoseError)):
-        number, model, width, height, *values = line.split()
-        if model not in _COLMAP:
-            raise PoseError(f"{place}: camera {number} has the model {model}; known are {', '.join(_COLMAP)}")
-        p = dict(zip(_COLMAP[model].split(), map(float, values), strict=True))
-        if any(p.get(key) for key in ("k4", "k5", "k6")):
-            raise PoseError(f"{place}: camera {number} has k4 to k6; calibrate it as OPENCV")
-        fx = p.get("fx", p.get("f", 0.0))
-        lens = tuple(p.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
-        cameras[number] = Camera(
-            int(width),
-            int(height),
-            fx,
-            p.get("fy", fx),
-            p["cx"] - 0.5,
-            p["cy"] - 0.5,
-            lens,  # type: ignore[arg-type]
-        )
-    poses = []
-    # Each image has a second line, of its points, which may be empty.
-    rows = [line for line in text.splitlines() if not line.startswith("#")]
-    while rows and not rows[-1].strip():
-        rows.pop()
-    for line in rows[::2]:
-        _, w, x, y, z, tx, ty, tz, camera, name = line.split(maxsplit=9)
-        turn = Rotation.from_quat([float(v) for v in (x, y, z, w)]).as_matrix()
-        position, rotation = -turn.T @ [float(v) for v in (tx, ty, tz)], turn.T
-        if transform is not None:
-            scale, about, shift = transform
-            position, rotation = scale * about @ position + shift, about @ rotation
-        name = name.strip()
-        poses.append(ForeignPose(name, f"{path}: image {name}", position, rotation, cameras[camera]))
-    return poses
-
-
-def _lines(text: str) -> Iterator[str]:
-    return (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-
-
-def opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the shots, world to camera, metres east, north, up of a reference; focal lengths are shares of the
-    longer side."""
-    parts = json.loads(text)
-    beside = path.with_name("reference_lla.json")
-    reference: Any = parts[0].get("reference_lla")
-    if beside.is_file():
-        reference = json.loads(read_text(beside, 1 << 16, PoseError))
-    if reference is None:
-        raise PoseError(f"{path}: has no reference_lla, and {beside.name} is not beside it; copy it from the project")
-    lla = np.array([float(reference[key]) for key in ("latitude", "longitude", "altitude")])
-    poses = []
-    for part in parts:
-        cameras = {key: _opensfm_camera(value, f"{path}: camera {key}") for key, value in part["cameras"].items()}
-        for name, shot in part["shots"].items():
-            turn = Rotation.from_rotvec(shot["rotation"]).as_matrix()
-            position = _earth_centred(lla, -turn.T @ np.array(shot["translation"], np.float64))
-            rotation = _east_north_up(lla[1], lla[0]).T @ turn.T
-            place = f"{path}: shot {name}"
-            poses.append(ForeignPose(name, place, position, rotation, cameras[shot["camera"]], True))
-    return poses
-
-
-def _opensfm_camera(values: dict[str, Any], place: str) -> Camera:
-    kind = values.get("projection_type", "perspective")
-    if kind not in ("perspective", "brown", "simple_radial", "radial"):
-        raise PoseError(f"{place} has the projection {kind}; perspective and brown are imported")
-    width, height = int(values["width"]), int(values["height"])
-    size = max(width, height)
-    fx = float(values.get("focal_x", values.get("focal", 0.0))) * size
-    fy = float(values["focal_y"]) * size if "focal_y" in values else fx
-    lens = tuple(float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3"))
-    cx, cy = (
-        (width - 1) / 2 + float(values.get("c_x", 0.0)) * size,
-        (height - 1) / 2 + float(values.get("c_y", 0)) * size,
+        camera = closest_camera(start, project, place)
+    pan, tilt, roll = (math.radians(float(p[key])) for key in ("pan", "tilt", "roll"))
+    turn = (
+        Rotation.from_euler("x", -(tilt + math.pi / 2))
+        * Rotation.from_euler("y", -roll)
+        * Rotation.from_euler("z", pan)
     )
-    return Camera(width, height, fx, fy, cx, cy, lens)  # type: ignore[arg-type]
+    position = np.array([float(p[key]) for key in "xyz"])
+    return ForeignPose(name, place, position, (UPWARD @ turn.as_matrix()).T, camera)
+
+
+def _imgraft(path: Path, text: str) -> list[ForeignPose]:
+    """`fullmodel` of its camera class: place, rows, columns, yaw (0 is east), pitch, roll, f, c, k1 to k6, p1, p2. Its
+    pixels count from 1."""
+    v = np.array(numbers_of(text))
+    angles, (fx, fy, cx, cy), k, p = v[5:8], v[8:12], v[12:18], v[18:20]
+    start = Camera(int(v[4]), int(v[3]), fx, fy, cx - 1, cy - 1)
+
+    def turned(a: Float64Array) -> Float64Array:
+        c, s = np.cos(a), np.sin(a)
+        rows = np.array(
+            [
+                [s[2] * s[1] * c[0] - c[2] * s[0], s[2] * s[1] * s[0] + c[2] * c[0], s[2] * c[1]],
+                [c[2] * s[1] * c[0] + s[2] * s[0], c[2] * s[1] * s[0] - s[2] * c[0], c[2] * c[1]],
+                [c[1] * c[0], c[1] * s[0], -s[1]],
+            ]
+        )
+        rows[:2] *= -1
+        return np.asarray(rows.T, np.float64)
+
+    def project(rays: Float64Array) -> Float64Array:
+        x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
+        r = x * x + y * y
+        a = (1 + k[0] * r + k[1] * r**2 + k[2] * r**3) / (1 + k[3] * r + k[4] * r**2 + k[5] * r**3)
+        u = a * x + 2 * p[0] * x * y + p[1] * (r + 2 * x * x)
+        w = a * y + 2 * p[0] * x * y + p[1] * (r + 2 * y * y)
+        return np.column_stack([start.fx * u + start.cx, start.fy * w + start.cy])
+
+    camera = closest_camera(start, project, str(path)) if k.any() or p.any() else start
+    return [ForeignPose(path.stem, str(path), v[:3], turned(angles), camera, angles=angles, turned=turned)]
+
+
+def _practise(path: Path, text: str, size: tuple[int, int] | None) -> list[ForeignPose]:
+    """Input file: camera and target (east, north), their heights above the DEM, roll (deg), lens and sensor (m)."""
+    text = re.sub(r"(?m)%.*$", "", text)
+
+    def values(name: str) -> list[float]:
+        found = re.findall(rf"(?m)^\s*{name}\s*=\s*([^;\n]+)", text)
+        if not found:
+            raise PoseError(f"{path}: {name.replace(chr(92), '')} is missing")
+        return numbers_of(found[-1])
+
+    width, height = _stated(size, path, "PRACTISE")
+    at, target, off = values(r"cam\(:,1\)"), values(r"cam\(:,2\)"), values("cam_off")
+    f, high, wide = values("cam_foc")[0], values("cam_hei")[0], values("cam_wid")[0]
+    lens = Camera(width, height, f / wide * width, f / high * height, (width - 1) / 2, (height - 1) / 2)
+    east, north = target[0] - at[0], target[1] - at[1]
+    # The pitch follows from the DEM under both, see `aimed`.
+    pose = Pose.from_angles((0, 0, 0), math.degrees(math.atan2(east, north)), 0.0, values("cam_rol")[0])
+    position = np.array([*at[:2], off[0]])
+    aim = np.array([*target[:2], off[1]])
+    return [ForeignPose(path.stem, str(path), position, pose.rotation, lens, target=aim)]
+
+
+def aimed(
+    foreign: ForeignPose, pose: Pose, ground: Callable[[float, float], float], origin: tuple[float, float]
+) -> Pose:
+    """Return a pose pitched at its target, if it has one."""
+    if foreign.target is None:
+        return pose
+    x, y, off = foreign.target
+    x, y = x - origin[0], y - origin[1]
+    way = np.array([x, y, ground(x, y) + off]) - pose.position
+    azimuth, _, roll = pose.angles_deg
+    return Pose.from_angles(pose.position, azimuth, math.degrees(math.atan2(way[2], math.hypot(way[0], way[1]))), roll)
+
+
+def _pic2map(path: Path, text: str, size: tuple[int, int] | None) -> list[ForeignPose]:
+    """Report of its pose dialog; its first axis points west, and its centre is that of the photo."""
+    width, height = _stated(size, path, "Pic2Map")
+    values = {}
+    for name, value in re.findall(r"(?m)^\s*([\w ]+?(?: \[\w+\])?), (?:Free|Fixed|Apriori)\s*:\s*([-+.\deE]+)", text):
+        values[name.partition(" [")[0].lower().split()[0]] = float(value)
+    x, y, z, f = (values[key] for key in ("x", "y", "z", "focal"))
+
+    def turned(a: Float64Array) -> Float64Array:
+        (st, sa, ss), (ct, ca, cs) = np.sin(a), np.cos(a)
+        rows = np.array(
+            [
+                [-ca * cs - sa * ct * ss, sa * cs - ca * ct * ss, -st * ss],
+                [ca * ss - sa * ct * cs, -sa * ss - ca * ct * cs, -st * cs],
+                [-sa * st, -ca * st, ct],
+            ]
+        )
+        # u = u0 - f (R0 d) / (R2 d), and d points west first.
+        return np.asarray((np.diag([1.0, 1.0, -1.0]) @ rows @ np.diag([-1.0, 1.0, 1.0])).T, np.float64)
+
+    angles = np.array([values[key] for key in ("tilt", "heading", "swing")])
+    lens = Camera(width, height, f, f, width / 2 - 0.5, height / 2 - 0.5)
+    position = np.array([-x, y, z])
+    return [ForeignPose(path.stem, str(path), position, turned(angles), lens, angles=angles, turned=turned)]
+
+
+def _stated(size: tuple[int, int] | None, path: Path, tool: str) -> tuple[int, int]:
+    if size is None:
+        raise PoseError(f"{path}: {tool} states no image size; give --size WIDTHxHEIGHT or --photos")
+    return size
 
 
 def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
@@ -309,34 +234,8 @@ def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[Forei
                 raise PoseError(f"{path}, line {number}: X, Y, Z, omega, phi, kappa must be numbers") from None
             continue  # its header
         place = f"{path}, line {number}"
-        poses.append(ForeignPose(words[0], place, values[:3], omega_phi_kappa(values[3:] * UNITS[unit]), camera))
+        rotation = omega_phi_kappa(values[3:] * UNITS[unit])
+        poses.append(
+            ForeignPose(words[0], place, values[:3], rotation, camera, angles=values[3:], turned=omega_phi_kappa)
+        )
     return poses
-
-
-def omega_phi_kappa(radians: Float64Array) -> Float64Array:
-    """Return the rotation, optical to map, of omega, phi and kappa: Rx Ry Rz of axes x right, y up, z backward."""
-    return np.asarray(Rotation.from_euler("XYZ", radians).as_matrix() @ UPWARD, np.float64)
-
-
-@lru_cache(maxsize=1)
-def _geodetic() -> Transformer:
-    return Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
-
-
-def _east_north_up(lon: float, lat: float) -> Float64Array:
-    """Return the rotation (3, 3) from Earth-centred axes to east, north, up."""
-    a, b = np.radians([lon, lat])
-    return np.array(
-        [
-            [-np.sin(a), np.cos(a), 0.0],
-            [-np.sin(b) * np.cos(a), -np.sin(b) * np.sin(a), np.cos(b)],
-            [np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)],
-        ]
-    )
-
-
-def _earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
-    """Return Earth-centred coordinates (3,) of metres east, north, up of a (latitude, longitude, altitude)."""
-    lat, lon, altitude = reference
-    origin = _geodetic().transform(lon, lat, altitude, direction="INVERSE")
-    return np.asarray(np.array(origin) + _east_north_up(lon, lat).T @ local, np.float64)

@@ -1,7 +1,10 @@
 """Poses of other tools: their own projection formulas give the same pixels as the imported pose and camera.
 
 The examples are small files of our own in the formats of real ones: Metashape camera exports (as EasyIDP reads them),
-COLMAP's cameras.txt and images.txt, and OpenSfM's `data/berlin/reconstruction_example.json`."""
+COLMAP's cameras.txt and images.txt, OpenSfM's `data/berlin/reconstruction_example.json`, parameters of `alproj` 1.2
+(`alproj/optimize.py`), ImGRAFT's `camera.m` (fullmodel), PRACTISE's `PRACTISE_Input_base.m` (georef_webcam), and the
+report of Pic2Map (`reportDialog.py`, `posedialog.py`).
+"""
 
 from __future__ import annotations
 
@@ -17,17 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
+from ltm_core.cameras.foreign_camera import UPWARD, ForeignPose, closest_camera, omega_phi_kappa
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
-from ltm_ros.recordings.importing.foreign_poses import (
-    UPWARD,
-    ForeignPose,
-    omega_phi_kappa,
-    problem_of,
-    read_foreign_poses,
-    read_transform,
-)
+from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
+from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
+from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
 FRAME = SiteFrame("EPSG:32632", 419_000.0, 6_718_000.0)
 AT = np.array([419_169.8, 6_718_421.5, 1215.3])
@@ -46,13 +45,15 @@ def points() -> Float64Array:
 def pixels_of(foreign: ForeignPose, lens: Camera | None = None) -> Float64Array:
     camera = lens or foreign.camera
     assert camera is not None
-    pose = foreign.pose(FRAME)
+    pose = foreign.pose(FRAME, lambda x, y: 0.0, 0.0)
     return camera.project((points() - (FRAME.x_origin, FRAME.y_origin, 0) - pose.position) @ pose.rotation)
 
 
-def read_one(path: Path, text: str, tool: str, camera: Camera | None = None) -> ForeignPose:
+def read_one(
+    path: Path, text: str, tool: str, camera: Camera | None = None, size: tuple[int, int] | None = None
+) -> ForeignPose:
     path.write_text(text, encoding="utf-8")
-    found, poses = read_foreign_poses(path, camera)
+    found, poses = read_foreign_poses(path, size, camera)
     assert found == tool
     assert len(poses) == 1
     return poses[0]
@@ -104,7 +105,7 @@ def test_metashape_in_earth_centred_coordinates(tmp_path: Path) -> None:
     assert pose.camera == LENS
     expected = LENS.project((points() - AT) @ TRUE.rotation)
     np.testing.assert_allclose(pixels_of(pose), expected, atol=0.7)  # the grid's scale of 0.9996
-    assert pose.pose(FRAME, 30.0).position[2] == pytest.approx(AT[2] - 30.0, abs=1e-3)
+    assert pose.pose(FRAME, lambda x, y: 0.0, 30.0).position[2] == pytest.approx(AT[2] - 30.0, abs=1e-3)
     with pytest.raises(PoseError):
         read_one(tmp_path / "bad.xml", '<!DOCTYPE a [<!ENTITY b "c">]>' + text, "Metashape")
 
@@ -129,9 +130,98 @@ def test_opensfm(tmp_path: Path) -> None:
     pose = read_one(tmp_path / "reconstruction.json", content, "OpenSfM")
     assert pose.camera is not None
     assert np.allclose(np.array([pose.camera.fx, pose.camera.cx, pose.camera.cy]), (1500.0, 805.0, 590.0))
-    placed = pose.pose(FRAME)
+    placed = pose.pose(FRAME, lambda x, y: 0.0, 0.0)
     assert np.allclose(placed.position, AT - (FRAME.x_origin, FRAME.y_origin, 0), atol=1e-2)
     assert np.allclose(placed.angles_deg, TRUE.angles_deg, atol=0.005)
+
+
+@pytest.mark.parametrize("distorted", [False, True])
+def test_alproj(tmp_path: Path, distorted: bool) -> None:
+    """`project` of alproj 1.2: u = w - (K E X)_u, then its distortion about (cx, cy)."""
+    terms = {"k1": 0.03, "k2": 0.01, "p1": 0.002, "s1": 0.001, "a1": 0.001} if distorted else {}
+    p = {"x": AT[0], "y": AT[1], "z": AT[2], "fov": 56.0, "pan": 62.0, "tilt": -7.0, "roll": 2.0, "w": 1600, "h": 1200,
+         "cx": 800, "cy": 600, **dict.fromkeys(_ALPROJ_TERMS, 0.0),
+         **terms}  # fmt: skip
+    pan, tilt, roll = math.radians(62.0), math.radians(-(-7.0 + 90)), math.radians(-2.0)
+    z = np.array([[math.cos(pan), -math.sin(pan), 0], [math.sin(pan), math.cos(pan), 0], [0, 0, 1]])
+    x = np.array([[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]])
+    y = np.array([[math.cos(roll), 0, math.sin(roll)], [0, 1, 0], [-math.sin(roll), 0, math.cos(roll)]])
+    way = (points() - AT) @ (x @ y @ z).T
+    f = 800 / math.tan(math.radians(28.0))
+    uv = np.column_stack([1600 - (f * way[:, 0] / way[:, 2] + 800), f * way[:, 1] / way[:, 2] + 600])
+    a, b = ((uv - (800, 600)) / (800, 600)).T
+    r = a * a + b * b
+    over = p["k1"] * r + p["k2"] * r**2
+    u = a * (1 + over) + 2 * p["p1"] * a * b + p["s1"] * r
+    v = b * (1 + p["a1"] + over) + p["p1"] * (r + 2 * b * b)
+    expected = np.column_stack([u, v]) * (800, 600) + (800, 600)
+    if distorted:  # its radius is an ellipse's, so no lens of ours is exact
+        with pytest.raises(PoseError, match="px"):
+            read_one(tmp_path / "params.json", json.dumps(p), "alproj")
+    else:
+        np.testing.assert_allclose(
+            pixels_of(read_one(tmp_path / "params.json", json.dumps(p), "alproj")), expected, atol=1e-6
+        )
+
+
+def test_imgraft(tmp_path: Path) -> None:
+    """`project` of camera.m, with yaw 0 east and pixels from 1."""
+    v = [*AT, 1200, 1600, math.radians(28.0), math.radians(-7.0), math.radians(2.0), 1500, 1500, 806, 591,
+         -0.1, 0.02, 0.003, 0, 0, 0, 0, 0]  # fmt: skip
+    c, s = np.cos(v[5:8]), np.sin(v[5:8])
+    rows = np.array([
+        [s[2] * s[1] * c[0] - c[2] * s[0], s[2] * s[1] * s[0] + c[2] * c[0], s[2] * c[1]],
+        [c[2] * s[1] * c[0] + s[2] * s[0], c[2] * s[1] * s[0] - s[2] * c[0], c[2] * c[1]],
+        [c[1] * c[0], c[1] * s[0], -s[1]],
+    ])  # fmt: skip
+    rows[:2] *= -1
+    way = (points() - AT) @ rows.T
+    if (way[:, 2] < 0).all():
+        pytest.fail("the example looks away from its points")
+    x, y = (way[:, :2] / way[:, 2:]).T
+    r = x * x + y * y
+    a = 1 - 0.1 * r + 0.02 * r**2 + 0.003 * r**3
+    expected = np.column_stack([1500 * a * x + 806 - 1, 1500 * a * y + 591 - 1])
+    pose = read_one(tmp_path / "cam.txt", "% fullmodel\n" + " ".join(map(repr, map(float, v))), "ImGRAFT")
+    np.testing.assert_allclose(pixels_of(pose), expected, atol=1e-3)
+
+
+def test_pic2map(tmp_path: Path) -> None:
+    """u = u0 - f (R0 d) / (R2 d) with d west, north, up."""
+    tilt, heading, swing = math.radians(83.0), math.radians(-62.0), math.radians(-2.0)
+    text = (
+        f"Pose estimation parameters:\nX position, Free : {-AT[0]} (Precision : 0.5)\nY Position, Free : {AT[1]} "
+        f"(Precision : 0.5)\nZ Position, Fixed: {AT[2]}\nTilt [rad], Free : {tilt} (Precision : 0.1)\n"
+        f"Heading [rad], Free : {heading} (Precision : 0.1)\nSwing [rad], Free : {swing} (Precision : 0.1)\n"
+        "Focal [pixel], Free : 1500.0 (Precision : 2)\n"
+    )
+    (st, sa, ss), (ct, ca, cs) = np.sin([tilt, heading, swing]), np.cos([tilt, heading, swing])
+    r0 = [-ca * cs - sa * ct * ss, sa * cs - ca * ct * ss, -st * ss]
+    r1 = [ca * ss - sa * ct * cs, -sa * ss - ca * ct * cs, -st * cs]
+    r2 = [-sa * st, -ca * st, ct]
+    d = (points() - AT) * (-1, 1, 1)
+    expected = np.column_stack([800 - 1500 * (d @ r0) / (d @ r2), 600 - 1500 * (d @ r1) / (d @ r2)]) - 0.5
+    pose = read_one(tmp_path / "report.txt", text, "Pic2Map", size=(1600, 1200))
+    np.testing.assert_allclose(pixels_of(pose), expected, atol=1e-6)
+
+
+def test_practise_aims_at_its_target(tmp_path: Path) -> None:
+    text = (
+        "vs=1;\ncam(:,1)=[6.142488e+05, 5.163441e+06]; % altitude will be calculated!\n"
+        "cam(:,2)=[6.184486e+05, 5.157440e+06];\ncam_off=[6, 40]; \ncam_rol=0; \ncam_foc=0.018;\ncam_hei=0.0148;\n"
+        "cam_wid=0.0222;\n"
+    )
+    pose = read_one(tmp_path / "Input.m", text, "PRACTISE", size=(2220, 1480))
+    frame = SiteFrame("EPSG:32632", 614_000.0, 5_163_000.0)
+    placement = Placement(frame, None, 0.0)
+    object.__setattr__(placement, "ground", lambda x, y: 2000.0 if abs(x - 248.8) < 1 else 1500.0)
+    placed = placement.placed(pose)
+    away = math.hypot(4199.8, 6001.0)
+    assert placed.pose.position[2] == 2006.0
+    azimuth, pitch, _ = placed.pose.angles_deg
+    assert azimuth == pytest.approx(math.degrees(math.atan2(4199.8, -6001.0)))
+    assert pitch == pytest.approx(math.degrees(math.atan2(1540.0 - 2006.0, away)))
+    assert placed.camera.fx == pytest.approx(1800.0)
 
 
 def angles_of(unit: float) -> Float64Array:
@@ -149,11 +239,25 @@ def test_omega_phi_kappa(tmp_path: Path, unit: float, name: str) -> None:
     np.testing.assert_allclose(pixels_of(pose), LENS.project((points() - AT) @ TRUE.rotation), atol=1e-6)
 
 
-def test_impossible_poses_are_told(tmp_path: Path) -> None:
+def test_a_lens_that_no_terms_of_ours_reproduce_is_rejected() -> None:
+    start = Camera(1600, 1200, 1500.0, 1500.0, 800.0, 600.0)
+    assert closest_camera(start, LENS.project, "a").distortion == pytest.approx(LENS.distortion, abs=1e-4)
+    with pytest.raises(PoseError, match="px"):
+        closest_camera(start, lambda rays: start.project(rays) + 20 * np.sin(rays * 30)[:, :2], "a")
+
+
+def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
+    """A pose with other axes is rejected with the reading that is possible; one below the ground is rejected."""
     dem = rough_terrain(3)
-    ground = float(dem.elevation_at(130.0, -90.0))
-    good = Pose(np.array([130.0, -90.0, ground + 20.0]), TRUE.rotation)
-    assert problem_of(good, dem) is None
-    assert problem_of(Pose(good.position, TRUE.rotation @ UPWARD), dem) is not None
-    assert problem_of(Pose(good.position - (0, 0, 25.0), TRUE.rotation), dem) is not None
-    assert problem_of(Pose(good.position - (0, 0, 25.0), TRUE.rotation), None) is None
+    x, y = 130.0, -90.0
+    ground = float(dem.elevation_at(x, y))
+    frame = SiteFrame(dem.geometry.crs or "EPSG:32632", 0.0, 0.0)
+    good = ForeignPose("a", "a", np.array([x, y, ground + 20.0]), TRUE.rotation, LENS)
+    placement = Placement(frame, dem, 0.0)
+    assert chosen_reading(readings([good], placement, {})).how == "as stated"
+    flipped = good.with_rotation(good.rotation @ UPWARD)
+    with pytest.raises(PoseError, match="y up, z backward"):
+        chosen_reading(readings([flipped], placement, {}))
+    below = ForeignPose("a", "a", np.array([x, y, ground - 5.0]), TRUE.rotation, LENS)
+    with pytest.raises(PoseError, match=r"5\.0 m|below|under"):
+        chosen_reading(readings([below], placement, {}))
