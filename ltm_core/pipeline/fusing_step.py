@@ -172,25 +172,26 @@ class FrameSteps:
         """Return the name and checksum of the label network."""
         return self.labelling.described
 
-    def of(self, frame: PosedImage) -> FrameAtWork:
-        """Return the steps of a frame, for the requested results."""
-        return FrameAtWork(self, frame)
+    def of(self, frame: PosedImage, covariance: Float64Array | None) -> FrameAtWork:
+        """Return the steps of a frame, for the requested results. `covariance`: (6, 6) of its pose; None: it is
+        exact."""
+        return FrameAtWork(self, frame, covariance)
 
 
 class FrameAtWork:
     """Frame in the steps of its camera: each step runs once, when its result is first requested, so that votes do not
     depend on whether measurements are requested. Methods raise LtmError as the steps do."""
 
-    def __init__(self, steps: FrameSteps, frame: PosedImage) -> None:
-        self._steps, self._frame = steps, frame
+    def __init__(self, steps: FrameSteps, frame: PosedImage, covariance: Float64Array | None) -> None:
+        self._steps, self._frame, self._covariance = steps, frame, covariance
 
-    def votes(self, covariance: Float64Array | None) -> FrameVotes:
-        """Return the votes. `covariance`: (6, 6) of the frame's pose; None: it is exact."""
+    def votes(self) -> FrameVotes:
+        """Return the votes."""
         found, view = self._labelled
         if view.reason is not None:
             return FrameVotes(no_columns(), view.unusable)  # an image that shows nothing needs no ranges
         frame, voting = self._frame, self._steps.voting
-        cast = voting.cast(self._depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
+        cast = voting.cast(self._depth, frame.camera, frame.pose, found, frame.stamp_ns, self._covariance)
         return FrameVotes(votes_to_columns(voting.carried(cast), voting.labels.names), view.unusable)
 
     def measured(self, covariance: Float64Array | None) -> MeasuredFrame:
@@ -203,9 +204,7 @@ class FrameAtWork:
 
     @cached_property
     def _labelled(self) -> tuple[Segmentation, SceneView]:
-        frame = self._frame
-        looking = Looking.of(frame.camera, frame.pose)
-        return self._steps.labelling.label(frame.image, looking, frame.stamp_ns, in_order=False)
+        return self._steps.labelling.label(self._frame, self._covariance, in_order=False)
 
     @cached_property
     def _depth(self) -> Float32Array:

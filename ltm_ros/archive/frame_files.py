@@ -66,14 +66,15 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
     for frame in task.frames:
         picture = reader.read(frame)
         try:
-            at_work = steps.of(PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera))
+            posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
+            at_work = steps.of(posed, frame.pose_covariance)
         except LtmError as error:
             votes.lose(frame, error)
             measured.lose(frame, error)
             continue
         if VOTES in wanted:
             try:
-                votes.take(frame, at_work.votes(frame.pose_covariance))
+                votes.take(frame, at_work.votes())
             except LtmError as error:
                 votes.lose(frame, error)
         if MEASURED in wanted:
