@@ -107,6 +107,7 @@ def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a.yaml").is_file()
 
 
+@pytest.mark.slow
 def test_photos_of_one_camera_share_an_unknown_lens(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
