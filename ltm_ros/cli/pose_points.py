@@ -41,7 +41,6 @@ def points(
             help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
         ),
     ] = None,
-    force: Annotated[str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined.")] = "none",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
@@ -94,7 +93,6 @@ def points(
             ray_bend(known.curvature, known.refraction),
             sigma,
             pixels,
-            cast("list[Parameter]", parameter_names(force)),
             lens,
         )
 
@@ -107,7 +105,7 @@ def points(
             place.parent.mkdir(parents=True, exist_ok=True)
     write_pose(out, result, known, setup.frame)
     if report is not None:
-        write_report(report, result, setup.frame)
+        write_report(report, result)
     if picture is not None:
         from ltm_core.pictures import to_png
         from ltm_core.pictures.trace import residual_picture
@@ -116,7 +114,7 @@ def points(
         photo = read_photo(image, setup.camera) if image is not None else None
         picture.write_bytes(to_png(residual_picture(setup.camera, marked.pixels, result.residuals, result.used, photo)))
     console = Console()
-    for note in held_notes(result, setup.position, setup.frame):
+    for note in held_notes(result):
         console.print(f"[yellow]{escape(note)}", highlight=False)
     if result.outliers:
         remedy = _what_fits(fitted, chosen, sigma_px, len(result.outliers), setup)
