@@ -146,8 +146,8 @@ def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
     return result
 
 
-_COLUMNS: Final = 96
-"""Columns of an image at which the terrain is traced for its labels."""
+_LONGER_SIDE: Final = 96
+"""Longer side in pixels of the reduced image at which the terrain is traced for its labels."""
 _SIGMAS: Final = 3.0
 """Error of the pose in standard deviations within which the terrain says nothing of a pixel."""
 _MOST_ANGLE_SIGMA: Final = math.radians(1.0)
@@ -169,13 +169,17 @@ class UnlikelyLabels:
         known = np.zeros((6, 6)) if covariance is None else covariance
         key = camera, pose.position.tobytes(), pose.rotation.tobytes(), known.tobytes()
         if self._last[0] != key:
-            self._last = key, self._traced(camera, pose, *np.sqrt(known.diagonal().reshape(2, 3).max(axis=1)).tolist())
+            self._last = (
+                key,
+                self._traced(camera, pose, *np.sqrt(np.abs(known.diagonal()).reshape(2, 3).max(axis=1)).tolist()),
+            )
         return self._last[1]
 
     def _traced(self, camera: Camera, pose: Pose, place: float, angle: float) -> dict[int, BoolArray]:
-        if not angle <= _MOST_ANGLE_SIGMA:
+        scale = _LONGER_SIDE / max(camera.width, camera.height)
+        small = camera.resized(*(max(1, round(scale * side)) for side in (camera.width, camera.height)))
+        if not (angle <= _MOST_ANGLE_SIGMA and _SIGMAS * angle * small.fx < _LONGER_SIDE):
             return {}
-        small = camera.resized(_COLUMNS, max(1, round(_COLUMNS * camera.height / camera.width)))
         edge = math.ceil(_SIGMAS * angle * small.fx) + 1  # what the pose's error may bring into the image
         width, height = small.width + 2 * edge, small.height + 2 * edge
         wide = replace(small, width=width, height=height, cx=small.cx + edge, cy=small.cy + edge)
