@@ -237,8 +237,9 @@ class _Adjustment:
         for k, camera in enumerate(self._cameras):
             factor = math.exp(whole[7 + k])
             mine = self._zoom_of == k
-            k1, *rest = camera.distortion
-            zoomed = replace(camera.zoomed(factor), distortion=(k1 + float(whole[7 + zooms + k]), *rest))
+            k1, k2, p1, p2, k3 = camera.distortion
+            bent = k1 + float(whole[7 + zooms + k]), k2, p1, p2, k3
+            zoomed = replace(camera.zoomed(factor), distortion=bent)
             residuals[mine] = self._points.pixels[mine] - zoomed.project(seen[mine])
         return np.nan_to_num(residuals, nan=2.0 * self._lens.width)
 
