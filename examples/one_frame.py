@@ -25,6 +25,7 @@ from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import UnlikelyLabels
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site
@@ -76,14 +77,16 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     traced = tracer.trace(frame.camera, frame.pose)
     depth = DepthImage(traced.depth(), frame.camera, frame.pose)
 
-    # What grows there: a class for each pixel, and how sure the network is of it.
+    # What grows there: a class for each pixel, and how sure the network is of it; sky is unlikely on traced ground.
+    if not (stated := covariance).any():  # the pose came without one
+        covariance = site.assumed_pose_error.covariance()
     segmenter = site_segmenter(site, camera_name)
-    segmentation = segmenter.segment(frame.image)
+    segmentation = segmenter.segment(frame.image, UnlikelyLabels(tracer).of(frame.camera, frame.pose, covariance))
 
     # TopoDepth: a network's depth has no scale of its own; terrain that can be trusted gives it one.
     depth_network = DepthNetwork.open(site.depth_model)
     network = depth_network.predict(frame.image, frame.camera)
-    direction = np.sqrt(np.radians(0.03) ** 2 + covariance.diagonal()[3:].max())  # of the calibration, and of the pose
+    direction = np.sqrt(np.radians(0.03) ** 2 + stated.diagonal()[3:].max())  # of the calibration, and of the pose
     settings = FusionSettings(float(direction))
     constants = depth_network.fusion  # fitted with this network
     classes = ClassPriors.of(labels, constants)
@@ -92,8 +95,6 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     # Votes take the traced depth: the cell that counts is the one on whose ground the plant stands.
     fuel_grid = site.fuel_geometry(dem)
     caster = VoteCaster(fuel_grid, dem, labels.votes_table[: len(labels)], site.fuel.max_range, site.bend)
-    if not covariance.any():  # the pose came without one
-        covariance = site.assumed_pose_error.covariance()
     seen = (segmentation.labels, frame.stamp_ns, camera_name, segmentation.confidence)
     cast = caster.cast(depth.along, frame.camera, frame.pose, *seen, covariance)
     # They travel as a message of at most 64 kB, in decimetres and degrees: the map counts what arrives.

@@ -77,7 +77,7 @@ def cell_visibility(
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
     if len(ground) == 0:
         return CellVisibility(*(np.zeros(0, np.float32) for _ in range(5)))
-    normals = _normals(dem, x, y, cell / 2)
+    normals = ground_normals(dem, x, y, cell / 2)
     known = np.isfinite(ground[:, 2]) & np.isfinite(normals[:, 0])
     ground[~known, 2] = pose.position[2]
     normals[~known] = (0.0, 0.0, 1.0)
@@ -93,7 +93,7 @@ def cell_visibility(
     return CellVisibility(*(np.asarray(c, np.float32) for c in (cosine, footprint, along, across, bearing)))
 
 
-def _normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
+def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
     """Return the upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is
     unknown."""
     east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)

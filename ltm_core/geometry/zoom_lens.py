@@ -114,9 +114,9 @@ class ZoomLens:
             )
         return _camera(self, min(max(zoom, first), last))
 
-    def scaled(self, factors: Mapping[float, float]) -> ZoomLens:
-        """Return the lens with focal lengths multiplied by factors at some zooms, interpolated between these and
-        constant beyond. The zooms of `factors` become rows of the table."""
+    def scaled(self, factors: Mapping[float, float], bends: Mapping[float, float] = {}) -> ZoomLens:
+        """Return the lens with focal lengths multiplied by factors at some zooms, and `bends` added to k1 there,
+        interpolated between these and constant beyond. The zooms of `factors` become rows of the table."""
         if not factors:
             return self
         known = sorted(factors)
@@ -125,7 +125,8 @@ class ZoomLens:
             camera = self.camera(zoom)
             at = self._measure(np.array([zoom, *known]))
             factor = math.exp(float(np.interp(at[0], at[1:], np.log([factors[k] for k in known]))))
-            rows.append((zoom, _hfov_deg(self.width, camera.fx * factor), *camera.distortion))
+            k1 = camera.distortion[0] + float(np.interp(at[0], at[1:], [bends.get(k, 0.0) for k in known]))
+            rows.append((zoom, _hfov_deg(self.width, camera.fx * factor), k1, *camera.distortion[1:]))
         return replace(self, table=tuple(rows))
 
     def config(self) -> LensConfig:

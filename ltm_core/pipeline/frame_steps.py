@@ -5,7 +5,10 @@ the three in a row without a graph. A frame has the same votes, to the last bit,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import cv2
 import numpy as np
@@ -16,12 +19,13 @@ from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import DescribedModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
-from ltm_core.fuel.life_form import GroundLimits
+from ltm_core.fuel.life_form import WATER_STEEPEST_DEG, GroundLimits
 from ltm_core.fuel.vote_columns import fitting, turn_of
-from ltm_core.fuel.votes import CellVotes, VoteCaster
+from ltm_core.fuel.votes import CellVotes, VoteCaster, ground_normals
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.site_surface import given_terrain
 from ltm_core.site.networks import label_network, prompt_segmenter, site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
@@ -48,9 +52,6 @@ class LabellingConfig(DescribedModel):
     """Manifest name or path of the network; empty: that of the site."""
     threads: int = Field(1, ge=1)
     """Number of cores that the network may use."""
-    zoom: float = Field(1.0, ge=1, le=4)
-    """Magnification of a second inference of the slopes along the skyline; 1: none. It costs one to several more runs
-    of the network."""
     confidence: float | None = Field(None, ge=0, lt=1)
     """Probability below which labels are withdrawn; None: the value of the network's manifest or the camera's label
     head."""
@@ -144,6 +145,61 @@ def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
     return result
 
 
+_LONGER_SIDE: Final = 96
+"""Longer side in pixels of the reduced image at which the terrain is traced for its labels."""
+_SIGMAS: Final = 3.0
+"""Error of the pose in standard deviations within which the terrain says nothing of a pixel."""
+_MOST_ANGLE_SIGMA: Final = math.radians(1.0)
+"""Standard deviation of the direction above which the terrain is not used, in radians."""
+_HALF_SLOPE: Final = 15.0
+"""Half of the distance over which a slope is measured, in metres: a fuel cell."""
+
+
+class UnlikelyLabels:
+    """Determine where the terrain makes labels unlikely: sky on ground, water on slopes."""
+
+    def __init__(self, tracer: TerrainTracer) -> None:
+        self._tracer = tracer
+        self._last: tuple[object, dict[int, BoolArray]] = None, {}
+
+    def of(self, camera: Camera, pose: Pose, covariance: Float64Array | None) -> dict[int, BoolArray]:
+        """Return by label id the pixels (h, w) of the reduced image where the label is unlikely, whatever the error of
+        the pose. `covariance`: (6, 6) of the pose; None: it is exact. Empty where the pose is in doubt."""
+        known = np.zeros((6, 6)) if covariance is None else covariance
+        key = camera, pose.position.tobytes(), pose.rotation.tobytes(), known.tobytes()
+        if self._last[0] != key:
+            self._last = (
+                key,
+                self._traced(camera, pose, *np.sqrt(np.abs(known.diagonal()).reshape(2, 3).max(axis=1)).tolist()),
+            )
+        return self._last[1]
+
+    def _traced(self, camera: Camera, pose: Pose, place: float, angle: float) -> dict[int, BoolArray]:
+        scale = _LONGER_SIDE / max(camera.width, camera.height)
+        small = camera.resized(*(max(1, round(scale * side)) for side in (camera.width, camera.height)))
+        if not (angle <= _MOST_ANGLE_SIGMA and _SIGMAS * angle * small.fx < _LONGER_SIDE):
+            return {}
+        edge = math.ceil(_SIGMAS * angle * small.fx) + 1  # what the pose's error may bring into the image
+        width, height = small.width + 2 * edge, small.height + 2 * edge
+        wide = replace(small, width=width, height=height, cx=small.cx + edge, cy=small.cy + edge)
+        try:
+            seen = self._tracer.trace(wide, pose)
+        except PoseError:
+            return {}  # the node `depth` reports it
+        ground = np.isfinite(seen.range)
+        x, y = seen.points()[ground][:, :2].T.astype(np.float64)
+        steep = np.zeros(ground.shape, np.bool_)
+        steep[ground] = ground_normals(self._tracer.dem, x, y, _HALF_SLOPE)[:, 2] < math.cos(
+            math.radians(WATER_STEEPEST_DEG)
+        )
+        margin = 1 + _SIGMAS * small.fx * np.hypot(angle, place / seen.range)
+        inside = np.s_[edge:-edge, edge:-edge]
+        return {
+            int(label): (cv2.distanceTransform(where.astype(np.uint8), cv2.DIST_L2, 3) > margin)[inside]
+            for label, where in ((Label.SKY, ground), (Label.WATER, steep))
+        }
+
+
 class LabellingStep:
     """Label every pixel of a camera's images. Raises ConfigError, ModelError for an invalid network."""
 
@@ -151,7 +207,6 @@ class LabellingStep:
         self._scene = site_scene_filter(site, camera)
         own = site.camera(camera)
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
-        self._zoom = config.zoom
         self._site, self._config = site, config
         self._prompt: tuple[str, Segmenter] | None = None
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
@@ -181,33 +236,29 @@ class LabellingStep:
         """Return which labels are withdrawn."""
         return self._segmenter.withdrawal
 
-    @property
-    def by_view(self) -> bool:
-        """Return whether the camera has masks of single views, so that labels depend on the viewing direction."""
-        return self._scene.by_view
+    @cached_property
+    def _terrain(self) -> UnlikelyLabels:
+        site = self._site
+        return UnlikelyLabels(TerrainTracer(site.open_dem(), site.curvature, site.refraction, site.possible_ground))
 
     def label(
-        self,
-        photo: UInt8Array,
-        looking: Looking | None = None,
-        stamp_ns: int | None = None,
-        in_order: bool = True,
+        self, frame: PosedImage, covariance: Float64Array | None, in_order: bool = True
     ) -> tuple[Segmentation, SceneView]:
-        """Label an image (H, W, 3) RGB. Return its labels and the scene view.
+        """Label a frame. Return its labels and the scene view.
 
-        `looking`: viewing direction; None: only the mask of all views is used. `stamp_ns`: time of the image; None:
-        unknown. `in_order`: images arrive in the order of their times, so that smoke is detected by comparison with
-        previous ones; a single image shows no smoke."""
-        view = self._scene.look(photo, looking, stamp_ns)
-        among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
+        `covariance`: (6, 6) of the frame's pose; None: it is exact. `in_order`: frames arrive in the order of their
+        times, so that smoke is detected by comparison with previous ones; a single frame shows no smoke."""
+        photo = frame.image
+        view = self._scene.look(photo, Looking.of(frame.camera, frame.pose), frame.stamp_ns)
         if view.reason is None:
-            found = self._segmenter.segment(view.scene(photo), self._zoom)
+            unlikely = self._terrain.of(frame.camera, frame.pose, covariance)
+            found = self._segmenter.segment(view.scene(photo), unlikely)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)
-        if self._smoke is None or among_others_s is None or view.reason is not None:
+        if self._smoke is None or not in_order or view.reason is not None:
             return found, view
-        smoke = self._smoke.look(photo, found.labels, among_others_s)
+        smoke = self._smoke.look(photo, found.labels, frame.stamp_ns * 1e-9)
         if smoke is None:
             return found, view
         gone = smoke & (found.labels != Label.SKY) & (found.labels != UNLABELLED)

@@ -105,9 +105,10 @@ def _fuel_map(site: Site) -> None:
         counted.layers()
 
 
-def _labels(_: Site) -> None:
+def _labels(site: Site) -> None:
     from ltm_core.vision.second_scale import upsampled_winner
 
+    _tracing(site)
     upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
 
 

@@ -33,7 +33,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         if camera is not None and camera.width * camera.height > site.limits.pixels:
             raise PoseError(
                 f"calibration of {camera.width} x {camera.height} pixels, the limit is {site.limits.pixels}: "
-                "raise pixels under `limits`"
+                "raise pixels under `expert.limits`"
             )
     except LtmError as error:
         yield SiteFinding.of("cameras", name, error)
@@ -142,7 +142,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
         if lens is not None and lens.width * lens.height > site.limits.pixels:
             raise PoseError(
                 f"lens of {lens.width} x {lens.height} pixels, the limit is {site.limits.pixels}: raise pixels "
-                "under `limits`"
+                "under `expert.limits`"
             )
     except LtmError as error:
         return SiteFinding.of("cameras", name, error)

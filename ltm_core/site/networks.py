@@ -113,8 +113,8 @@ def site_scene_filter(site: Site, camera: str) -> SceneFilter:
     size = None if calibration is None else (calibration.width, calibration.height)
     if size is not None and size[0] * size[1] > site.limits.pixels:
         raise ConfigError(
-            f"{where}.calibration: images of {size[0]} x {size[1]} pixels exceed `limits: {{pixels: "
-            f"{site.limits.pixels}}}`; correct the calibration, or raise the limit"
+            f"{where}.calibration: images of {size[0]} x {size[1]} pixels exceed `expert.limits.pixels`, "
+            f"{site.limits.pixels}; correct the calibration, or raise the limit"
         )
     views = None
     if config.view_masks:

@@ -13,6 +13,7 @@ Rules that correct what a network says of a photo: colour against *tree*, withdr
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import cv2
@@ -20,7 +21,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 
@@ -89,6 +90,23 @@ def contrast(image: UInt8Array) -> Float32Array:
     grey = cv2.cvtColor(cv2.resize(image, (_WIDTH, rows), interpolation=method), cv2.COLOR_RGB2GRAY).astype(np.float32)
     mean, square = (cv2.boxFilter(v, -1, (_WINDOW, _WINDOW)) for v in (grey, grey * grey))
     return np.asarray(np.sqrt(np.maximum(square - mean * mean, 0.0)), np.float32)
+
+
+_UNLIKELY: Final = math.exp(-3.0)
+"""Factor of the odds of a label that the terrain makes unlikely. Of LANDFIRE's water at most 0.3 % lies on slopes (see
+`WATER_STEEPEST_DEG`), of the land 40 to 63 %, which would give exp(-5). With exp(-3), a network that is surer than 0.95
+of the sky keeps it, so that a camera which turned unnoticed still shows its skyline."""
+
+
+def less_likely(probabilities: Float32Array, label: int, where: BoolArray) -> None:
+    """Lower the odds of a label, by its index in the probabilities (K, h, w), in place, at the pixels `where` (rows,
+    columns) of the image."""
+    size = probabilities.shape[:0:-1]
+    chosen = cv2.resize(where.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    factor = np.where(chosen, np.float32(_UNLIKELY), np.float32(1))
+    total = 1 + probabilities[label] * (factor - 1)
+    probabilities[label] *= factor
+    probabilities /= total
 
 
 class LabelAgreement(StrictModel):

@@ -95,11 +95,6 @@ class SceneFilter:
         make, own = mask_maker(path, place)
         return cls(make, size or own, judged)
 
-    @property
-    def by_view(self) -> bool:
-        """Return whether the mask depends on the viewing direction."""
-        return self._views is not None
-
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
         """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);
         None: no mask. Raises ConfigError."""

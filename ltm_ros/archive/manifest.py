@@ -201,7 +201,7 @@ def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
     health.drop(
         "too_large",
         f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes; raise pixels or "
-        "image_bytes under `limits:` in the site file",
+        "image_bytes under `expert.limits` in the site file",
     )
     return False
 

@@ -144,7 +144,7 @@ def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Labe
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())
     labels = config_path(site.labels)
     settings = _by_content([site.model_dump(exclude=_WITHOUT_EFFECT), network, errors, labels])
-    return digest(settings, seen_by_content(site, camera), tracing.model_dump(), labelling.zoom)
+    return digest(settings, seen_by_content(site, camera), tracing.model_dump())
 
 
 def seen_by_content(site: Site, camera: str) -> list[Any]:

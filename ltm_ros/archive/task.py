@@ -31,7 +31,6 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.masks import Looking
 from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
@@ -109,8 +108,8 @@ class FrameSteps:
         """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises LtmError
         as the steps do."""
         camera, pose, stamp = frame.calibration, frame.pose, frame.stamp_ns
-        image = PosedImage(photo, camera, pose, stamp, frame.camera).image
-        found, view = self._labelling.label(image, Looking.of(camera, pose), stamp, in_order=False)
+        posed = PosedImage(photo, camera, pose, stamp, frame.camera)
+        found, view = self._labelling.label(posed, frame.pose_covariance, in_order=False)
         if view.reason is not None:
             return None, view.unusable  # an image that shows nothing needs no ranges
         depth = seen(self._tracing.trace(camera, pose).ranges.depth(), self._tracing.hidden(camera, pose))

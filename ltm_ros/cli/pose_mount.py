@@ -46,7 +46,7 @@ def mount(
         Path | None, typer.Option(metavar="FOLDER", help="Photos of several presets, with their readings.csv.")
     ] = None,
     free: Annotated[
-        str, typer.Option(metavar="NAMES", help="With --points, also fit these: focal, position.")
+        str, typer.Option(metavar="NAMES", help="With --points, also fit focal, lens (focal and k1), position.")
     ] = "focal",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
@@ -61,10 +61,8 @@ def mount(
     if (gcps is None) == (photos is None):
         raise ConfigError("give either --points (marked landmarks) or --photos (a folder of presets)")
     chosen = set(parameter_names(free))
-    if chosen - {"focal", "position"}:
-        raise ConfigError(
-            f"--free {free}: for a PTZ head, only focal (the lens at each zoom) and position can be fitted"
-        )
+    if chosen - {"focal", "lens", "position"}:
+        raise ConfigError(f"--free {free}: landmarks fit focal, lens (focal and k1 at each zoom) and position")
     ptz = ptz_mount_of(site, camera)
     if out is not None:
         require_files([out], overwrite)
@@ -118,9 +116,10 @@ def calibrate_from_points(
         ptz.model,
         ptz.lens,
         ptz.site.bend,
-        free_focal="focal" in free and ptz.config.lens is not None,
+        free_focal=bool({"focal", "lens"} & free) and ptz.config.lens is not None,
         free_position="position" in free,
         sigma_px=sigma_px,
+        free_k1="lens" in free and ptz.config.lens is not None,
     )
     console = Console()
     for note in found.notes:
@@ -244,7 +243,7 @@ def _print_landmarks(console: Console, found: MountResection) -> None:
 def _print_lens(console: Console, found: MountResection) -> None:
     rows = []
     for zoom, factor in found.focal_factors.items():
-        hfov = found.lens.camera(zoom).hfov_deg
-        rows.append((f"{zoom:g}", f"{hfov:.3f}", f"{factor:.4f}", f"{found.focal_sigmas[zoom]:.4f}"))
-    columns = (">zoom", ">field of view, deg", ">focal length / table", ">sigma")
+        lens, sigma = found.lens.camera(zoom), found.focal_sigmas[zoom]
+        rows.append((f"{zoom:g}", f"{lens.hfov_deg:.3f}", f"{factor:.4f}", f"{sigma:.4f}", f"{lens.distortion[0]:.4f}"))
+    columns = (">zoom", ">field of view, deg", ">focal length / table", ">sigma", ">k1")
     print_table(console, "", columns, rows)

@@ -118,8 +118,8 @@ def photo(
     require_files([place for place in (None if many else out, report, None if many else picture) if place], overwrite)
     chosen = parameter_names(free)
     lens = lens_kind(chosen)
-    if set(chosen) - {"focal", "position"} or (lens and mount):
-        raise ConfigError(f"--free {free}: a skyline fits focal, position and, without --mount, lens")
+    if set(chosen) - {"focal", "position"}:
+        raise ConfigError(f"--free {free}: a skyline fits focal, position and lens")
     guesses = guesses_of(photo, guess) if many else {photo: load_yaml(guess, GuessConfig)}
     terrain = open_dems(dem, crs)
     found = search_photos(guesses, terrain, PhotoOptions(labels, model, tuple(chosen), canopy, mount, lens, mask))
@@ -180,7 +180,27 @@ def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOpti
     segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)
     scene = SceneFilter() if options.mask is None else SceneFilter.of_png(options.mask, "--mask")
     found = [_find(file, guess, dem, segmenter, scene, options, config) for file, guess in guesses.items()]
+    if options.mount and options.lens is not None:
+        shared = _common_lens([f.result.camera for f in found if f.result.accepted])
+        options = replace(options, lens=None)
+        found = [_find(*photo, dem, segmenter, scene, options, config, shared) for photo in guesses.items()]
     return _as_one_mount(found, config, options) if options.mount else found
+
+
+def _common_lens(cameras: list[Camera]) -> Camera | None:
+    """Return a camera with the median focal length and k1; None without cameras. Raises ConfigError if the photos were
+    not taken by one lens at one zoom."""
+    import numpy as np
+
+    from ltm_core.base.errors import ConfigError
+
+    if not cameras:
+        return None
+    if len({(c.width, c.height, c.cx, c.cy, c.fy / c.fx, c.distortion[1:]) for c in cameras}) > 1:
+        raise ConfigError("--mount --free lens: give all photos the same calibration, of one zoom")
+    focal, k1 = (float(np.median(values)) for values in zip(*((c.fx, c.distortion[0]) for c in cameras), strict=True))
+    first = cameras[0]
+    return replace(first.zoomed(focal / first.fx), distortion=(k1, *first.distortion[1:]))
 
 
 def _find(
@@ -191,6 +211,7 @@ def _find(
     scene: SceneFilter,
     options: PhotoOptions,
     config: Any,
+    lens: Camera | None = None,
 ) -> FoundPhoto:
     from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
@@ -200,6 +221,7 @@ def _find(
     from ltm_core.tracing.trace_io import read_photo
 
     setup = set_up_search(guess, dem)
+    setup = setup if lens is None else replace(setup, camera=lens)
     prior = setup.prior
     if "position" in options.free and prior.position_sigma == 0:
         prior = replace(prior, position_sigma=FREE_POSITION_SIGMA, height_sigma=FREE_POSITION_SIGMA)

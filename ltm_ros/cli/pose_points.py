@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_core.storage.disk_io import require_files
 from ltm_ros.cli.output import Overwrite, open_dems, print_table
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def points(
             help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
         ),
     ] = None,
-    force: Annotated[str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined.")] = "none",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
@@ -56,6 +55,7 @@ def points(
     from rich.console import Console
     from rich.markup import escape
 
+    from ltm_core.base.errors import PoseError
     from ltm_core.geometry.geodesy import ray_bend
     from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.points.resection import resect
@@ -68,6 +68,7 @@ def points(
         write_report,
     )
     from ltm_core.storage.config_io import load_yaml
+    from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing.trace_io import GuessConfig
 
     require_files([place for place in (out, report, picture) if place is not None], overwrite)
@@ -82,24 +83,29 @@ def points(
     if sigma and kind:
         chosen.append("position")
 
-    result = resect(
-        marked,
-        setup.camera,
-        setup.position,
-        setup.angles_deg,
-        cast("list[Parameter]", chosen),
-        ray_bend(known.curvature, known.refraction),
-        sigma,
-        sigma_px,
-        cast("list[Parameter]", parameter_names(force)),
-        lens,
-    )
+    def fitted(names: list[str], pixels: float) -> Resection:
+        return resect(
+            marked,
+            setup.camera,
+            setup.position,
+            setup.angles_deg,
+            cast("list[Parameter]", names),
+            ray_bend(known.curvature, known.refraction),
+            sigma,
+            pixels,
+            lens,
+        )
+
+    try:
+        result = fitted(chosen, sigma_px)
+    except PoseError as error:
+        raise PoseError(f"{error}{_what_fits(fitted, chosen, sigma_px, len(marked.names), setup)}") from error
     for place in (out, report, picture):
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
     write_pose(out, result, known, setup.frame)
     if report is not None:
-        write_report(report, result, setup.frame)
+        write_report(report, result)
     if picture is not None:
         from ltm_core.pictures import to_png
         from ltm_core.pictures.trace import residual_picture
@@ -108,11 +114,11 @@ def points(
         photo = read_photo(image, setup.camera) if image is not None else None
         picture.write_bytes(to_png(residual_picture(setup.camera, marked.pixels, result.residuals, result.used, photo)))
     console = Console()
-    for note in held_notes(result, setup.position, setup.frame):
+    for note in held_notes(result):
         console.print(f"[yellow]{escape(note)}", highlight=False)
     if result.outliers:
-        remedy = "if there are many, try --free position or a larger --sigma-px"
-        console.print(f"[yellow]rejected as outliers: {escape(', '.join(result.outliers))}; {remedy}", highlight=False)
+        remedy = _what_fits(fitted, chosen, sigma_px, len(result.outliers), setup)
+        console.print(f"[yellow]rejected as outliers: {escape(', '.join(result.outliers) + remedy)}", highlight=False)
     _print_parameters(console, result, setup.camera, setup)
     _print_points(console, result, setup, known.curvature, known.refraction)
     console.print(escape(f"  {out}"), highlight=False)
@@ -129,6 +135,35 @@ def lens_kind(chosen: list[str]) -> str | None:
     for name in named:
         chosen.remove(name)
     return (named[0].partition(":")[2] or "any") if named else None
+
+
+def _what_fits(
+    fitted: Callable[[list[str], float], Resection],
+    free: list[str],
+    sigma_px: float,
+    outliers: int,
+    setup: ResectionSetup,
+) -> str:
+    """Return advice that fits more of the points: a free position, or less exact pixels. Empty: there is none."""
+    import numpy as np
+
+    from ltm_core.base.errors import PoseError
+
+    free_place = free if "position" in free else [*free, "position"]
+    for names, pixels in ((free_place, sigma_px), (free, 3 * sigma_px), (["position"], 2 * sigma_px)):
+        try:
+            result = fitted(names, pixels)
+        except PoseError:
+            continue
+        if len(result.outliers) >= outliers or "position" in result.held:
+            continue
+        moved = float(np.linalg.norm(result.pose.position - setup.position))
+        place = f" (the camera moves by {moved:.1f} m)" if "position" in names else ""
+        return (
+            f". With --free {','.join(names) or 'none'} --sigma-px {pixels:g}, {len(result.outliers)} points do not fit"
+            f"{place}; if the position is not exact, state position_sigma in the guess"
+        )
+    return ""
 
 
 def _print_parameters(console: Console, result: Resection, start: Camera, setup: ResectionSetup) -> None:

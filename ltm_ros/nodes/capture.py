@@ -247,7 +247,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         return True
 
     def _drop_large(self, what: str, key: str) -> None:
-        self.health.drop("too_large", f"{what}; reduce the size, or raise {key} under `limits:` in the site file")
+        self.health.drop("too_large", f"{what}; reduce the size, or raise {key} under `expert.limits` in the site file")
 
     def _fits(self, image: Any, camera: Camera) -> bool:
         """Return whether the image has a valid size, before it is decoded. Raises ImageError if the calibration has

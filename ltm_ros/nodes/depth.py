@@ -84,7 +84,7 @@ class DepthHandler(Handler[DepthConfig]):
             self.health.drop(
                 "too_large",
                 f"calibration of {camera.width} x {camera.height} pixels; the maximum is {self._most_pixels}; "
-                "raise pixels under `limits:` in the site file",
+                "raise pixels under `expert.limits` in the site file",
             )
             return
         hidden = self._step.hidden(camera, where)

@@ -121,7 +121,7 @@ class LocateHandler(Handler[LocateConfig]):
             self.health.drop(
                 "too_large",
                 f"calibration of {camera.width} x {camera.height} pixels of {name}; the maximum is {most}; raise "
-                "pixels under `limits:` in the site file",
+                "pixels under `expert.limits` in the site file",
             )
             return
         self._cameras[name] = camera

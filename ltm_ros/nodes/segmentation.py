@@ -7,13 +7,13 @@ from functools import partial
 from typing import Any
 
 from ltm_core.base.resources import config_path
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.masks import Looking
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.json_topics import label_set_to_msg
-from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
@@ -39,7 +39,7 @@ class SegmentationConfig(JoinConfig, LabellingConfig):
 
 
 class SegmentationHandler(Handler[SegmentationConfig]):
-    """Labels images; uses their poses only if the camera has masks of single views."""
+    """Labels images, with what the terrain excludes at their poses."""
 
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_HEAT, LABELS_INFO)
     acknowledgements = (FINISHED,)
@@ -49,13 +49,14 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         site = self._site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
+        self._assumed = site.assumed_pose_error.covariance()
         parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE}
-        self._join = StampJoin(parts, self._label_view, health, max_wait=config.max_wait)
+        self._join = StampJoin(parts, self._label, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         prompt = {Topic(site_topic(self._site.name, PROMPT), PROMPT.type): self.on_prompt}
-        return prompt | (self._join.subscriptions if self._step.by_view else {POSED_IMAGE: self.on_image})
+        return {**prompt, **self._join.subscriptions}
 
     def start(self) -> None:
         step = self._step
@@ -76,16 +77,15 @@ class SegmentationHandler(Handler[SegmentationConfig]):
     def finish(self) -> None:
         self._join.finish()
 
-    def _label_view(self, image: Any, info: Any, pose: Any) -> None:
-        self.on_image(image, Looking.of(msg_to_camera(info), msg_to_pose(pose, "map")))
-
-    def on_image(self, message: Any, looking: Looking | None = None) -> None:
-        stamp, frame_id = stamp_of(message), message.header.frame_id
-        found, view = self._step.label(msg_to_rgb(message), looking, stamp)
+    def _label(self, image: Any, info: Any, pose: Any) -> None:
+        stamp, frame_id = stamp_of(image), image.header.frame_id
+        photo, camera = msg_to_rgb(image), self.config.camera
+        frame = PosedImage(photo, msg_to_camera(info), msg_to_pose(pose, "map"), stamp, camera)
+        found, view = self._step.label(frame, msg_to_covariance(pose, self._assumed))
         note_picture(self.health, view)
-        for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
-            self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
-        if self.outlet.wanted(LABELS_HEAT) and (heat := self._step.heat(msg_to_rgb(message), view)) is not None:
+        for topic, values in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
+            self.outlet.provide(topic, stamp, partial(image_to_msg, values, "mono8", stamp, frame_id))
+        if self.outlet.wanted(LABELS_HEAT) and (heat := self._step.heat(photo, view)) is not None:
             self.outlet.publish(LABELS_HEAT, image_to_msg(heat, "mono8", stamp, frame_id))
         self.outlet.acknowledge(FINISHED, stamp)
 

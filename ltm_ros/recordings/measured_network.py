@@ -22,6 +22,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import evenly, read_frames
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep
 from ltm_core.pipeline.site_fuel import measured_errors
 from ltm_core.scoring.labels import SegmentationScore
@@ -29,7 +30,6 @@ from ltm_core.site.networks import label_network
 from ltm_core.site.site import Site
 from ltm_core.vision.label_head import find_label_head
 from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest
-from ltm_core.vision.masks import Looking
 from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream
@@ -145,7 +145,8 @@ def _votes(
             depth = tracing[name].trace(camera, pose).ranges.depth()
             assumed = voting[name].assumed if covariance is None else covariance
             for role in networks:
-                labels, _ = labelling[role, name].label(frame.take("photo"), Looking.of(camera, pose), stamp)
+                posed = PosedImage(frame.take("photo"), camera, pose, stamp, name)
+                labels, _ = labelling[role, name].label(posed, assumed)
                 cast = voting[name].cast(depth, camera, pose, labels, stamp, assumed)
                 votes[role].append(voting[name].carried(cast))
             progress(len(votes["own"]), len(wanted))

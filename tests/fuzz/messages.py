@@ -420,7 +420,10 @@ MESSAGES = (
             },
         ),
     ).target(1.5),
-    Play("segmentation", _play(_kept(_segmentation), {"posed/image": "photo"})).target(1.0),
+    Play(
+        "segmentation",
+        _play(_kept(_segmentation), {"posed/image": "photo", "posed/camera_info": "info", "posed/pose": "pose"}),
+    ).target(1.0),
     Play("topodepth", _play(_topodepth, _FUSED)).target(1.5),
     Play("fuel_map", _fuel_map).target(2.0),
     Play("terrain", _terrain).target(1.5),

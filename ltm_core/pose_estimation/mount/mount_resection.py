@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.zoom_lens import ZoomLens
+from ltm_core.pose_estimation.lens import LensPrior
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.pose_estimation.mount.mount_verdict import STEEPEST_LEAN, closed_forms
 from ltm_core.pose_estimation.points.control_points import PtzPoints
@@ -62,14 +63,16 @@ def resect_mount(
     free_focal: bool = True,
     free_position: bool = False,
     sigma_px: float = 1.0,
+    free_k1: bool = False,
 ) -> MountResection:
     """Fit the mount to landmarks. Raises PoseError that names the points.
 
     `points`: at least four landmarks, spread in pan. `start`: its place, lean, signs and sigmas; its azimuth is not
     used. `bend`: `geodesy.ray_bend`. `free_focal`: fit the lens at each zoom, within some 5 percent. `free_position`:
-    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels."""
+    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels.
+    `free_k1`: fit the radial distortion at each zoom too."""
     _check(points, lens)
-    problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px)
+    problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px, free_k1)
     stated = (start.pan_sign, start.tilt_sign)
     fits: dict[tuple[Sign, Sign], tuple[float, MountModel, Float64Array]] = {}
     for signs, model in closed_forms(points, start, lens, bend).items():
@@ -109,7 +112,7 @@ def _check(points: PtzPoints, lens: ZoomLens) -> None:
 
 class _Adjustment:
     """Least squares. The state: shift (3), rotation about the map's axes (3), tilt zero, log focal factors a zoom,
-    encoder errors of pan and tilt a preset."""
+    changes of k1 a zoom, encoder errors of pan and tilt a preset."""
 
     def __init__(
         self,
@@ -120,6 +123,7 @@ class _Adjustment:
         free_focal: bool,
         free_position: bool,
         sigma_px: float,
+        free_k1: bool,
     ) -> None:
         self._points, self._start, self._lens, self._bend = points, start, lens, bend
         self._sigma_px = sigma_px
@@ -128,10 +132,11 @@ class _Adjustment:
         self._cameras = [lens.camera(zoom) for zoom in self._zooms]
         place = np.sqrt(np.diag(start.covariance)[:3]) if free_position else np.zeros(3)
         focal = np.full(len(self._zooms), _FOCAL_SIGMA if free_focal else 0.0)
+        radial = np.array([LensPrior.of("ptz", camera).k1 if free_k1 else 0.0 for camera in self._cameras])
         encoder = np.full(2 * len(self._presets), start.encoder_sigma)
         # The azimuth is what is sought; the lean is held weakly to what is stated, about level axes.
-        self._prior = np.concatenate([place, [_LEAN_SIGMA, _LEAN_SIGMA, 0.0, _TILT_SIGMA], focal, encoder])
-        self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, np.ones(len(encoder), bool)])
+        self._prior = np.concatenate([place, [_LEAN_SIGMA, _LEAN_SIGMA, 0.0, _TILT_SIGMA], focal, radial, encoder])
+        self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, radial > 0, np.ones(len(encoder), bool)])
 
     def robust_fit(self, model: MountModel) -> tuple[float, Float64Array]:
         """Return the median residual (pixels) and the state of a robust fit from `model`."""
@@ -164,7 +169,7 @@ class _Adjustment:
     def _result(self, state: Float64Array, used: BoolArray, notes: list[str]) -> MountResection:
         residuals = self._residuals(state)
         # The encoders' errors are free, so that each preset takes up two coordinates of its own.
-        bound = 7 - 3 * (not self._free[0]) + int(self._free[7 : 7 + len(self._zooms)].sum())
+        bound = 7 - 3 * (not self._free[0]) + int(self._free[7 : 7 + 2 * len(self._zooms)].sum())
         spare = max(2 * int(used.sum()) - bound, 1)
         jacobian = self._jacobian(state, used)
         weighted = np.linalg.norm(self._rows(state, used, self._sigma_px))
@@ -183,6 +188,7 @@ class _Adjustment:
         worst = float(pans[int(np.argmax(sigmas))]), float(max(sigmas))
         focal = slice(7, 7 + len(self._zooms))
         factors = dict(zip(map(float, self._zooms), map(float, np.exp(whole[focal])), strict=True))
+        bends = dict(zip(map(float, self._zooms), map(float, whole[focal.stop :]), strict=False))
         deviations = np.sqrt(np.maximum(np.diag(inverse)[focal], 0.0))
         open_focal = bool(self._free[focal].any())
         if worst[1] > WORST_SIGMA_DEG:
@@ -195,7 +201,7 @@ class _Adjustment:
         return MountResection(
             self._points,
             model,
-            self._lens.scaled(factors) if open_focal else self._lens,
+            self._lens.scaled(factors, bends) if open_focal else self._lens,
             residuals,
             used,
             self._sigma_px * factor,
@@ -219,7 +225,7 @@ class _Adjustment:
         model = self._model(whole)
         zooms, presets = len(self._zooms), len(self._presets)
         told = np.radians(self._presets[:, :2]) * (model.pan_sign, model.tilt_sign) + (0.0, model.tilt_zero)
-        angles = told + whole[7 + zooms :].reshape(presets, 2)
+        angles = told + whole[7 + 2 * zooms :].reshape(presets, 2)
         rotations = model.base.rotation @ Rotation.from_euler("YX", angles).as_matrix()
         sights = line_of_sight_vectors(model.base.position, self._points.places, self._bend)
         seen = np.einsum("ni,nij->nj", sights, rotations[self._preset_of])
@@ -227,7 +233,9 @@ class _Adjustment:
         for k, camera in enumerate(self._cameras):
             factor = math.exp(whole[7 + k])
             mine = self._zoom_of == k
-            zoomed = camera.zoomed(factor)
+            k1, k2, p1, p2, k3 = camera.distortion
+            bent = k1 + float(whole[7 + zooms + k]), k2, p1, p2, k3
+            zoomed = replace(camera.zoomed(factor), distortion=bent)
             residuals[mine] = self._points.pixels[mine] - zoomed.project(seen[mine])
         return np.nan_to_num(residuals, nan=2.0 * self._lens.width)
 

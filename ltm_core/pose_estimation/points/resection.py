@@ -17,7 +17,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_sigmas
-from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend
+from ltm_core.pose_estimation.lens import LensPrior, RadialTrend
 from ltm_core.pose_estimation.points.control_points import ControlPoints, coarse_poses
 from ltm_core.pose_estimation.points.resection_adjustment import (
     LENS,
@@ -37,24 +37,13 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
-@dataclass(frozen=True)
-class Rejected:
-    """Parameter that the points determine too poorly, with its estimate. `values`, `sigmas`: of fx, cx, cy
-    (pixels), k1, k2, k3, or x, y, z (map metres). `median_px`: median residual of the points."""
-
-    values: dict[str, float]
-    sigmas: dict[str, float]
-    median_px: float
-
-
 @dataclass(frozen=True, eq=False)
 class Resection:
     """A fitted camera.
 
     `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`: (N,) the points that
     were not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals but not below the
-    stated one. `held`: parameters that were asked for but not fitted, with the reason. `rejected`: those of `held` that
-    could be fitted, but too badly, with the values that they would have had. `sigmas`: standard deviations by
+    stated one. `held`: parameters that were asked for but not fitted, with the reason. `sigmas`: standard deviations by
     name: azimuth_deg, pitch_deg, roll_deg, and of the fitted ones fx, cx, cy (pixels), k1, k2, k3, x, y, z (metres).
     `pose_covariance`: (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
     geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `covariance`: of
@@ -67,7 +56,6 @@ class Resection:
     pose: Pose
     fitted: tuple[Parameter, ...]
     held: dict[Parameter, str]
-    rejected: dict[Parameter, Rejected]
     residuals: Float64Array
     used: BoolArray
     sigma_px: float
@@ -95,7 +83,6 @@ def resect(
     bend: float = 0.0,
     position_sigma: ArrayLike | None = None,
     sigma_px: float = 1.0,
-    force: Sequence[Parameter] = (),
     lens: LensPrior | None = None,
 ) -> Resection:
     """Fit the camera to the points.
@@ -112,12 +99,11 @@ def resect(
         position_sigma: how well `position` is known, metres, one or three: an observation of weight 1 / sigma^2 where
             the position is free, which it then stays, and its variance where it is not.
         sigma_px: smallest standard deviation of a marked pixel; it is doubled if the points do not fit one pose.
-        force: parameters to fit however badly the points bear them; they count as free. Too few points stay too few.
         lens: what is known of the lens; it frees all its parameters, which are then never held.
 
     Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
     do not follow from them, behind the camera, or so wrong that no pose explains them."""
-    unknown = [name for name in (*free, *force) if name not in PARAMETERS]
+    unknown = [name for name in free if name not in PARAMETERS]
     if unknown:
         raise PoseError(f"cannot fit {', '.join(unknown)}: free parameters are {', '.join(PARAMETERS)}")
     if not sigma_px > 0:
@@ -126,12 +112,9 @@ def resect(
     sigma = _position_sigma(position_sigma)
     check_points(points, camera, origin)
     problem = Adjustment(points, bend, origin, sigma, lens)
-    asked = {*free, *force, *(LENS if lens is not None else ())}
+    asked = {*free, *(LENS if lens is not None else ())}
     chosen = [name for name in PARAMETERS if name in asked]
     held = hold_for_redundancy(chosen, len(points.names), problem.known)
-    rejected: dict[Parameter, Rejected] = {}
-    kept: list[Parameter] = [*force, *problem.known]
-
     misfit: NoCommonPoseError | None = None
     while True:
         try:
@@ -143,20 +126,22 @@ def resect(
             if misfit is None:
                 misfit, sigma_px = error, 2 * sigma_px
                 continue
-            optional = [name for name in PARAMETERS if name in chosen and name not in kept and name != "position"]
+            optional = [
+                name for name in PARAMETERS if name in chosen and name not in problem.known and name != "position"
+            ]
             if not optional:
                 raise misfit from None
             held[optional[-1]] = "with it, the points do not fit one pose"
             chosen.remove(optional[-1])
             continue
-        reason = unbearable(fit, tuple(chosen), points, kept)
+        reason = unbearable(fit, tuple(chosen), points, problem.known)
         if reason is None:
             break
         name, why = reason
-        held[name], rejected[name] = why, _rejected(name, fit, tuple(chosen))
+        held[name] = why
         chosen.remove(name)
     bending = problem.bending(fit, tuple(chosen))
-    result = _result(points, fit, tuple(chosen), held, rejected, sigma)
+    result = _result(points, fit, tuple(chosen), held, sigma)
     return replace(result, bending=bending if bending is not None and bending[1].clear else None)
 
 
@@ -179,23 +164,11 @@ def _rough_fit(
     return min(alike, key=lambda fit: float(np.linalg.norm(fit.pose.position - problem.position)))
 
 
-def _rejected(name: Parameter, fit: Fit, free: tuple[Parameter, ...]) -> Rejected:
-    camera = fit.camera
-    values = {"focal": {"fx": camera.fx}, "centre": {"cx": camera.cx, "cy": camera.cy}}.get(
-        name, dict(zip("xyz", map(float, fit.pose.position), strict=True))
-    )
-    if name in RADIAL:
-        values = {name: camera.distortion[RADIAL[name]]}
-    sigmas = _parameter_sigmas(fit, free)
-    return Rejected(values, {key: sigmas[key] for key in values}, median_px(fit.residuals))
-
-
 def _result(
     points: ControlPoints,
     fit: Fit,
     fitted: tuple[Parameter, ...],
     held: dict[Parameter, str],
-    rejected: dict[Parameter, Rejected],
     sigma: Float64Array | None,
 ) -> Resection:
     pose_covariance = np.zeros((6, 6))
@@ -216,7 +189,6 @@ def _result(
         fit.pose,
         fitted,
         held,
-        rejected,
         fit.residuals,
         fit.used,
         fit.sigma_px,

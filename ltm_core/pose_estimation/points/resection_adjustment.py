@@ -272,10 +272,10 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
 
 
 def unbearable(
-    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
+    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, known: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
     """Return the free parameter that the points determine worst, and why; None if they determine all except those in
-    `forced`. Raises for the angles."""
+    `known`. Raises for the angles."""
     camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
     sights = points.places[fit.used] - fit.pose.position
@@ -299,14 +299,15 @@ def unbearable(
             reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
             if _in_line(points.places[fit.used]):
                 reason += "; the points are on one line"
-        if name not in forced and excess > 1 and (worst is None or excess > worst[0]):
-            worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image"
+        if name not in known and excess > 1 and (worst is None or excess > worst[0]):
+            instead = ", or state position_sigma in the guess" if name == "position" else ""
+            worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image{instead}"
     if worst is not None:
         return worst[1], worst[2]
     turn = float(np.degrees(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3]).max())))
     if turn <= MAX_ANGLE_SIGMA_DEG:
         return None
-    loose = [name for name in free if name not in forced]
+    loose = [name for name in free if name not in known]
     if loose:
         name = "position" if "position" in loose else loose[-1]
         return name, f"with it the angles' sigma would be {turn:.2g} degrees (limit {MAX_ANGLE_SIGMA_DEG:g})"

@@ -153,27 +153,9 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     )
 
 
-def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
-    """Return a line for each parameter that should be fitted but is fixed: why, its estimate, and the remedy.
-    `position`: the given one, map metres."""
-    notes = []
-    median = float(np.median(result.residual_px))
-    for name, reason in result.held.items():
-        note = f"{name} is fixed: {reason}"
-        rejected = result.rejected.get(name)
-        if rejected is not None:
-            values = ", ".join(
-                f"{key} {value:{'.5f' if key[0] == 'k' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
-                for key, value in _in_crs(rejected.values, frame).items()
-            )
-            if name == "position":
-                away = float(np.linalg.norm(np.array(list(rejected.values.values())) - position))
-                values += f" ({away:.1f} m from the given place)"
-            note += (
-                f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
-                f"{median:.2f} px; --force {name} fits it anyway"
-            )
-        notes.append(note)
+def held_notes(result: Resection) -> list[str]:
+    """Return a line for each parameter that should be fitted but is fixed, with the remedy."""
+    notes = [f"{name} is fixed: {reason}" for name, reason in result.held.items()]
     if result.bending is not None:
         term, trend = result.bending
         notes.append(
@@ -183,13 +165,8 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
     return notes
 
 
-def _in_crs(values: dict[str, float], frame: SiteFrame) -> dict[str, float]:
-    shift = {"x": frame.x_origin, "y": frame.y_origin}
-    return {key: value + shift.get(key, 0.0) for key, value in values.items()}
-
-
-def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
-    """Write residuals, sigmas, the pose's covariance and what was rejected as JSON; positions in the frame's CRS."""
+def write_report(path: Path | str, result: Resection) -> None:
+    """Write residuals, sigmas and the pose's covariance as JSON."""
     points = [
         {
             "name": name,
@@ -208,10 +185,6 @@ def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
         "sigma_px": result.sigma_px,
         "fitted": ["angles", *result.fitted],
         "held": result.held,
-        "rejected": {
-            name: asdict(rejected) | {"values": _in_crs(rejected.values, frame)}
-            for name, rejected in result.rejected.items()
-        },
         "bending": {"term": result.bending[0], **asdict(result.bending[1])} if result.bending else None,
         "sigmas": result.sigmas,
         "pose_covariance": result.pose_covariance.tolist(),

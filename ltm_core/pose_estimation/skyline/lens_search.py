@@ -22,7 +22,8 @@ from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline
 
 _STEP, _REACH = 0.5, 2.0
 """Step and reach of the search of k1, in its standard deviations."""
-_HALVINGS = 4
+_HALVINGS, _FOLLOWED = 4, 4
+"""Number of steps to the best k1, and of poses that are followed in each."""
 _FOCAL_LEFT = 0.005
 """Relative standard deviation of the focal length once k1 is found."""
 
@@ -78,14 +79,13 @@ def find_pose_and_lens(
             trials += [trial(k1, h.refined) for h in found]
     if not trials:
         return find_pose(evidence_of(camera), terrain, prior, config, lens.focal, horizon), camera
-    # The best of each k1 is followed to its neighbours: the grid of focal lengths finds each within its own errors.
-    best = min(trials, key=lambda t: t.cost)
+    # The best are followed to neighbouring k1: the grid of focal lengths finds each within its own errors.
     step = _STEP * lens.k1
     for _ in range(_HALVINGS):
         step /= 2
-        around = [followed(best, best.k1 + sign * step) for sign in (-1.0, 1.0)]
-        trials += around
-        best = min((best, *around), key=lambda t: t.cost)
+        trials.sort(key=lambda t: t.cost)
+        trials += [followed(t, t.k1 + sign * step) for t in trials[:_FOLLOWED] for sign in (-1.0, 1.0)]
+    best = min(trials, key=lambda t: t.cost)
     evidence = evidence_of(with_k1(best.k1))
     zoom = best.refined.camera.fx / evidence.camera.fx
     evidence = replace(evidence, camera=evidence.camera.zoomed(zoom))

@@ -96,7 +96,7 @@ class HttpClient:
                     if len(whole) > self._most_bytes:
                         raise PictureError(
                             f"answer of more than {self._most_bytes} bytes: configure smaller images in the camera, "
-                            "or raise image_bytes under `limits:` in the site file"
+                            "or raise image_bytes under `expert.limits` in the site file"
                         )
             except (httpx.ReadTimeout, httpx.RemoteProtocolError):
                 # The stated length is too large, or the last chunk is missing; a whole JPEG is accepted.

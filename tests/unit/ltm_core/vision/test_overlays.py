@@ -12,6 +12,9 @@ from scenes.small_site import write_small_site
 from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, tower_picture
 
 from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import UNLABELLED
@@ -119,10 +122,11 @@ def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest
     site = load_site(write_small_site(tmp_path, recording=False).path)
     step, given = LabellingStep(site, "tower", LabellingConfig()), []
     segment = step._segmenter.segment
-    monkeypatch.setattr(step._segmenter, "segment", lambda photo, zoom: given.append(photo) or segment(photo, zoom))
+    monkeypatch.setattr(step._segmenter, "segment", lambda photo, *_: given.append(photo) or segment(photo))
     drawn, truth = FRAMES["black above"](clear())
-    found, view = step.label(drawn)
+    camera = Camera.from_fov(drawn.shape[1], drawn.shape[0], 60.0)
+    found, view = step.label(PosedImage(drawn, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0), 0, "tower"), np.eye(6))
     np.testing.assert_array_equal(given[0], view.scene(drawn))
     assert (found.labels[truth] == UNLABELLED).all()
     seen = ~view.hidden
-    np.testing.assert_array_equal(found.labels[seen], segment(view.scene(drawn), 1.0).labels[seen])
+    np.testing.assert_array_equal(found.labels[seen], segment(view.scene(drawn)).labels[seen])

@@ -10,6 +10,9 @@ import yaml
 from scenes.small_site import write_small_site
 
 from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import UNLABELLED, Label
@@ -135,8 +138,9 @@ def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.M
         small.path.write_text(yaml.safe_dump(content))
         step = LabellingStep(load_site(small.path), "mast", LabellingConfig())
         monkeypatch.setattr(step._segmenter, "segment", lambda *_: Segmentation(labels(), np.full(SIZE, 200, np.uint8)))
-        step.label(land(), stamp_ns=0)
-        found, view = step.label(picture, stamp_ns=int(APART_S * 1e9))
+        camera, pose = Camera.from_fov(SIZE[1], SIZE[0], 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0)
+        step.label(PosedImage(land(), camera, pose, 0, "mast"), np.eye(6))
+        found, view = step.label(PosedImage(picture, camera, pose, int(APART_S * 1e9), "mast"), np.eye(6))
         gone[judged] = float((found.labels == UNLABELLED)[hidden].mean()), view.smoke
     assert gone[True][0] > 0.9
     assert gone[True][1] > 0.02

@@ -54,7 +54,6 @@ def test_each_view_has_its_mask_and_that_of_all_views(tmp_path: Path) -> None:
     caption, roof = np.zeros_like(hidden), np.zeros_like(hidden)
     caption[:8] = True
     roof[100:150, 5:60] = True
-    assert scene.by_view
     for azimuth, expected in (
         (0.3, hidden | caption),
         (359.6, hidden | caption),

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from ltm_core.base.errors import LtmError
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config
+from ltm_core.vision.labels import Label
+from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.main import cli
 
 CRS = "EPSG:32611"
@@ -101,3 +105,31 @@ def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
     arguments = [str(files / "photos"), "--guess", str(tmp_path / "poses.csv")]
     run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "out"))
     assert (tmp_path / "out" / "a.yaml").is_file()
+
+
+@pytest.mark.slow
+def test_photos_of_one_camera_share_an_unknown_lens(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The guess states no distortion; the lens has k1 -0.2, without which no pose is within half a degree."""
+    sky = view(TRUE)[0][0, 0]
+    by_color = SimpleNamespace(
+        segment=lambda photo: SimpleNamespace(labels=np.where((photo == sky).all(axis=2), Label.SKY, Label.BARE))
+    )
+    monkeypatch.setattr(Segmenter, "open", lambda *_: by_color)
+    lens = replace(CAMERA, distortion=(-0.2, 0.0, 0.0, 0.0, 0.0))
+    row = guess()["pose"]
+    assert isinstance(row, dict)
+    lines = ["name,width,height,fx," + ",".join(row)]
+    for k, azimuth in enumerate((63.0, 70.0)):
+        Image.fromarray(view(Pose.from_angles(eye(), azimuth, 2.5, 1.2), lens)[0]).save(tmp_path / f"{k}.png")
+        stated = row | {"azimuth_deg": azimuth + 2.5}
+        lines.append(",".join(map(str, (f"{k}.png", CAMERA.width, CAMERA.height, CAMERA.fx, *stated.values()))))
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    arguments = [str(tmp_path), "--guess", str(tmp_path / "poses.csv"), "--mount", "--free", "lens"]
+    run(files, *arguments, "-o", str(tmp_path / "out"))
+    found = [load_picture_config(tmp_path / "out" / f"{k}.yaml") for k in range(2)]
+    assert {f.calibration.k1 for f in found} == {found[0].calibration.k1}
+    assert found[0].calibration.k1 == pytest.approx(-0.2, abs=0.03)
+    assert [f.pose.azimuth_deg for f in found] == pytest.approx([63.0, 70.0], abs=0.1)
+    assert [f.pose.pitch_deg for f in found] == pytest.approx([2.5, 2.5], abs=0.1)

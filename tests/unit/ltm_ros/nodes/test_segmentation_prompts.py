@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,12 @@ from scenes.worded_network import DEMO, demo_frames, write_worded_network
 from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import Label
 from ltm_msgs_py.image import image_to_msg, msg_to_array
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
 from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
 from ltm_ros.runtime.health import Health
@@ -20,6 +25,7 @@ from ltm_ros.runtime.topics import LABELS_HEAT, LABELS_IMAGE, PROMPT
 
 pytest.importorskip("tokenizers")
 
+NUMBERS = count()
 VOCABULARY = {"sky": ["sky"], "grass": ["meadow"], "shrub": ["chaparral"], "tree": ["conifer"], "bare": ["road"]}
 
 
@@ -50,7 +56,16 @@ def node(folder: Path, model: str, **vocabulary: list[str]) -> tuple[Segmentatio
 def labelled(handler: SegmentationHandler, outlet: Kept, photo: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the labels and the heat map of the next image."""
     outlet.sent.clear()
-    handler.on_image(image_to_msg(photo, "rgb8", STAMP, "tower_north_optical"))
+    height, width = photo.shape[:2]
+    stamp, name = STAMP + next(NUMBERS), "tower_north_optical"
+    messages = {
+        "posed/image": image_to_msg(photo, "rgb8", stamp, name),
+        "posed/camera_info": camera_to_msg(Camera.from_fov(width, height, 50.0), stamp, name),
+        "posed/pose": pose_to_msg(Pose.from_angles((0.0, 0.0, 2000.0), 0.0), stamp, "map", np.eye(6)),
+    }
+    for topic, on_message in handler.subscriptions.items():
+        if topic.name in messages:
+            on_message(messages[topic.name])
     heat = outlet.on(LABELS_HEAT)
     return msg_to_array(outlet.on(LABELS_IMAGE)[0], ("mono8",)), msg_to_array(heat[0], ("mono8",)) if heat else None
 

@@ -91,6 +91,18 @@ def test_without_noise_the_mount_is_found_exactly_and_so_are_the_signs(pan_sign:
     assert opposite
 
 
+def test_an_unknown_lens_is_fitted_with_the_mount() -> None:
+    """The lens has another focal length and k1 -0.2 at both zooms; the table states none."""
+    zooms = (1.0, 257.0)
+    lens = LENS.scaled({1.0: 1.02, 257.0: 0.99}, {1.0: -0.1, 257.0: -0.3})
+    points = marked(head(), np.arange(0.0, 360.0, 30.0), np.random.default_rng(4), each=4, zooms=zooms, lens=lens)
+    found = resect_mount(points, STATED, LENS, BEND, free_k1=True)
+    assert worst_error_deg(found.model, head()) < 0.01
+    for zoom in zooms:
+        assert found.lens.camera(zoom).fx == pytest.approx(lens.camera(zoom).fx, rel=1e-3)
+        assert found.lens.camera(zoom).distortion[0] == pytest.approx(lens.camera(zoom).distortion[0], abs=0.02)
+
+
 @pytest.mark.parametrize(("count", "median", "p95"), [(4, 0.06, 0.21), (8, 0.04, 0.06)])
 def test_encoders_of_0_03_deg_leave_what_few_landmarks_must(count: int, median: float, p95: float) -> None:
     """Figures of simulations: four landmarks 0.06 deg (p95 0.21), eight 0.03 (0.055); an azimuth alone 1.24."""
