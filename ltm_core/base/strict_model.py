@@ -20,13 +20,6 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False)
 
 
-class DescribedModel(StrictModel):
-    """Base class of a node's parameters. The docstrings of fields are their descriptions in ROS; reading them takes
-    some milliseconds for each class."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
-
 def is_expert(field: FieldInfo) -> bool:
     return "expert" in field.metadata
 

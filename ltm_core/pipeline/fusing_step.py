@@ -10,7 +10,7 @@ from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
-from ltm_core.base.strict_model import DescribedModel
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Columns, Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -31,7 +31,7 @@ from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation
 
 
-class FusingConfig(DescribedModel):
+class FusingConfig(StrictModel):
     model: str = ""
     """Manifest name or path of a depth network; empty: `depth_model` of the site."""
     label_model: str = ""
