@@ -215,9 +215,9 @@ def _reduce(photo: Any, first_row: Any, row_share: Any, first_col: Any, col_shar
                 green += share * line[at + 1]
                 blue += share * line[at + 2]
                 at += 3
-            small[row, col, 0] = np.uint8(np.rint(red))
-            small[row, col, 1] = np.uint8(np.rint(green))
-            small[row, col, 2] = np.uint8(np.rint(blue))
+            small[row, col, 0] = np.uint8(red + np.float32(0.5))
+            small[row, col, 1] = np.uint8(green + np.float32(0.5))
+            small[row, col, 2] = np.uint8(blue + np.float32(0.5))
 
 
 @kernel(nogil=True, fastmath={"contract", "nsz"})

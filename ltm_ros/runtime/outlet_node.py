@@ -210,7 +210,7 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
         if name not in ("use_sim_time", "start_type_description_service") and not name.startswith("qos_overrides.")
     }
     config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
-    texts = _docstrings(model)
+    texts = docstrings(model)
     for name, field in model.model_fields.items():
         described = _descriptor(field, texts.get(name, ""))
         if name in given:
@@ -221,7 +221,7 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
     return config
 
 
-def _docstrings(model: type[BaseModel]) -> dict[str, str]:
+def docstrings(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings of a class's fields. Pydantic can read them too, but it looks at the files of all loaded
     modules for that, at each start of any command."""
     found = {}
