@@ -229,9 +229,9 @@ def docstrings(model: type[BaseModel]) -> dict[str, str]:
         if issubclass(owner, StrictModel):
             (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
             for field, text in itertools.pairwise(parsed.body if isinstance(parsed, ast.ClassDef) else ()):
-                if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-                    if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-                        found[field.target.id] = str(text.value.value)
+                match field, text:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as said)):
+                        found[name] = said
     return found
 
 
