@@ -49,9 +49,6 @@ class LabellingConfig(StrictModel):
     """Manifest name or path of the network; empty: that of the site."""
     threads: int = Field(1, ge=1)
     """Number of cores that the network may use."""
-    zoom: float = Field(1.0, ge=1, le=4)
-    """Magnification of a second inference of the slopes along the skyline; 1: none. It costs one to several more runs
-    of the network."""
     confidence: float | None = Field(None, ge=0, lt=1)
     """Probability below which labels are withdrawn; None: the value of the network's manifest or the camera's label
     head."""
@@ -152,7 +149,6 @@ class LabellingStep:
         self._scene = site_scene_filter(site, camera)
         own = site.camera(camera)
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
-        self._zoom = config.zoom
         self._site, self._config = site, config
         self._prompt: tuple[str, Segmenter] | None = None
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
@@ -202,7 +198,7 @@ class LabellingStep:
         view = self._scene.look(photo, looking, stamp_ns)
         among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:
-            found = self._segmenter.segment(view.scene(photo), self._zoom)
+            found = self._segmenter.segment(view.scene(photo))
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
@@ -107,11 +107,9 @@ _FEWEST_RAYS = 2048
 """Minimum number of rays for a thread."""
 PROFILE_BYTES = 64 * 2**20
 FRAME_BYTES = 48 * 2**20
-_POSES = 64
-"""Number of frames that a tracer remembers as seen, the presets of a patrol."""
 _OF_ALL = 4
 """Number of tracers of a process that may fill their caches. If there are more, each has a share of that; the last
-profile and the last repeated frame of each stay."""
+profile and the last frame of each stay."""
 
 Way = Literal["auto", "profile", "pyramid"]
 Profile = tuple[Wedges, ...]
@@ -139,7 +137,6 @@ class TerrainTracer:
         self._beyond = possible.steepest, highest_possible(dem, possible)
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
-        self._lately: deque[Hashable] = deque(maxlen=_POSES)
         self._counts = TracerStatistics()
         self._lock = threading.Lock()
         _tracers.add(self)
@@ -162,7 +159,7 @@ class TerrainTracer:
             self._check(pose.position, pose.rotation)
             profile_hit, ranges = self._trace_image(camera, pose, way)
             ranges.flags.writeable = False
-            if way == "auto" and self._seen_before(seen):
+            if way == "auto":
                 self._frames.put(seen, ranges, _share(FRAME_BYTES))
         else:
             profile_hit = False
@@ -174,15 +171,6 @@ class TerrainTracer:
                 profile_hits=self._counts.profile_hits + profile_hit,
             )
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
-
-    def _seen_before(self, seen: Hashable) -> bool:
-        """Return whether a frame was traced lately, and remember it. One that comes again is kept from then on; a
-        camera that turns freely would fill the memory with frames that never do."""
-        with self._lock:
-            known = seen in self._lately
-            if not known:
-                self._lately.append(seen)
-            return known
 
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
         """Return whether the profile was there, and the ranges (H, W)."""

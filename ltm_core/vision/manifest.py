@@ -36,8 +36,8 @@ SHIPPED_LABEL_HEAD: Final = "landscape"
 
 
 class CoarseLook(StrictModel):
-    """Second inference of the whole image at this size, whose scores of land count by `share` (`tiling`). The network's
-    file must accept both input sizes."""
+    """Second inference of the whole image at this size, whose scores of land count by `share` (`second_scale`). The
+    network's file must accept both input sizes."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)

@@ -1,17 +1,12 @@
 """Reduce photos for networks, combine class probabilities of several scales and networks, and upsample them.
 
-A network runs at a second scale: on the whole image coarser, and on request on distant slopes finer, in tiles.
-
-At half the size, the network sees twice as much of a slope's surroundings, and noise and the traces of compression are
-gone. On photographs the two scales err in different places, so their mean is right more often, and less sure where they
-differ. It costs a quarter of the work.
-
-Tiles are for large photos: a network of 512 x 288 pixels sees a slope of a 4K photo eight times smaller than the sensor
-did. Distant land lies along the skyline, so only that strip is enlarged."""
+A network runs at a second, coarser scale. At half the size it sees twice as much of a slope's surroundings, and noise
+and the traces of compression are gone. On photographs the two scales err in different places, so their mean is right
+more often, and less sure where they differ. It costs a quarter of the work."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Final
 
@@ -20,86 +15,6 @@ import numpy as np
 
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
-
-_OVERLAP = 0.25  # of a tile's side: neighbours share it, and fade into each other over it
-_ABOVE = 0.25  # of a tile's height that lies above the skyline
-
-
-def with_distant_tiles(
-    image: UInt8Array,
-    probabilities: Float32Array,
-    sky: int,
-    zoom: float,
-    look: Callable[[UInt8Array], Float32Array],
-) -> Float32Array:
-    """Return the probabilities (K, h', w'), `zoom` times finer than those given (K, h, w) for the whole photo.
-
-    `look` gives the probabilities (K, rows, cols) of a part of the photo (H, W, 3); it is asked for tiles of 1 / zoom
-    of the photo's sides along the skyline of class `sky`. A photo without skyline comes back as it was."""
-    line = _skyline(probabilities.argmax(axis=0) == sky)
-    if line is None:
-        return probabilities
-    count, rows, cols = probabilities.shape
-    fine = (round(cols * zoom), round(rows * zoom))
-    total = np.stack([cv2.resize(plane, fine, interpolation=cv2.INTER_LINEAR) for plane in probabilities])
-    weight = np.ones(total.shape[1:], np.float32)
-    height, width = image.shape[:2]
-    for top, left in tile_corners(line, (rows, cols), zoom):
-        part = np.ascontiguousarray(
-            image[
-                round(top * height / rows) : round((top + rows / zoom) * height / rows),
-                round(left * width / cols) : round((left + cols / zoom) * width / cols),
-            ]
-        )
-        answer = look(part)
-        row, col = round(top * zoom), round(left * zoom)
-        place = np.s_[row : min(row + rows, total.shape[1]), col : min(col + cols, total.shape[2])]
-        size = weight[place].shape
-        fade = _fade(size)
-        planes = np.stack([cv2.resize(plane, size[::-1], interpolation=cv2.INTER_LINEAR) for plane in answer])
-        total[(slice(None), *place)] += fade * planes
-        weight[place] += fade
-    return np.asarray(total / weight, np.float32).reshape(count, *weight.shape)
-
-
-def tile_corners(line: Float32Array, size: tuple[int, int], zoom: float) -> list[tuple[float, float]]:
-    """Return (top, left) of tiles of 1 / zoom of an image of `size` that cover its skyline (w,), NaN where there is
-    none."""
-    rows, cols = size
-    tall, wide = rows / zoom, cols / zoom
-    steps = max(1, int(np.ceil((cols - wide) / (wide * (1.0 - _OVERLAP)))) + 1)
-    corners: list[tuple[float, float]] = []
-    for left in np.linspace(0.0, cols - wide, steps):
-        under = line[int(left) : int(np.ceil(left + wide))]
-        if not np.isfinite(under).any():
-            continue
-        # A skyline that climbs more than a tile is high needs tiles one above the other.
-        low, high = float(np.nanmin(under)), float(np.nanmax(under))
-        top = low - _ABOVE * tall
-        while True:
-            corners.append((float(np.clip(top, 0.0, rows - tall)), float(left)))
-            if top + tall * (1.0 - _OVERLAP) >= min(high, rows - tall):
-                break
-            top += tall * (1.0 - _OVERLAP)
-    return corners
-
-
-def _skyline(sky: BoolArray) -> Float32Array | None:
-    """Return the first row below the sky in each column (w,), NaN where a column does not begin with sky or is sky
-    throughout; None where no column has one."""
-    row = np.argmin(sky, axis=0).astype(np.float32)
-    row[~sky[0] | sky.all(axis=0)] = np.nan
-    return row if np.isfinite(row).any() else None
-
-
-def _fade(size: tuple[int, ...]) -> Float32Array:
-    """Return the weights (h, w) of a tile: 2 within, down to 0 at its edges over half the overlap."""
-    ramps = []
-    for length in size:
-        place = (np.arange(length) + 0.5) / length
-        ramps.append(np.clip(np.minimum(place, 1.0 - place) / (_OVERLAP / 2.0), 0.0, 1.0))
-    return np.asarray(2.0 * ramps[0][:, None] * ramps[1][None], np.float32)
-
 
 _CREST: Final = 0.0125  # of the width
 

@@ -28,7 +28,6 @@ from ltm_core.vision.prompts import prompted
 from ltm_core.vision.second_scale import (
     upsampled_winner,
     with_coarse_look,
-    with_distant_tiles,
     with_second_network,
 )
 from ltm_core.vision.vocabulary import load_text
@@ -129,21 +128,17 @@ class Segmenter:
         """Return the network file in use."""
         return self._model.path
 
-    def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
+    def segment(self, image: UInt8Array) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
-        With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
-        strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
-        another shape or dtype, ModelError when the network's output is not what its manifest states."""
+        Raises ImageError for another shape or dtype, ModelError when the network's output is not what its manifest
+        states."""
         _check(image)
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
             return self._from_ids(fitted(image, self.manifest.input), height, width)
         scores, maps = self._answer(image)
         probabilities = self._with_second(image, self._label_probabilities(self._of_whole(image, scores, maps)))
-        if zoom > 1.0 and Label.SKY in self._group_labels:
-            sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
-            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile)
         winner, confidence = upsampled_winner(probabilities, height, width)
         labels = np.asarray(cv2.LUT(winner, self._label_of_group), np.uint8)
         if UNLABELLED in self._group_labels:
@@ -196,10 +191,9 @@ class Segmenter:
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
 
-    def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """Return the network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a
-        head may read."""
-        return self._run(image, () if self.head is None else self.head.maps, part)
+    def _answer(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
+        """Return the network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
+        return self._run(image, () if self.head is None else self.head.maps)
 
     def _run(
         self, image: UInt8Array, names: Sequence[str], part: bool = False, spec: InputSpec | None = None
@@ -229,10 +223,6 @@ class Segmenter:
         if self.head is not None:
             self.head.add_to(scores, [maps[name] for name in self.head.maps])
         return scores
-
-    def _tile(self, image: UInt8Array) -> Float32Array:
-        """Return the probabilities of a part of a photo, with the photo's head."""
-        return self._label_probabilities(self._corrected(*self._answer(image, part=True)))
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
         """Return the probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits`

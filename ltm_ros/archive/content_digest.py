@@ -110,7 +110,7 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
     step = LabellingStep(site, camera, labelling)
     settings["network"] = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
     settings["labels"] = file_digest(config_path(site.labels))
-    settings["steps"] = [tracing.model_dump(), labelling.zoom]
+    settings["steps"] = [tracing.model_dump()]
     return digest(_by_content(settings))
 
 

@@ -137,7 +137,7 @@ METAVARS = {
     "KEY=VALUE": "stated",
     "LON,LAT": "lonlat",
     "MODEL": "model named like",
-    "NUMBER": "cells domain limit rarity rate ridge seed threads tree_contrast tries zoom",
+    "NUMBER": "cells domain limit rarity rate ridge seed threads tree_contrast tries",
     "NUMBERS": "keep",
     "PORT": "web_port grpc_port",
     "PROBABILITY": "confidence",

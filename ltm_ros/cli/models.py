@@ -52,7 +52,6 @@ def models(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for images (check, add).")] = Path("out/models"),
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    zoom: Annotated[float, typer.Option(help="Magnification of a second pass over distant slopes (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
     named: Annotated[str, typer.Option("--name", help="Name of the model; default: that of its file (add).")] = "",
     stated: Annotated[
@@ -76,7 +75,7 @@ def models(
         return
     require_folder(out)
     if action is Action.check:
-        _check(console, NetworkManifest.find(name or DEFAULT_MODEL), threads, images, out, classes, zoom)
+        _check(console, NetworkManifest.find(name or DEFAULT_MODEL), threads, images, out, classes)
         return
     if name is None:
         raise ConfigError("give the network to add: ltm models add model.onnx (or its folder, a manifest, or a recipe)")
@@ -203,7 +202,6 @@ def _check(
     images: Path | None,
     out: Path,
     classes: str | None = None,
-    zoom: float = 1.0,
 ) -> None:
     """Print the model's input, output and running time; write images.
 
@@ -219,7 +217,7 @@ def _check(
     if manifest.output.is_depth:
         _check_depth(console, manifest, threads, photos, out)
     else:
-        _check_labels(console, manifest, threads, photos, out, classes, zoom)
+        _check_labels(console, manifest, threads, photos, out, classes)
 
 
 def _check_labels(
@@ -229,7 +227,6 @@ def _check_labels(
     photos: list[tuple[Path, UInt8Array]],
     out: Path,
     classes: str | None,
-    zoom: float,
 ) -> None:
     import numpy as np
 
@@ -244,7 +241,7 @@ def _check_labels(
         f"1920 x 1080, {threads} thread(s): median {np.median(times):.1f} ms, p95 {np.percentile(times, 95):.1f} ms"
     )
     for path, photo in photos:
-        _overlay(console, segmenter, photo, path, out, zoom)
+        _overlay(console, segmenter, photo, path, out)
 
 
 def _check_depth(
@@ -316,12 +313,12 @@ def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
     return np.ascontiguousarray(cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1])
 
 
-def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
+def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path) -> None:
     import numpy as np
 
     from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 
-    labels = segmenter.segment(photo, zoom).labels
+    labels = segmenter.segment(photo).labels
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
     legend = label_legend(photo.shape[1], segmenter.labels, seen)

@@ -222,8 +222,7 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
 
 
 def docstrings(model: type[BaseModel]) -> dict[str, str]:
-    """Return the docstrings of a class's fields. Pydantic can read them too, but it looks at the files of all loaded
-    modules for that, at each start of any command."""
+    """Return the docstrings of a class's fields. Pydantic looks at the files of all loaded modules for that."""
     found = {}
     for owner in reversed(model.__mro__):
         if issubclass(owner, StrictModel):

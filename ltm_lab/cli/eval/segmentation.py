@@ -24,7 +24,6 @@ def segmentation(
     ] = None,
     json_path: JsonFile = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
     limit: Annotated[int | None, typer.Option(min=1, help="Maximum number of frames of a folder.")] = None,
     macro: Annotated[
         str, typer.Option(help="Classes of the macro F1, with commas.", metavar="CLASSES")
@@ -89,7 +88,6 @@ def segmentation(
         "machine": platform.machine(),
         "cores": os.cpu_count(),
         "threads": threads,
-        "zoom": zoom,
         "skyline_width": 512,
         "not_counted": ignore or "nothing",
         "withdrawn": "; ".join(dict.fromkeys(str(s.withdrawal) for s in segmenters)),
@@ -105,7 +103,7 @@ def segmentation(
         scores = {}
         for s in segmenters:
             look = partial(write_overlay, overlays, s.name, labels) if overlays is not None else lambda *_: None
-            scores[s.name] = score_frames(s, frames, zoom, counted, look)
+            scores[s.name] = score_frames(s, frames, counted, look)
         title = f"{path}: {len(frames)} frames, {next(iter(scores.values())).labels.pixels} labelled pixels"
         print_scores(console, labels.names, scores, title)
         for name, score in scores.items():

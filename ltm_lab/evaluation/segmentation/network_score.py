@@ -87,7 +87,6 @@ class LabelScore:
 def score_frames(
     segmenter: Segmenter,
     frames: Sequence[Photo],
-    zoom: float = 1.0,
     macro: tuple[int, ...] = _LAND_AND_SKY,
     look: Callable[[Photo, Segmentation], None] = lambda frame, found: None,
 ) -> LabelScore:
@@ -99,7 +98,7 @@ def score_frames(
     times = []
     for frame in frames:
         start = time.perf_counter()
-        found = segmenter.segment(frame.image, zoom)
+        found = segmenter.segment(frame.image)
         times.append((time.perf_counter() - start) * 1e3)
         labels = labels.plus(frame.labels, found.labels)
         calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)

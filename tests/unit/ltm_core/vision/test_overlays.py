@@ -119,7 +119,7 @@ def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest
     site = load_site(write_small_site(tmp_path, recording=False).path)
     step, given = LabellingStep(site, "tower", LabellingConfig()), []
     segment = step._segmenter.segment
-    monkeypatch.setattr(step._segmenter, "segment", lambda photo, zoom: given.append(photo) or segment(photo, zoom))
+    monkeypatch.setattr(step._segmenter, "segment", lambda photo: given.append(photo) or segment(photo))
     drawn, truth = FRAMES["black above"](clear())
     found, view = step.label(drawn)
     np.testing.assert_array_equal(given[0], view.scene(drawn))
