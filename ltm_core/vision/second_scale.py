@@ -90,6 +90,8 @@ def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
 def reduced_by_area(photo: UInt8Array, width: int, height: int) -> UInt8Array:
     """Return a photo (H, W, 3) reduced by area as `cv2.resize` does, but for the last rounding, in a quarter of the
     time."""
+    if photo.shape[:2] == (2 * height, 2 * width):
+        return np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)  # quicker here
     small = np.empty((height, width, 3), np.uint8)
     whole = np.ascontiguousarray(photo, np.uint8).reshape(len(photo), -1).view()
     whole.flags.writeable = False  # one compiled kernel for images of messages and of our own
@@ -130,9 +132,9 @@ def _reduce(photo: Any, first_row: Any, row_share: Any, first_col: Any, col_shar
                 green += share * line[at + 1]
                 blue += share * line[at + 2]
                 at += 3
-            small[row, col, 0] = np.uint8(red + np.float32(0.5))
-            small[row, col, 1] = np.uint8(green + np.float32(0.5))
-            small[row, col, 2] = np.uint8(blue + np.float32(0.5))
+            small[row, col, 0] = np.uint8(np.rint(red))
+            small[row, col, 1] = np.uint8(np.rint(green))
+            small[row, col, 2] = np.uint8(np.rint(blue))
 
 
 @kernel(nogil=True, fastmath={"contract", "nsz"})

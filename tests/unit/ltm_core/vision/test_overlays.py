@@ -125,4 +125,4 @@ def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest
     np.testing.assert_array_equal(given[0], view.scene(drawn))
     assert (found.labels[truth] == UNLABELLED).all()
     seen = ~view.hidden
-    np.testing.assert_array_equal(found.labels[seen], segment(view.scene(drawn), 1.0).labels[seen])
+    np.testing.assert_array_equal(found.labels[seen], segment(view.scene(drawn)).labels[seen])
