@@ -23,7 +23,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-phone demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-phone demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb wheel try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -140,6 +140,10 @@ lock: $(INSTALLED)
 
 deb: $(INSTALLED)
 	$(BIN)/python packaging/build_deb.py --out out/deb
+
+# With the kernels compiled, as in the package; for the Python and numba of the environment.
+wheel: $(INSTALLED)
+	$(BIN)/python packaging/build_deb.py --wheel --out out/wheel
 
 # As root, with debootstrap: a clean Debian with a real systemd, in namespaces of this machine, and without a network.
 try-deb: deb

@@ -77,7 +77,7 @@ def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: st
         raise ImageError(
             f"an image to write as {encoding} must be {wanted} {spec.dtype}, got {image.shape} {image.dtype}"
         )
-    msg = Image(header=make_header(stamp_ns, frame_id))
+    msg = Image(header=make_header(stamp_ns, frame_id), check_fields=True)  # else `data` is copied once more
     msg.height, msg.width = image.shape[:2]
     msg.encoding = encoding
     msg.is_bigendian = 0
@@ -160,7 +160,7 @@ def compressed_to_msg(data: bytes, encoding: str, stamp_ns: int, frame_id: str) 
             f"{len(data)} bytes given as {encoding!r} begin with {data[:8].hex(' ') or 'nothing'}: "
             f"that is {found or 'neither jpeg nor png'}"
         )
-    msg = CompressedImage(header=make_header(stamp_ns, frame_id), format=encoding)
+    msg = CompressedImage(header=make_header(stamp_ns, frame_id), format=encoding, check_fields=True)
     buffer = byte_array("B")
     buffer.frombytes(data)
     msg.data = buffer

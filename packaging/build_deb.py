@@ -167,7 +167,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="Folder for the package; wheels are kept in it, too.")
     parser.add_argument("--version", default="", help="Default: of the checkout.")
     parser.add_argument("--python", default="/usr/bin/python3", help="The tower's, of Debian.")
+    parser.add_argument("--wheel", action="store_true", help="Only the wheel, for the Python that runs this.")
     options = parser.parse_args()
+    pip, out = [sys.executable, "-m", "pip"], options.out.resolve()
+    if options.wheel:
+        print(own_wheel(pip, out))
+        return
     begun = time.monotonic()
     version = options.version or version_of_checkout()
     asked = subprocess.run(
@@ -184,8 +189,6 @@ def main() -> None:
             f"requirements.lock has no numba {metadata.version('numba')}, which compiles the kernels here; "
             "install constraints.txt, or run make lock"
         )
-    pip = [sys.executable, "-m", "pip"]
-    out = options.out.resolve()
     root = out / "root"
     shutil.rmtree(root, ignore_errors=True)
     os.umask(0o022)

@@ -5,6 +5,7 @@ NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -36,6 +37,20 @@ def use_cache(source: Path) -> None:
 
 caching.CompileResultCacheImpl._locator_classes = [_ByModule, *caching.CacheImpl._locator_classes]
 use_cache(Path(__file__).parents[1])
+
+
+def _without_linear_algebra() -> None:
+    """Load numba's array functions without SciPy's linear algebra (0.4 s): no kernel multiplies matrices."""
+    blas = "scipy.linalg.cython_blas"
+    if blas not in sys.modules:
+        sys.modules[blas] = None  # type: ignore[assignment]
+        try:
+            import numba.np.arraymath  # noqa: F401
+        finally:
+            del sys.modules[blas]
+
+
+_without_linear_algebra()
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 

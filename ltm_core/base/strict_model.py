@@ -38,13 +38,6 @@ def beside(value: _T, folder: Path) -> _T:
     return found  # type: ignore[no-any-return]
 
 
-class DescribedModel(StrictModel):
-    """Base class of a node's parameters. The docstrings of fields are their descriptions in ROS; reading them takes
-    some milliseconds for each class."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
-
 def is_expert(field: FieldInfo) -> bool:
     return "expert" in field.metadata
 

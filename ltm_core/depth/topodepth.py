@@ -141,7 +141,7 @@ class FusedDepth(FusionOutcome):
 class Fusion:
     """Fusion of one photo's depths; arguments and errors as of `fuse`, with their defaults in place of None.
 
-    The pose is checked at once; the network is fitted, and pixels are fused, when that is first requested."""
+    The pose is checked, the network is fitted, and pixels are fused, when that is first requested."""
 
     traced: RangeImage | DepthImage
     network: NetworkDepth | None
@@ -153,9 +153,6 @@ class Fusion:
     config: FusionConfig = field(default_factory=FusionConfig)
     hidden: BoolArray | None = None
     unusable: str = ""
-
-    def __post_init__(self) -> None:
-        self._judged  # noqa: B018
 
     @property
     def settled(self) -> bool:

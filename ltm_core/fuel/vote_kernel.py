@@ -171,6 +171,12 @@ def _scan(
     dx, dy = np.empty(width, np.float32), np.empty(width, np.float32)
     used, farthest = 0, min(max_range * max_range, 1e300)  # squared, so that no root is taken; the sky is farther
     for v in range(height):
+        # A row of one class that does not vote, as of sky, needs no cells.
+        u = 0
+        while u < width and labels[v, u] == labels[v, 0]:
+            u += 1
+        if u == width and not counted[labels[v, 0]]:
+            continue
         x_row, y_step = v if x_tangent.shape[0] > 1 else 0, 1 if y_tangent.shape[1] > 1 else 0
         for u in range(width):
             tx[u], ty[u] = x_tangent[x_row, u], y_tangent[v, y_step * u]

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.resources import config_path
-from ltm_core.base.strict_model import DescribedModel
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import WATER_STEEPEST_DEG, GroundLimits
@@ -41,13 +41,13 @@ from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.smoke import SmokeMemory
 
 
-class TracingConfig(DescribedModel):
+class TracingConfig(StrictModel):
     surface: bool = True
     """Whether to trace to the tops of trees and buildings where the site has a surface raster. Both hits are kept; the
     one on bare earth is published on `depth/ground` while the topic has subscribers."""
 
 
-class LabellingConfig(DescribedModel):
+class LabellingConfig(StrictModel):
     model: str = ""
     """Manifest name or path of the network; empty: that of the site."""
     threads: int = Field(1, ge=1)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
-from ltm_core.base.strict_model import DescribedModel
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -27,7 +27,7 @@ from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 
 
-class FusingConfig(DescribedModel):
+class FusingConfig(StrictModel):
     model: str = ""
     """Manifest name or path of a depth network; empty: `depth_model` of the site."""
     threads: int = Field(1, ge=1)

@@ -106,9 +106,10 @@ def _fuel_map(site: Site) -> None:
 
 
 def _labels(site: Site) -> None:
-    from ltm_core.vision.second_scale import upsampled_winner
+    from ltm_core.vision.second_scale import reduced_by_area, upsampled_winner
 
     _tracing(site)
+    reduced_by_area(np.zeros((4, 5, 3), np.uint8), 2, 2)
     upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
 
 

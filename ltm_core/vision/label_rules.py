@@ -24,6 +24,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.network_image import shrunk
 
 
 def cie_lab(photo: UInt8Array) -> Float32Array:
@@ -86,8 +87,8 @@ def contrast(image: UInt8Array) -> Float32Array:
     float32."""
     height, width = image.shape[:2]
     rows = max(1, round(height * _WIDTH / width))
-    method = cv2.INTER_AREA if width > _WIDTH else cv2.INTER_LINEAR
-    grey = cv2.cvtColor(cv2.resize(image, (_WIDTH, rows), interpolation=method), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    small = shrunk(image, _WIDTH, rows) if width > _WIDTH else cv2.resize(image, (_WIDTH, rows))
+    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
     mean, square = (cv2.boxFilter(v, -1, (_WINDOW, _WINDOW)) for v in (grey, grey * grey))
     return np.asarray(np.sqrt(np.maximum(square - mean * mean, 0.0)), np.float32)
 

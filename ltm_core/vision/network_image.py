@@ -138,10 +138,9 @@ def once(photo: UInt8Array, what: Hashable, make: Callable[[], MadeT]) -> MadeT:
 
 def shrunk(photo: UInt8Array, width: int, height: int) -> UInt8Array:
     """Return a photo (H, W, 3) reduced by area to another size, which must not be changed."""
-    import cv2
+    from ltm_core.vision.second_scale import reduced_by_area  # not above: it needs numba
 
-    how = cv2.INTER_AREA
-    return once(photo, (width, height), lambda: np.asarray(cv2.resize(photo, (width, height), interpolation=how)))
+    return once(photo, (width, height), lambda: reduced_by_area(photo, width, height))
 
 
 def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:

@@ -1,7 +1,5 @@
 """Run ONNX networks on one image at a time, shared by the callers of one file.
 
-Runs of one network file that several ask for: what one of them computes for the others is kept until they come.
-
 A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for an image has all
 of it computed that others in this process ask this file for; they take their part when they bring the same image."""
 

@@ -1,13 +1,14 @@
-"""Combine class probabilities of several scales and networks, and upsample them to the photo's resolution.
+"""Reduce photos for networks, combine class probabilities of several scales and networks, and upsample them.
 
-At half the size, the network sees twice as much of a slope's surroundings, and noise and the traces of compression are
-gone. On photographs the two scales err in different places, so their mean is right more often, and less sure where they
-differ. It costs a quarter of the work."""
+A network runs at a second, coarser scale. At half the size it sees twice as much of a slope's surroundings, and noise
+and the traces of compression are gone. On photographs the two scales err in different places, so their mean is right
+more often, and less sure where they differ. It costs a quarter of the work."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from functools import lru_cache
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -84,6 +85,56 @@ def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
     centre = np.clip(centre, 0.0, size - 1.0)
     first = np.minimum(centre.astype(np.int32), max(size - 2, 0)).astype(np.int32)
     return first, (centre - first).astype(np.float32)
+
+
+def reduced_by_area(photo: UInt8Array, width: int, height: int) -> UInt8Array:
+    """Return a photo (H, W, 3) reduced by area as `cv2.resize` does, but for the last rounding, in a quarter of the
+    time."""
+    if photo.shape[:2] == (2 * height, 2 * width):
+        return np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)  # quicker here
+    small = np.empty((height, width, 3), np.uint8)
+    whole = np.ascontiguousarray(photo, np.uint8).reshape(len(photo), -1).view()
+    whole.flags.writeable = False  # one compiled kernel for images of messages and of our own
+    _reduce(whole, *_shares(photo.shape[0], height), *_shares(photo.shape[1], width), small)
+    return small
+
+
+@lru_cache(maxsize=64)
+def _shares(size: int, target: int) -> tuple[Int32Array, Float32Array]:
+    """For each of `target` pixels its first source pixel, and the weight of that and of those after it (target, n)."""
+    edges = np.arange(target + 1) * (size / target)
+    first = np.floor(edges[:-1]).astype(np.int32)
+    count = int((np.ceil(edges[1:]) - first).max())
+    first = np.minimum(first, size - count).astype(np.int32)
+    at = first[:, None] + np.arange(count)
+    overlap = np.minimum(at + 1, edges[1:, None]) - np.maximum(at, edges[:-1, None])
+    return first, (np.maximum(overlap, 0.0) * (target / size)).astype(np.float32)
+
+
+@kernel(nogil=True, fastmath={"contract", "nsz"})
+def _reduce(photo: Any, first_row: Any, row_share: Any, first_col: Any, col_share: Any, small: Any) -> None:
+    """Reduce `photo` (H, 3 W): its rows first, in a loop that becomes vector code."""
+    line = np.empty(photo.shape[1], np.float32)
+    for row in range(small.shape[0]):
+        line[:] = 0
+        for k in range(row_share.shape[1]):
+            share = row_share[row, k]
+            if share > 0:
+                source = photo[first_row[row] + k]
+                for at in range(len(line)):
+                    line[at] += share * np.float32(source[at])
+        for col in range(small.shape[1]):
+            red = green = blue = np.float32(0.0)
+            at = 3 * first_col[col]
+            for k in range(col_share.shape[1]):
+                share = col_share[col, k]
+                red += share * line[at]
+                green += share * line[at + 1]
+                blue += share * line[at + 2]
+                at += 3
+            small[row, col, 0] = np.uint8(np.rint(red))
+            small[row, col, 1] = np.uint8(np.rint(green))
+            small[row, col, 2] = np.uint8(np.rint(blue))
 
 
 @kernel(nogil=True, fastmath={"contract", "nsz"})

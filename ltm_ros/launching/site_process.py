@@ -31,11 +31,15 @@ CLOSE_S = 5.0
 """Time in seconds for frames in flight to finish after a stop request."""
 
 
+DESCRIBED = 8
+"""Number of cameras with ROS services for their nodes' parameters, which take 5 MB a camera."""
+
+
 class JobNode(OutletNode):
     """A node whose handler is a job of its camera's pipeline. Messages for other jobs of the pipeline are passed
-    directly, others go over DDS."""
+    directly, others go over DDS. `described`: whether other programs can ask for its parameters."""
 
-    def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
+    def __init__(self, spec: NodeSpec, camera: CameraPipeline, described: bool = True) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
         super().__init__(
             node_type,
@@ -44,6 +48,7 @@ class JobNode(OutletNode):
                 "namespace": spec.namespace,
                 "cli_args": [],
                 "use_global_arguments": False,
+                "start_parameter_services": described,
                 "parameter_overrides": [Parameter(name, value=value) for name, value in spec.parameters.items()],
             },
         )
@@ -197,7 +202,7 @@ class SiteProcess:
         made = _CameraNodes(nodes, CameraPipeline(say))
         try:
             for spec in specs:
-                nodes.append(JobNode(spec, made.pipeline))
+                nodes.append(JobNode(spec, made.pipeline, len(self._cameras) < DESCRIBED))
             made.pipeline.pipeline.start()
             for node in nodes:
                 node.subscribe(partial(self._scheduler.wake, made.pipeline))

@@ -10,14 +10,13 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.topodepth import FusedDepth, Fusion, FusionOutcome, FusionVerdict
+from ltm_core.depth.topodepth import FusedDepth, FusionOutcome, FusionVerdict
 from ltm_core.pipeline.frame import PosedImage
-from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
+from ltm_core.pipeline.fusing_step import FusedFrame, FusingConfig, FusingStep
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
-from ltm_core.vision.scene_view import SceneView
 from ltm_msgs_py.cells import msg_to_traced
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -114,33 +113,40 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         if labels is None:
             self.health.note("unlabelled")
         stamp, where = stamp_of(image), msg_to_pose(pose, "map")
-        found = self._step.fuse(
-            msg_to_depth(depth),
-            PosedImage(msg_to_rgb(image), msg_to_camera(info), where, stamp, self.config.camera),
-            None if labels is None else msg_to_array(labels, ("mono8",)),
-            msg_to_covariance(pose),
-        )
-        if found.trouble:
-            self.health.drop("network", found.trouble)
-        self._publish(found.fusion, stamp, found.view)
+
+        @cache
+        def found() -> FusedFrame:
+            fused = self._step.fuse(
+                msg_to_depth(depth),
+                PosedImage(msg_to_rgb(image), msg_to_camera(info), where, stamp, self.config.camera),
+                None if labels is None else msg_to_array(labels, ("mono8",)),
+                msg_to_covariance(pose),
+            )
+            if fused.trouble:
+                self.health.drop("network", fused.trouble)
+            return fused
+
+        self._publish(found, stamp)
+        fused_anyway = found.cache_info().currsize and found().fusion.settled
+        if fused_anyway or not 0 <= stamp - self._stated_ns < STATED_EVERY_NS:
+            outcome = found().fusion.outcome
+            self._state(outcome)
+            self._stated_ns = stamp if outcome.verdict is FusionVerdict.OK else -STATED_EVERY_NS
         self.outlet.acknowledge(FINISHED, stamp)
 
-    def _publish(self, fusion: Fusion, stamp: int, seen: SceneView) -> None:
-        """Publish what has subscribers. Only for them is the network fitted, and are pixels fused; for the status the
-        network is fitted from time to time."""
+    def _publish(self, found: Callable[[], FusedFrame], stamp: int) -> None:
+        """Publish what has subscribers. A frame without any is fused only for the status, from time to time."""
         frame = self._frame_id
-        self.outlet.provide(FUSED_INFO, stamp, lambda: self._info(fusion.fused, stamp))
-        if self.outlet.wanted(NETWORK_DEPTH) and (metres := fusion.outcome.network_depth()) is not None:
+        measured = cache(lambda: found().fusion.outcome.measured(found().view.doubtful))
+        fused = cache(lambda: found().fusion.fused)
+        self.outlet.provide(FUSED_INFO, stamp, lambda: self._info(fused(), stamp))
+        if self.outlet.wanted(NETWORK_DEPTH) and (metres := found().fusion.outcome.network_depth()) is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = cache(lambda: fusion.outcome.measured(seen.doubtful))
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
         self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
-        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fusion.fused.sigma, stamp, frame))
-        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fusion.fused.source, "mono8", stamp, frame))
-        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fusion.fused.depth, stamp, frame))
-        if fusion.settled or not 0 <= stamp - self._stated_ns < STATED_EVERY_NS:
-            self._state(fusion.outcome)
-            self._stated_ns = stamp if fusion.outcome.verdict is FusionVerdict.OK else -STATED_EVERY_NS
+        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused().sigma, stamp, frame))
+        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fused().source, "mono8", stamp, frame))
+        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused().depth, stamp, frame))
 
     def _info(self, fused: FusedDepth, stamp: int) -> Any:
         wrong = fused.verdict is not FusionVerdict.OK

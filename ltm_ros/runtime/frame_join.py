@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from pydantic import Field
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.strict_model import DescribedModel
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.geometry.camera import Camera
@@ -32,7 +32,7 @@ from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, camera_topic, im
 _FASTER = ", or with two stamps around it, at most 0.25 s apart; else set nodes.capture.pose_tolerance"
 
 
-class FrameJoinConfig(DescribedModel):
+class FrameJoinConfig(StrictModel):
     pose_tolerance: float = Field(0.0, ge=0)
     """Maximum difference in seconds between a pose's stamp and its image's. 0: a pose of equal stamp, or two around it,
     at most 0.25 s apart, to interpolate between."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from ltm_core.base.strict_model import DescribedModel
+from ltm_core.base.strict_model import StrictModel
 from ltm_ros.runtime.health import Health
 
 
@@ -32,7 +32,7 @@ class Topic:
         return self.usual_name or self.name
 
 
-class NodeConfig(DescribedModel):
+class NodeConfig(StrictModel):
     """Parameters of every node."""
 
     site: str

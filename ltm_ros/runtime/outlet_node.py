@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Set
 from dataclasses import replace
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import POSE_TYPES
@@ -204,8 +210,9 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
         if name not in ("use_sim_time", "start_type_description_service") and not name.startswith("qos_overrides.")
     }
     config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
+    texts = docstrings(model)
     for name, field in model.model_fields.items():
-        described = _descriptor(field)
+        described = _descriptor(field, texts.get(name, ""))
         if name in given:
             described.type = node.get_parameter(name).type_.value
             node.set_descriptor(name, described)
@@ -214,9 +221,22 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
     return config
 
 
-def _descriptor(field: FieldInfo) -> ParameterDescriptor:
+def docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings of a class's fields. Pydantic looks at the files of all loaded modules for that."""
+    found = {}
+    for owner in reversed(model.__mro__):
+        if issubclass(owner, StrictModel):
+            (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+            for field, text in itertools.pairwise(parsed.body if isinstance(parsed, ast.ClassDef) else ()):
+                match field, text:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as said)):
+                        found[name] = said
+    return found
+
+
+def _descriptor(field: FieldInfo, text: str) -> ParameterDescriptor:
     """Return description and limits of a parameter, as its configuration class states them."""
-    described = ParameterDescriptor(description=" ".join((field.description or "").split()), read_only=True)
+    described = ParameterDescriptor(description=" ".join(text.split()), read_only=True)
     low = [float(v) for one in field.metadata if (v := getattr(one, "ge", getattr(one, "gt", None))) is not None]
     high = [float(v) for one in field.metadata if (v := getattr(one, "le", getattr(one, "lt", None))) is not None]
     if (low or high) and field.annotation is int:

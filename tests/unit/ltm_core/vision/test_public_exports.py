@@ -95,7 +95,8 @@ def plane(values: Any) -> Float32Array:
 
 
 def close(found: Float32Array, expected: Float32Array) -> None:
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.nanmax(np.abs(expected)))
+    # Reduced photos may differ by one grey level.
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=4e-3 * np.nanmax(np.abs(expected)))
 
 
 SIGNATURES = {

@@ -5,6 +5,7 @@ from array import array
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -122,3 +123,10 @@ def test_an_image_that_may_change_is_reduced_each_time() -> None:
     np.testing.assert_array_equal(shrunk(pixels, 2, 2), 7)
     fixed = np.frombuffer(bytes(48), np.uint8).reshape(4, 4, 3)  # of memory whose end cannot be noticed
     assert shrunk(fixed, 2, 2) is not shrunk(fixed, 2, 2)
+
+
+@pytest.mark.parametrize("size", [(20, 12), (16, 9), (7, 5), (40, 24)])
+def test_an_image_is_reduced_by_the_area_of_its_pixels(size: tuple[int, int]) -> None:
+    photo = np.random.default_rng(5).integers(0, 256, (24, 40, 3), dtype=np.uint8)
+    expected = cv2.resize(photo.astype(np.float64), size, interpolation=cv2.INTER_AREA)
+    assert np.abs(shrunk(photo, *size) - expected).max() <= 0.5 + 1e-4
