@@ -77,7 +77,7 @@ def _video(folder: Path) -> list[bytes]:
 
 
 CAPTURE_FILES = (
-    Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip"), weight=2.0),
+    Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip")),
     Target("sensor_logger_json", "walk.json", _json, _read_json),
     Target("video", "a.mp4", _video, lambda folder: _read(folder, "a.mp4")),
     Target("subtitles", "a.srt", _srt, _read_srt, spoil_text),
