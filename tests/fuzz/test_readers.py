@@ -36,11 +36,15 @@ TARGETS = (
 )
 MINUTES = float(os.environ.get("LTM_FUZZ", 0))
 """In `make fuzz`, for all targets together: new cases. Else the same ones each time."""
-SLOW = {"fuel_models": 6, "fusion": 6, "node_topodepth": 6, "node_fuel_map": 6, "video": 8, "site": 8} | dict.fromkeys(
-    ("network", "node_terrain", "node_viewer"), 2
-)
-"""Targets of which `make test` runs fewer cases than `CASES`. The slow tests run four times as many after these."""
 CASES = 20
+CASES_OF = {
+    **dict.fromkeys(("photo_jpg", "photo_png", "photo_heic", "photo_progressive", "poses_csv", "control_points"), 60),
+    **dict.fromkeys(("npz", "node_capture", "node_segmentation"), 60),
+    **dict.fromkeys(("fuel_models", "fusion", "node_topodepth", "node_fuel_map"), 6),
+    **dict.fromkeys(("network", "node_terrain", "node_viewer"), 2),
+    **{"video": 8, "site": 8},
+}
+"""How many `make test` runs, by what they cost; the slow tests run four times as many after these."""
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -52,7 +56,7 @@ def test_no_error_but_ours(target: Target, part: str, tmp_path: Path) -> None:
     for whole in seeds:  # is taken, and what is compiled or imported once is not counted
         target.write(tmp_path, whole)
         target.read(tmp_path)
-    count = SLOW.get(target.name, CASES)
+    count = CASES_OF.get(target.name, CASES)
     numbers = iter(range(count) if part == "first" else range(count, 5 * count))
     if MINUTES:
         numbers = itertools.count(random.SystemRandom().randrange(1, 1 << 31))
