@@ -39,7 +39,7 @@ MINUTES = float(os.environ.get("LTM_FUZZ", 0))
 CASES = 20
 CASES_OF = {
     **dict.fromkeys(("photo_jpg", "photo_png", "photo_heic", "photo_progressive", "poses_csv", "control_points"), 60),
-    **dict.fromkeys(("npz", "node_capture", "node_segmentation"), 60),
+    **dict.fromkeys(("npz", "bag", "node_capture", "node_segmentation"), 60),
     **dict.fromkeys(("fuel_models", "fusion", "node_topodepth", "node_fuel_map"), 6),
     **dict.fromkeys(("network", "node_terrain", "node_viewer"), 2),
     **{"video": 8, "site": 8},
