@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
@@ -31,7 +32,7 @@ from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
-from ltm_ros.archive.task import Engine, serial, work
+from ltm_ros.archive.task import Engine, on_workers, serial, work
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
@@ -77,6 +78,24 @@ def test_any_chunks_give_the_map_of_the_offline_replay(options: ArchiveOptions, 
     assert (summary.worked, summary.merged, summary.failed) == (2 * FRAMES, 2 * FRAMES, 0)
     assert digest_of(options.out / STORE_FILE) == expected
     assert summary.tasks == 2 * 2
+
+
+@pytest.mark.slow
+def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected: str) -> None:
+    """With SIGKILL, as the kernel does it to those that take all memory; twice, at whatever they do then."""
+    killed = list[int]()
+
+    def kill_a_worker(done: int, total: int) -> None:
+        children = [
+            child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())
+        ]
+        if children and len(killed) < 2:
+            children[0].kill()
+            killed.append(children[0].pid)
+
+    planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
+    assert run(planned, on_workers(2), kill_a_worker).digest == expected
+    assert len(killed) == 2
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
@@ -416,6 +435,18 @@ def test_a_site_whose_poses_hang_on_the_order_of_frames_is_refused(own_site: Sma
     edited(own_site, lambda site: site.update(refine_poses={}))
     with pytest.raises(ArchiveError, match="refines poses"):
         look_through(ArchiveOptions((own_site.bag,), own_site.path, tmp_path / "out"), lambda done, total: None)
+
+
+def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> None:
+    command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
+    tried = CliRunner().invoke(cli, [*command, "--dry-run"], env={"COLUMNS": "160"})
+    assert tried.exit_code == 0, tried.output
+    assert "12 frames in 2 tasks" in tried.output
+    assert not (tmp_path / "out" / STORE_FILE).exists()
+    done = CliRunner().invoke(cli, [*command, "--workers", "0"], env={"COLUMNS": "160"})
+    assert done.exit_code == 0, done.output
+    assert "12 frames processed now, 12 in the map, 0 failed" in done.output
+    assert expected in done.output.replace("\n", "")
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scenes.small_site import BEGIN_NS, SmallSite
+from scenes.small_site import BEGIN_NS, NAME, SmallSite
 from scenes.terrain_frames import write_fusing_site
 from scenes.terrain_recording import LOOKS, TOWER_HOURS, write_block_recording
+from typer.testing import CliRunner
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.pipeline.site_surface import STORE_FILE as TERRAIN_FILE
@@ -25,6 +26,7 @@ from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.task import Engine, serial
+from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 DAY_NS = 86_400 * 10**9
@@ -159,6 +161,20 @@ def test_other_constants_of_fusion_measure_anew_and_leave_votes_alone(
     assert len({path.name for path in (options.out / "measured").iterdir()} - measured) == len(measured)
 
 
+@pytest.mark.slow
+def test_live_nodes_go_on_from_both_stores(
+    options: ArchiveOptions, small: SmallSite, expected: tuple[str, str]
+) -> None:
+    """They take none of their frames again, and the terrain tells the fuel map nothing that it does not know."""
+    out = options.out
+    summaries = run_offline(small.bag, small.path, ReplayOptions(state=out), lambda done, total: None)
+    for node in ("fuel_map", "terrain"):
+        assert summaries[f"/{NAME}/{node}"]["dropped.duplicate"] == str(FRAMES)
+    assert digests(out) == expected
+    with pytest.raises(ArchiveError, match="a node may have continued from it"):
+        reprocessed(options)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -172,3 +188,10 @@ def test_terrains_that_an_archive_cannot_work_are_refused(
 ) -> None:
     with pytest.raises(ArchiveError, match=said):
         look_through(replace(options, site=edited(small, "refused.yaml", change)), lambda done, total: None)
+
+
+def test_command_line(small: SmallSite, tmp_path: Path) -> None:
+    command = ["reprocess", str(small.bag), "--site", str(small.path), "--out", str(tmp_path / "out"), "--terrain"]
+    tried = CliRunner().invoke(cli, [*command, "--dry-run"], env={"COLUMNS": "160"})
+    assert tried.exit_code == 0, tried.output
+    assert "measured depth" in tried.output

@@ -16,6 +16,16 @@ import pytest
 TESTS = Path(__file__).parents[1]
 
 
+def run_on_own_disk(
+    program: Path, case: str, *arguments: Path | str, patience_s: float = 300.0, more: Mapping[str, str] | None = None
+) -> Any:
+    """What `case` of a program, which ends with `answer`, returns; `more`: variables of its environment.
+
+    Skips, with the reason, where nothing is mounted.
+    """
+    return run_on_own_disks(program, [case], *arguments, patience_s=patience_s, more=more)[case]
+
+
 def run_on_own_disks(
     program: Path,
     cases: Sequence[str],
@@ -23,11 +33,7 @@ def run_on_own_disks(
     patience_s: float = 300.0,
     more: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """What the cases of a program, which ends with `answer`, return, by their names: one after the other in one
-    process, each on a disk of its own. `more`: variables of its environment.
-
-    Skips, with the reason, where nothing is mounted.
-    """
+    """The same of several cases, one after the other in one process, each on a disk of its own."""
     if shutil.which("unshare") is None:
         pytest.skip("needs `unshare` for a file system of its own")
     alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
