@@ -100,12 +100,11 @@ test-all: $(VENV)/.installed-all $(FIRE)/.installed
 	$(BIN)/python -m pytest -m graph $(GRAPHS) -q --durations=20
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel $(UNITS) -q --durations=20
 
-# New cases each time; what fails is kept in out/fuzz, and printed with the command that repeats it.
+# New cases each time; what fails is printed with the command that repeats it.
 fuzz: MINUTES ?= 20
 fuzz: $(VENV)/.installed-dev
-	LTM_FUZZ=1 $(BIN)/python -m pytest tests/fuzz/test_converters.py tests/property \
-		tests/unit/ltm_ros/runtime/test_admission.py -n 2 -q
-	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign --minutes $(MINUTES)
+	LTM_FUZZ=$(MINUTES) $(BIN)/python -m pytest tests/fuzz tests/property tests/unit/ltm_ros/runtime/test_admission.py \
+		-n 2 -q
 
 # The graph of a small site: faults by chance, and what it has acknowledged is there at the end (SEED=N draws the same
 # ones); without faults: whether memory grows.

@@ -1,4 +1,4 @@
-"""Faults one after the other, and how long the graph takes to be whole again after each."""
+"""Faults one after the other, and how long the graph takes to be whole again after each; or none, for hours."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import contextlib
 import os
 import random
 import signal
-import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections import Counter
 from itertools import pairwise
 
-from chaos.acknowledgements import Acknowledgements
+import numpy as np
+from scipy.stats import theilslopes
+
 from chaos.cameras import CAMERAS
 from chaos.faults import Arena, Fault, draw_fault
-from chaos.heartbeats import Heartbeats
-from chaos.resources import waited_s
 from chaos.running_site import RUNNER
+from chaos.stage import PERIOD_S, Stage
 from ltm_lab.bench.process_usage import usage_of
 
 BACK_S = 15.0
@@ -33,158 +32,117 @@ PATIENCE_S = 90.0
 QUIET_S = (1.0, 5.0)
 """Between faults."""
 MOST_PSS_KB = 1 << 20
-MOST_MORE = {"descriptors": 32, "threads": 16}
-"""By which a process may have more of them at its end than when it was first whole."""
+EVERY_S = 5.0
+"""Between two samples of a soak."""
+A_MINUTE = 12
+"""Samples of which the median is taken: processes give back once a minute, by megabytes."""
+MOST_KB_A_MINUTE = 10.0
+JUDGED_MINUTES = 30.0
+"""From which on a soak is judged: a shorter one sees caches fill."""
 
 
-@dataclass
-class Outcome:
-    """What became of one fault. Seconds after its end; None: not within `PATIENCE_S`."""
-
-    fault: str
-    begun: float
-    lasted: float
-    cameras: dict[str, float | None] = field(default_factory=dict)
-    nodes: dict[str, float | None] = field(default_factory=dict)
-    waited: float = 0.0
-    """Of that, seconds for which a new process waited for a core, the longest of them: the machine has other work."""
-    gaps: dict[str, float] = field(default_factory=dict)
-    """Of cameras that it does not touch: longest time between two acknowledgements."""
-    pss_kb: dict[str, int] = field(default_factory=dict)
-    """The most that each process held until it was over."""
-    load: float = 0.0
-    """Processes that wanted a core of this machine over the last minute, on average: what delays may be due to."""
-    missed: list[str] = field(default_factory=list)
-    reports: dict[str, dict[str, str]] = field(default_factory=dict)
-    """What each node reported, when all was over, where something was missed."""
-
-
-class Sampler:
-    """Looks at the memory of all processes every two seconds."""
-
-    def __init__(self, arena: Arena) -> None:
-        self._arena = arena
-        self._peaks: dict[str, int] = {}
-        self._lock = threading.Lock()
-        self.sums: list[int] = []
-        """kB of PSS of all processes together."""
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="sampler", daemon=True)
-        self._thread.start()
-
-    def take_peaks(self) -> dict[str, int]:
-        """kB by process since the last call."""
-        with self._lock:
-            peaks, self._peaks = self._peaks, {}
-            return peaks
-
-    def stop(self) -> None:
-        self._stopping.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stopping.wait(2.0):
-            usage = usage_of(self._arena.site.processes())
-            with self._lock:
-                for label, one in usage.items():
-                    self._peaks[label] = max(one.pss, self._peaks.get(label, 0))
-            self.sums.append(sum(one.pss for one in usage.values()))
-
-
-class ChaosRun:
-    """Injects faults into a graph that is whole; `outcomes` says what became of each."""
-
-    def __init__(
-        self,
-        arena: Arena,
-        acknowledgements: Acknowledgements,
-        heartbeats: Heartbeats,
-        kinds: list[str],
-        rng: random.Random,
-        tell: Callable[[Outcome], None],
-        slack: float = 1.0,
-    ) -> None:
-        """`slack`: by which times may be longer, on a machine that has other work."""
-        self.outcomes: list[Outcome] = []
-        self._arena, self._acknowledgements, self._heartbeats = arena, acknowledgements, heartbeats
-        self._kinds, self._rng, self._tell = kinds, rng, tell
-        self._slack = slack
-        self._touched: tuple[str, ...] = ()
-        """Cameras that the fault before has touched."""
-        self._begun = time.monotonic()
-        self.sampler = Sampler(arena)
-
-    def run(self, minutes: float) -> None:
-        """Faults until the time is over."""
-        while time.monotonic() - self._begun < 60.0 * minutes:
-            fault = draw_fault(self._kinds, self._arena, self._rng)
-            self.outcomes.append(self._inject(fault))
-            self._tell(self.outcomes[-1])
-            time.sleep(self._rng.uniform(*QUIET_S))
-        self.sampler.stop()
-
-    def _inject(self, fault: Fault) -> Outcome:
-        former = self._arena.site.processes()
-        begun = time.monotonic()
-        missed = fault.act()
-        over = time.monotonic()
-        outcome = Outcome(fault.name, begun - self._begun, over - begun, missed=missed)
-        self._wait_back(fault, former, over, outcome)
-        whole = time.monotonic()
-        bounds = dict.fromkeys(outcome.cameras, BACK_S) | dict.fromkeys(outcome.nodes, REPORTS_S)
-        for name, seconds in (outcome.cameras | outcome.nodes).items():
-            if seconds is None or seconds > self._slack * (START_S if fault.whole_start else bounds[name]):
-                late = "never back" if seconds is None else f"back after {seconds:.1f} s"
-                outcome.missed.append(f"{name} {late}")
+def faults_for(minutes: float, stage: Stage, rng: random.Random, slack: float) -> list[str]:
+    """Faults by chance; what of them was not as it must be. `slack`: by which times may be longer."""
+    missed, touched = [], set[str]()
+    end = time.monotonic() + 60.0 * minutes
+    while time.monotonic() < end:
+        fault = draw_fault(Arena(stage.site, stage.cameras, stage.disks), rng)
         # Frames may wait for a node that was killed before, up to `finish_within`.
-        touched, self._touched = {*fault.touches, *self._touched}, fault.touches
-        for camera in [camera for camera in CAMERAS if camera not in touched]:
-            gap = outcome.gaps[camera] = self._longest_gap(camera, begun, whole)
-            if gap > self._slack * GAP_S + self._arena.cameras.period_s:
-                outcome.missed.append(f"{camera}, which is not touched, paused for {gap:.1f} s")
-        if not fault.whole_start:
-            now = self._arena.site.processes()
-            lasting = former.keys() & {*self._arena.site.nodes, RUNNER} - {*fault.restarts}
-            ended = [label for label in sorted(lasting) if now.get(label) != former[label]]
-            outcome.missed += [f"{label} was ended by it" for label in ended]
-        outcome.load = os.getloadavg()[0]
-        outcome.pss_kb = self.sampler.take_peaks()
-        outcome.missed += [f"{label} took {kb >> 10} MB" for label, kb in outcome.pss_kb.items() if kb > MOST_PSS_KB]
-        outcome.reports = self._heartbeats.said() if outcome.missed else {}
-        return outcome
+        untouched = [camera for camera in CAMERAS if camera not in touched | {*fault.touches}]
+        missed += [f"{fault.name}: {text}" for text in _inject(fault, stage, untouched, slack)]
+        touched = {*fault.touches}
+        time.sleep(rng.uniform(*QUIET_S))
+    return missed
 
-    def _wait_back(self, fault: Fault, former: dict[str, int], over: float, outcome: Outcome) -> None:
-        """Until frames sent after the fault are told of, and those that took the place of ended processes report."""
-        outcome.cameras = dict.fromkeys(CAMERAS)
-        nodes = list(self._arena.site.nodes) if fault.whole_start else list(fault.restarts)
-        outcome.nodes = dict.fromkeys(nodes)
-        while time.monotonic() < over + self._slack * PATIENCE_S:
-            for camera in [camera for camera, at in outcome.cameras.items() if at is None]:
-                outcome.cameras[camera] = self._back(camera, over)
-            processes = self._arena.site.processes()
-            for label in [label for label, at in outcome.nodes.items() if at is None]:
-                pid = processes.get(label)
-                if pid not in (None, former.get(label)) and self._heartbeats.since(label, over):
-                    outcome.nodes[label] = time.monotonic() - over
-                    outcome.waited = max(outcome.waited, waited_s(processes[label]))
-            if None not in (*outcome.cameras.values(), *outcome.nodes.values()):
-                return
-            time.sleep(0.4)
-        for label in nodes:
-            pid = self._arena.site.processes().get(label)
-            if pid is not None and pid == former.get(label):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
 
-    def _back(self, camera: str, over: float) -> float | None:
-        sent = [frame for frame in self._arena.cameras.sent_of(camera) if frame.at > over]
-        told = [self._acknowledgements.when(frame.stamp_ns) for frame in sent]
-        return min((at - over for at in told if at is not None), default=None)
+def _inject(fault: Fault, stage: Stage, untouched: list[str], slack: float) -> list[str]:
+    former, begun = stage.site.processes(), time.monotonic()
+    missed = fault.act()
+    over = time.monotonic()
+    nodes = stage.site.nodes if fault.whole_start else fault.restarts
+    bounds = dict.fromkeys(CAMERAS, BACK_S) | dict.fromkeys(nodes, REPORTS_S)
+    pss_kb: Counter[str] = Counter()
+    back = _wait_back(nodes, former, over, stage, slack, pss_kb)
+    missed += [
+        f"{name} is back after {seconds:.1f} s"
+        for name, seconds in back.items()
+        if seconds > slack * (START_S if fault.whole_start else bounds[name])
+    ]
+    whole = time.monotonic()
+    gaps = {camera: _longest_gap(stage, camera, begun, whole) for camera in untouched}
+    missed += [
+        f"{camera}, which is not touched, paused for {gap:.1f} s"
+        for camera, gap in gaps.items()
+        if gap > slack * GAP_S + PERIOD_S
+    ]
+    if not fault.whole_start:
+        now = stage.site.processes()
+        lasting = former.keys() & {*stage.site.nodes, RUNNER} - {*fault.restarts}
+        missed += [f"{label} was ended by it" for label in sorted(lasting) if now.get(label) != former[label]]
+    missed += [f"{label} took {kb >> 10} MB" for label, kb in pss_kb.items() if kb > MOST_PSS_KB]
+    waited = " ".join(f"{name} {seconds:.1f}" for name, seconds in back.items())
+    print(f"{fault.name:<44} s until back: {waited}; {max(pss_kb.values()) >> 10} MB", flush=True)
+    for text in missed:
+        print(f"  MISSED: {text}", stage.listener.latest, sep="\n", flush=True)
+    return missed
 
-    def _longest_gap(self, camera: str, begun: float, end: float) -> float:
-        """Between two acknowledgements of a camera, the last before `begun` and up to `end`."""
-        told = (self._acknowledgements.when(frame.stamp_ns) for frame in self._arena.cameras.sent_of(camera))
-        times = sorted(at for at in told if at is not None and at <= end)
-        before = [at for at in times if at < begun]
-        moments = [*before[-1:], *(at for at in times if at >= begun), end]
-        return max((later - earlier for earlier, later in pairwise(moments)), default=0.0)
+
+def _wait_back(
+    nodes: tuple[str, ...], former: dict[str, int], over: float, stage: Stage, slack: float, pss_kb: Counter[str]
+) -> dict[str, float]:
+    """Seconds until frames sent after the fault are told of, and those that took the place of ended processes report;
+    infinite: not within `PATIENCE_S`. `pss_kb`: takes the most that each process held meanwhile."""
+    back = dict.fromkeys((*CAMERAS, *nodes), float("inf"))
+    while time.monotonic() < over + slack * PATIENCE_S:
+        processes = stage.site.processes()
+        pss_kb |= Counter({label: one.pss for label, one in usage_of(processes).items()})
+        for name in [name for name, at in back.items() if at == float("inf")]:
+            if name in CAMERAS:
+                back[name] = min((at - over for at in _told(stage, name, over)), default=float("inf"))
+            elif processes.get(name) not in (None, former.get(name)) and stage.listener.reported_since(name, over):
+                back[name] = time.monotonic() - over
+        if max(back.values()) < float("inf"):
+            return back
+        time.sleep(0.4)
+    for name in nodes:
+        pid = stage.site.processes().get(name)
+        if pid is not None and pid == former.get(name):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+    return back
+
+
+def _told(stage: Stage, camera: str, sent_after: float) -> list[float]:
+    """When frames of a camera were told of first."""
+    told = stage.listener.told()
+    sent = [frame for frame in stage.cameras.sent_of(camera) if frame.at > sent_after]
+    return sorted(told[frame.stamp_ns][0] for frame in sent if frame.stamp_ns in told)
+
+
+def _longest_gap(stage: Stage, camera: str, begun: float, end: float) -> float:
+    """Between two acknowledgements of a camera, the last before `begun` and up to `end`."""
+    times = [at for at in _told(stage, camera, 0.0) if at <= end]
+    moments = [*[at for at in times if at < begun][-1:], *(at for at in times if at >= begun), end]
+    return max((later - earlier for earlier, later in pairwise(moments)), default=0.0)
+
+
+def soak_for(minutes: float, stage: Stage) -> list[str]:
+    """No faults: print by how much what each process has asked for (`Usage.own`) grows over the last two thirds, by
+    the slope of Theil and Sen, and say whether that is too much in sum."""
+    samples: list[dict[str, int]] = []
+    begun = time.monotonic()
+    while time.monotonic() - begun <= 60.0 * minutes:
+        samples.append({label: one.own for label, one in usage_of(stage.site.processes()).items()})
+        time.sleep(max(0.0, begun + EVERY_S * len(samples) - time.monotonic()))
+    settled = samples[len(samples) // 3 :]
+    lasting = sorted(set.intersection(*map(set, settled)))
+    size = A_MINUTE if len(settled) >= 2 * A_MINUTE else 1
+    series = {label: np.array([sample[label] for sample in settled], float) for label in lasting}
+    series["in sum"] = np.sum(list(series.values()), axis=0)
+    slope = 0.0
+    for label, kb in series.items():
+        minutely = np.median(kb[: len(kb) // size * size].reshape(-1, size), axis=1)
+        slope, _, low, high = theilslopes(minutely, np.arange(len(minutely)) * size * EVERY_S / 60.0)
+        print(f"  {label:<20}{slope:9.1f} kB a minute ({low:.1f} to {high:.1f}); {np.ptp(minutely):.0f} kB apart")
+    judged = minutes >= JUDGED_MINUTES and slope > MOST_KB_A_MINUTE
+    return [f"memory grows by {slope:.1f} kB a minute in sum"] if judged else []

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from chaos.cameras import CAMERAS, Cameras
-from chaos.running_site import RUNNER, RunningSite
+from chaos.running_site import RunningSite
 from chaos.stranger import ATTACKS, FLOODS
 from ltm_ros.launching.graph import CAMERAS_PROCESS
 
@@ -178,20 +178,18 @@ def attack(arena: Arena, rng: random.Random) -> Fault:
     return _strange(arena, rng, rng.choice(sorted(ATTACKS)), 0.0)
 
 
-FAULTS: dict[str, Draw] = {
-    draw.__name__.replace("_", "-"): draw
-    for draw in (
-        *(kill, terminate, hang, hesitate, kill_runner, fill_disk, step_clock, unknown_covariance),
-        *(repeat_frames, flood_frames, flood, attack),
-    )
+FAULTS: dict[Draw, int] = {
+    **{kill: 4, terminate: 1, hang: 3, hesitate: 1, kill_runner: 1, fill_disk: 2, step_clock: 1},
+    **{unknown_covariance: 1, repeat_frames: 1, flood_frames: 1, flood: 1, attack: 4},
 }
-_WEIGHTS = {"kill": 4, "hang": 3, "attack": 4, "fill-disk": 2}
+"""How often each is drawn."""
 
 
-def draw_fault(kinds: list[str], arena: Arena, rng: random.Random) -> Fault:
-    """One of these kinds by chance; kills, hangs and attacks, of which there are many, oftener."""
-    (kind,) = rng.choices(kinds, [_WEIGHTS.get(kind, 1) for kind in kinds])
-    return FAULTS[kind](arena, rng)
+def draw_fault(arena: Arena, rng: random.Random) -> Fault:
+    """One by chance; kills, hangs and attacks, of which there are many, oftener."""
+    kinds = {draw: weight for draw, weight in FAULTS.items() if arena.disks or draw is not fill_disk}
+    (draw,) = rng.choices([*kinds], [*kinds.values()])
+    return draw(arena, rng)
 
 
 def _node(arena: Arena, rng: random.Random) -> str:
@@ -230,6 +228,3 @@ def _strange(arena: Arena, rng: random.Random, name: str, seconds: float) -> Fau
 
     how = f"flood of {name} {seconds:.0f} s at" if seconds else f"{name} at"
     return Fault(f"{how} {camera}", act, (camera,))
-
-
-__all__ = ["FAULTS", "RUNNER", "Arena", "Fault", "draw_fault"]

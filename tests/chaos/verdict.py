@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,26 +32,6 @@ _ALWAYS = 2**62
 _FIRST_NS = 1_700_000_000_000_000_000
 
 
-@dataclass
-class Verdict:
-    """Of frames, their stamps. All but `untold` must be empty."""
-
-    sent: int = 0
-    stored: int = 0
-    told: int = 0
-    lost: list[int] = field(default_factory=list)
-    """Told of, and not in the store."""
-    told_twice: list[int] = field(default_factory=list)
-    untold: list[int] = field(default_factory=list)
-    """In the store, and never told of: the node was killed between the two. They may be sent again."""
-    faults: list[str] = field(default_factory=list)
-    """Whatever else is not as it must be."""
-
-    @property
-    def holds(self) -> bool:
-        return not (self.lost or self.told_twice or self.faults)
-
-
 def votes_of_phases(small: SmallSite, photos: Photos) -> dict[tuple[str, int], Any]:
     """What the cameras' nodes make of each frame, offline, without DDS: by camera and phase."""
     whole = describe(small.site, small.path)
@@ -77,47 +56,40 @@ def votes_of_phases(small: SmallSite, photos: Photos) -> dict[tuple[str, int], A
 
 
 def judge(
-    small: SmallSite,
-    state: Path,
-    sent: Sequence[Sent],
-    told: Mapping[int, int],
-    votes: Mapping[tuple[str, int], Any],
-) -> Verdict:
+    small: SmallSite, state: Path, sent: Sequence[Sent], told: Mapping[int, Sequence[float]], photos: Photos
+) -> list[str]:
     """Compare the store in the folder `state`, after the graph has stopped, with what was sent and told of.
 
-    `told`: how often each stamp was told of. `votes`: of each camera and phase, see `votes_of_phases`.
+    `told`: when each stamp was told of. A frame may be in the store and never told of: the node was killed between the
+    two, and it may be sent again.
     """
     site = small.site
-    labels = LabelSet.load(config_path(site.labels))
-    grid = site.fuel_geometry(small.dem)
-    found = site_evidence_map(site, grid, labels)
+    found = site_evidence_map(site, site.fuel_geometry(small.dem), LabelSet.load(config_path(site.labels)))
     initial = found.layers()
-    verdict = Verdict(sent=len(sent), told=len(told))
     known = {frame.stamp_ns for frame in sent}
-    verdict.faults += [f"told of {stamp} ns, which nobody sent" for stamp in told if stamp not in known]
-    verdict.told_twice = [stamp for stamp, times in told.items() if times > 1]
+    missed = [f"told of {stamp} ns, which nobody sent" for stamp in told if stamp not in known]
+    missed += [f"told twice of {stamp} ns" for stamp, times in told.items() if len(times) > 1]
     with open_stored_map(state / STORE_FILE, site, found) as store:
         stored = [frame for frame in sent if store.counted(frame.camera, frame.stamp_ns)]
-        verdict.stored = store.frame_count()
-        if verdict.stored != len(stored):
-            verdict.faults.append(f"{verdict.stored} frames in the store, {len(stored)} of them were sent")
-        if store.waiting():
-            verdict.faults.append("frames wait in the store after the node has stopped in order")
         kept = {frame.stamp_ns for frame in stored}
-        verdict.lost = [stamp for stamp in told if stamp in known - kept]
-        verdict.untold = sorted(kept - told.keys())
-        expected = _map_of(small, stored, votes).persistence.map
+        print(f"{len(sent)} frames sent, {len(stored)} in the store, {len(told)} told of")
+        missed += [f"{stamp} ns was told of, and is lost" for stamp in told if stamp in known - kept]
+        if (count := store.frame_count()) != len(stored):
+            missed.append(f"{count} frames in the store, {len(stored)} of them were sent")
+        if store.waiting():
+            missed.append("frames wait in the store after the node has stopped in order")
+        expected = _map_of(small, stored, votes_of_phases(small, photos)).persistence.map
         for key in np.ndindex(expected.tiles):
             has, wants = found.tile_state(key), expected.tile_state(key)
-            verdict.faults += [
+            missed += [
                 f"tile {key}: {name} differs" for name in EVIDENCE_FIELDS if not np.array_equal(has[name], wants[name])
             ]
         shown = expected.layers()
         for layer in JOURNALED:
             journal = store.as_of(layer, getattr(initial, layer), _ALWAYS)
             if differing := int(np.count_nonzero(journal != getattr(shown, layer))):
-                verdict.faults.append(f"{layer} of {differing} cells differs from the map of the frames in the store")
-    return verdict
+                missed.append(f"{layer} of {differing} cells differs from the map of the frames in the store")
+    return missed
 
 
 def _map_of(small: SmallSite, frames: Sequence[Sent], votes: Mapping[tuple[str, int], Any]) -> FuelMapHandler:

@@ -132,6 +132,6 @@ def _read_picture(folder: Path) -> None:
 
 
 BAG_FILES = (
-    Target("bag", "a.mcap", _bags, _read_bag, _spoil_bag, weight=3.0),
+    Target("bag", "a.mcap", _bags, _read_bag, _spoil_bag),
     Target("cdr", "picture.cdr", _pictures, _read_picture),
 )

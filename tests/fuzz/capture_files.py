@@ -34,4 +34,4 @@ def _read(folder: Path, name: str) -> None:
         picture.read()
 
 
-CAPTURE_FILES = (Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip"), weight=2.0),)
+CAPTURE_FILES = (Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip")),)

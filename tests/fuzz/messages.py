@@ -124,8 +124,8 @@ class Play:
     name: str
     prepare: Callable[[Path], tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]]
 
-    def target(self, weight: float) -> Target:
-        return Target(f"node_{self.name}", "script.json", self.seeds, self.read, self.spoil, weight)
+    def target(self) -> Target:
+        return Target(f"node_{self.name}", "script.json", self.seeds, self.read, self.spoil)
 
     def seeds(self, folder: Path) -> list[bytes]:
         return [_script(_prepared(self, folder)[1])]
@@ -394,19 +394,17 @@ def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
 
 
 MESSAGES = (
-    Play("capture", _play(_capture, {"camera_info": "info", "pose": "pose", "image_raw/compressed": "jpeg"})).target(
-        3.0
-    ),
+    Play("capture", _play(_capture, {"camera_info": "info", "pose": "pose", "image_raw/compressed": "jpeg"})).target(),
     Play(
         "capture_sensors",
         _play(_capture_sensors, {"camera_info": "info", "fix": "fix", "imu": "imu", "image_raw/compressed": "jpeg"}),
-    ).target(1.5),
+    ).target(),
     Play(
         "depth",
         _play(
             _depth, {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"}
         ),
-    ).target(1.5),
+    ).target(),
     Play(
         "fuel_votes",
         _play(
@@ -419,14 +417,14 @@ MESSAGES = (
                 "posed/pose": "pose",
             },
         ),
-    ).target(1.5),
+    ).target(),
     Play(
         "segmentation",
         _play(_kept(_segmentation), {"posed/image": "photo", "posed/camera_info": "info", "posed/pose": "pose"}),
-    ).target(1.0),
-    Play("topodepth", _play(_topodepth, _FUSED)).target(1.5),
-    Play("fuel_map", _fuel_map).target(2.0),
-    Play("terrain", _terrain).target(1.5),
-    Play("locate", _locate).target(1.5),
-    Play("viewer", _viewer).target(1.0),
+    ).target(),
+    Play("topodepth", _play(_topodepth, _FUSED)).target(),
+    Play("fuel_map", _fuel_map).target(),
+    Play("terrain", _terrain).target(),
+    Play("locate", _locate).target(),
+    Play("viewer", _viewer).target(),
 )

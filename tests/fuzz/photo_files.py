@@ -55,9 +55,7 @@ def _read_photo(folder: Path, name: str) -> None:
 
 
 def _photo(suffix: str, seeds: Callable[[Path], list[bytes]]) -> Target:
-    return Target(
-        f"photo_{suffix}", f"a.{suffix}", seeds, lambda folder: _read_photo(folder, f"a.{suffix}"), weight=2.0
-    )
+    return Target(f"photo_{suffix}", f"a.{suffix}", seeds, lambda folder: _read_photo(folder, f"a.{suffix}"))
 
 
 _XMP = (

@@ -116,7 +116,7 @@ def _barriers(folder: Path) -> list[bytes]:
 
 
 RASTER_FILES = (
-    Target("dem_tif", "dem.tif", _dems, _read_dem("dem.tif"), weight=2.0),
+    Target("dem_tif", "dem.tif", _dems, _read_dem("dem.tif")),
     Target("dem_asc", "dem.asc", _ascii, _read_dem("dem.asc")),
     Target("prior_tif", "prior.tif", lambda folder: [_codes(1), _codes(8)], _read_prior("prior.tif")),
     Target("prior_lcp", "prior.lcp", _lcp, _read_prior("prior.lcp")),

@@ -147,4 +147,4 @@ def _spoil_row(rng: random.Random, database: sqlite3.Connection) -> None:
         database.execute(f"UPDATE {table} SET {column} = ?", (value,))
 
 
-STORE_FILES = (Target("store", "fuel_map.ltm", _stores, _read_store, _spoil_store, weight=3.0),)
+STORE_FILES = (Target("store", "fuel_map.ltm", _stores, _read_store, _spoil_store),)

