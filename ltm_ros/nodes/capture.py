@@ -4,13 +4,10 @@ stamp, as many as these can process."""
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
-
-from pydantic import Field
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
@@ -20,8 +17,8 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
-from ltm_msgs_py.stamp import stamp_of, time_to_ns
-from ltm_ros.runtime.admission import Admission, RepeatCheck
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -29,7 +26,6 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import StampCheck, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
-    FINISHED,
     POSE,
     POSE_CORRECTION,
     POSE_INFO,
@@ -48,22 +44,9 @@ AHEAD_NS = 10**10
 
 
 class CaptureConfig(NodeConfig, FrameJoinConfig):
-    in_flight: int = Field(2, ge=1)
-    """Maximum number of frames in flight in the camera's nodes: one is labelled while another is fused."""
-    finish_within: float = Field(10.0, gt=0)
-    """Seconds without a finished frame after which a node with frames is no longer waited for, until it
-    finishes one."""
     shed: bool = True
-    """Whether older queued frames are dropped while the maximum is in flight, so that only the newest waits. False, as
-    in a replay: all wait in order, up to `waiting_bytes` of the site's limits."""
-
-
-def _view_of(frame: JoinedFrame) -> Hashable:
-    """Return the viewing direction of a frame, in steps of a quarter of the field of view."""
-    camera, axis = frame.camera, frame.pose.rotation[:, 2]
-    step = math.atan2(camera.width, 2 * camera.fx) / 2
-    azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
-    return round(azimuth / step), round(pitch / step)
+    """Whether older queued frames are dropped, so that only the newest waits. False, as in a replay: all wait in order,
+    up to `waiting_bytes` of the site's limits."""
 
 
 def _is_raw(image: Any) -> bool:
@@ -72,7 +55,7 @@ def _is_raw(image: Any) -> bool:
 
 class CaptureHandler(Handler[CaptureConfig]):
     """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
-    room for it (`Admission`)."""
+    finished the previous one (`Admission`)."""
 
     publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, POSED_FIX)
 
@@ -91,19 +74,15 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._correction: PoseCorrection | None = None
         self._correction_parts: dict[Topic, Any] = {}
         """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
-        self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
+        self._stamps, self._digest = StampCheck(outlet.now_ns, health), ""
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
             self._send,
-            lambda: outlet.workers(FINISHED),
             health,
-            config.in_flight,
-            config.finish_within,
             config.shed,
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
             outlet.more_waits,
-            _view_of,
         )
         self._newest = -1
         self._takes_raw = False
@@ -111,7 +90,6 @@ class CaptureHandler(Handler[CaptureConfig]):
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         topics: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
-        topics[FINISHED] = self.on_finished
         if self._refines:
             topics |= {topic: partial(self.on_correction, topic) for topic in (POSE_CORRECTION, POSE_INFO)}
         others = dict(self._join.others)
@@ -142,16 +120,14 @@ class CaptureHandler(Handler[CaptureConfig]):
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
-        if (
-            self.config.drop_repeated
-            and not known
-            and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest())
-        ):
-            self.health.drop(
-                "repeated",
-                f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen",
-            )
-            return
+        if self.config.drop_repeated and not known:
+            # Sensor noise makes working cameras' images differ.
+            digest = hashlib.blake2b(message.data).hexdigest()
+            repeated, self._digest = digest == self._digest, digest
+            if repeated:
+                why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
+                self.health.drop("repeated", why)
+                return
         self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
         self._join.add_image(stamp, message)
 
@@ -171,15 +147,11 @@ class CaptureHandler(Handler[CaptureConfig]):
         if len(parts) == 2 and len({stamp_of(part) for part in parts.values()}) == 1:
             self._correction = msgs_to_correction(parts[POSE_CORRECTION], parts[POSE_INFO])
 
-    def on_finished(self, message: Any) -> None:
-        self._admission.finished(message.frame_id, time_to_ns(message.stamp))
-
     def idle(self) -> None:
-        self._admission.idle(self.outlet.prompt_workers(FINISHED))
+        self._admission.idle()
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
-        self._admission.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()

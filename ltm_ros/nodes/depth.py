@@ -25,7 +25,6 @@ from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     DEPTH_INFO,
-    FINISHED,
     GROUND_DEPTH,
     POSED_CAMERA_INFO,
     POSED_POSE,
@@ -45,7 +44,6 @@ class DepthHandler(Handler[DepthConfig]):
     """Traces the terrain for each calibration and pose; uses no image."""
 
     publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
-    acknowledgements = (FINISHED,)
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -105,7 +103,6 @@ class DepthHandler(Handler[DepthConfig]):
             self.outlet.provide(DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
         for name, count in asdict(self._step.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
-        self.outlet.acknowledge(FINISHED, stamp)
 
 
 NODE = NodeType("depth", DepthConfig, DepthHandler)

@@ -25,7 +25,6 @@ from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
-    FINISHED,
     FUEL_VOTES,
     LABELS_CONFIDENCE,
     LABELS_IMAGE,
@@ -35,7 +34,6 @@ from ltm_ros.runtime.topics import (
 
 class FuelVotesHandler(Handler[JoinConfig]):
     publications = (FUEL_VOTES,)
-    acknowledgements = (FINISHED,)
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -83,7 +81,6 @@ class FuelVotesHandler(Handler[JoinConfig]):
             if pixels:
                 self.health.gauge(f"withdrawn.{name}", pixels)
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
-        self.outlet.acknowledge(FINISHED, stamp_of(depth))
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)

@@ -21,7 +21,6 @@ from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
-    FINISHED,
     LABELS_CONFIDENCE,
     LABELS_HEAT,
     LABELS_IMAGE,
@@ -42,7 +41,6 @@ class SegmentationHandler(Handler[SegmentationConfig]):
     """Labels images; uses their poses only if the camera has masks of single views."""
 
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_HEAT, LABELS_INFO)
-    acknowledgements = (FINISHED,)
 
     def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -87,7 +85,6 @@ class SegmentationHandler(Handler[SegmentationConfig]):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
         if self.outlet.wanted(LABELS_HEAT) and (heat := self._step.heat(msg_to_rgb(message), view)) is not None:
             self.outlet.publish(LABELS_HEAT, image_to_msg(heat, "mono8", stamp, frame_id))
-        self.outlet.acknowledge(FINISHED, stamp)
 
 
 NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)

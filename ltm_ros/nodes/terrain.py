@@ -30,7 +30,6 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, JoinConfig, Part, StampCheck, StampJoin
 from ltm_ros.runtime.topics import (
-    FINISHED,
     LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
@@ -106,7 +105,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             )
             for camera in site.cameras
         }
-        self.acknowledgements = tuple(self._of(camera, FINISHED) for camera in site.cameras)
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
@@ -225,7 +223,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self.health.note("tiles_left_out")
         if added.registration is not None:
             self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
-        self.outlet.acknowledge(self._of(camera, FINISHED), stamp)
 
     def _store_what_is_due(self) -> None:
         """Store due frames. Without the disk, they stay in memory and are tried again."""

@@ -31,7 +31,6 @@ from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     DEPTH_INFO,
-    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -68,7 +67,6 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
     publications = (
         FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
     )  # fmt: skip
-    acknowledgements = (FINISHED,)
 
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -123,7 +121,6 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         if found.trouble:
             self.health.drop("network", found.trouble)
         self._publish(found.fusion, stamp, found.view)
-        self.outlet.acknowledge(FINISHED, stamp)
 
     def _publish(self, fusion: Fusion, stamp: int, seen: SceneView) -> None:
         """Publish what has subscribers. Only for them is the network fitted, and are pixels fused; for the status the

@@ -17,7 +17,6 @@ from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import Activity, Heartbeat
 from ltm_ros.runtime.pipeline import Job, Pipeline
-from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.stamp_join import data_bytes
 
 
@@ -113,8 +112,8 @@ class CameraPipeline:
     """Messages from other processes wait for the camera's turn (`FrameScheduler`). A turn first handles all of them, so
     that the newest frame is known; then one frame is admitted and runs through all jobs.
 
-    The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`), and
-    the job's handler is recreated; if that fails, the job is skipped and tried again later.
+    The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`); the
+    other frames and cameras continue.
 
     Args: say: takes a job's name and a line for its log."""
 
@@ -128,8 +127,6 @@ class CameraPipeline:
         """Whether handlers get further messages before `idle`."""
         self._closing = False
         self._activity = Activity("start")
-        self._broken: dict[str, Backoff] = {}
-        """Jobs whose handlers could not be recreated."""
         self._waited = 0.0
         """Seconds not yet passed on to the handlers."""
 
@@ -139,8 +136,8 @@ class CameraPipeline:
 
     @property
     def waiting(self) -> int:
-        """Return the number of messages in the inbox."""
-        return len(self._inbox)
+        """Return the number of messages in the inbox and in work."""
+        return len(self._inbox) + (not self._taking)
 
     def offer(self, job: Job, topic: Topic, message: Any) -> None:
         """Queue a message for the next turn; thread-safe. Raises queue.Full without room."""
@@ -166,9 +163,9 @@ class CameraPipeline:
             return False
         self._taking = False
         self.pipeline.idle()
-        self._taking = True
         let_in = not self.pipeline.empty
         self.pipeline.drain()
+        self._taking = True
         return let_in
 
     def stop_admitting(self) -> None:
@@ -193,20 +190,11 @@ class CameraPipeline:
             waited, self._waited = self._waited, 0.0
         if not waited:
             return
-        for name, pace in list(self._broken.items()):
-            pace.passed(waited)
-            if pace.due:
-                self._renew(self.pipeline.jobs[name], pace)
         for job in self.pipeline.jobs.values():
             self._run(job, lambda j=job: j.handler.tick(waited), "", None)  # type: ignore[misc]
             self.pipeline.drain()
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
-        if job.name in self._broken:
-            if message is not None:
-                job.health.drop("down", f"{job.name} could not be restarted after an internal error; see the log")
-                self._drop_frame(job, message)
-            return
         began, used, results = time.perf_counter(), time.thread_time(), job.health.results
         self._activity.begin(f"{job.name}: {type(message).__name__ if topic else 'tick'}")
         try:
@@ -225,29 +213,8 @@ class CameraPipeline:
 
     def _crashed(self, job: Job, message: Any, error: Exception) -> None:
         sys.excepthook(*sys.exc_info())
-        job.health.drop(
-            CRASHED, f"{error!r}: internal error; the frame is dropped and {job.name} is restarted; see the log"
-        )
-        self._drop_frame(job, message)
-        self._renew(job, Backoff())
-
-    def _drop_frame(self, job: Job, message: Any) -> None:
-        """Drop a frame everywhere, so that no job waits for the results of `job`."""
+        job.health.drop(CRASHED, f"{error!r}: internal error; the frame is dropped; see the log")
         self.pipeline.clear()
         if hasattr(message, "header"):
-            stamp = stamp_of(message)
-            for other in self.pipeline.jobs.values():
-                if other is not job and other.name not in self._broken:
-                    other.handler.discard(stamp)
-
-    def _renew(self, job: Job, pace: Backoff) -> None:
-        try:
-            job.renew()
-            job.handler.start()
-        except Exception:
-            sys.excepthook(*sys.exc_info())
-            pace.failed()
-            self._broken[job.name] = pace
-        else:
-            self._broken.pop(job.name, None)
-            self.pipeline.remind(job)
+            for other in self.pipeline.jobs.values():  # so that none waits for the results of `job`
+                other.handler.discard(stamp_of(message))

@@ -5,7 +5,7 @@ so that a recording gives the tower's results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -63,19 +63,6 @@ class Outlet(Protocol):
         """Return the graph's time for checking stamps: ROS time, or the recording's; 0 before it begins."""
         ...
 
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Report that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
-        ...
-
-    def workers(self, topic: Topic) -> Set[str]:
-        """Return the full names of the nodes that acknowledge frames on a topic, as known now; none if frames are fed
-        one by one."""
-        ...
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Return those of `workers` that are done with earlier frames by the next `idle`: nodes in this process."""
-        ...
-
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)
 
@@ -87,8 +74,6 @@ class Handler(Generic[ConfigT]):
     counted by cause, and the node continues."""
 
     publications: Sequence[Topic] = ()
-    acknowledgements: Sequence[Topic] = ()
-    """Topic on which this node reports finished frames, so that no more are admitted than it can process; live only."""
 
     def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
         self.config = config

@@ -81,9 +81,6 @@ class HandlerNode(OutletNode):
             self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
-        # After the subscriptions: a node that is known to acknowledge frames must also receive them.
-        for topic in self.handler.acknowledgements:
-            self.open(topic)
         self._diagnostics = DiagnosticsPublisher(
             self, {self.get_fully_qualified_name(): self.health}, self.config.camera
         )

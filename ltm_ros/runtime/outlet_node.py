@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import POSE_TYPES
-from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
@@ -82,23 +82,6 @@ class OutletNode(Node):  # type: ignore[misc]
     def now_ns(self) -> int:
         """Implement Outlet."""
         return int(self.get_clock().now().nanoseconds)
-
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Implement Outlet."""
-        self.send(topic, self.acknowledgement(stamp_ns))
-
-    def workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        ends = self.get_publishers_info_by_topic(topic.name)
-        # DDS does not know the name of a new endpoint yet.
-        return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        return frozenset()
-
-    def acknowledgement(self, stamp_ns: int) -> Any:
-        return make_header(stamp_ns, self.get_fully_qualified_name())
 
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""

@@ -245,7 +245,7 @@ class TowerWatch:
             why=why,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
-            finished=int(capture.number("finished") or 0) if capture else 0,
+            finished=int(capture.number("frames_out") or 0) if capture else 0,
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,

@@ -136,7 +136,6 @@ class ChaosRun:
             if seconds is None or seconds > self._slack * (START_S if fault.whole_start else bounds[name]):
                 late = "never back" if seconds is None else f"back after {seconds:.1f} s"
                 outcome.missed.append(f"{name} {late}")
-        # Frames may wait for a node that was killed before, up to `finish_within`.
         touched, self._touched = {*fault.touches, *self._touched}, fault.touches
         for camera in [camera for camera in CAMERAS if camera not in touched]:
             gap = outcome.gaps[camera] = self._longest_gap(camera, begun, whole)

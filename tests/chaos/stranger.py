@@ -193,15 +193,6 @@ class Stranger:
                     spoilt[self.rng.randrange(12, len(spoilt))] = self.rng.randrange(256)
                 yield topic, bytes(spoilt)
 
-    def forged_finished(self) -> Messages:
-        """Frames that nodes are said to have finished: nodes that are none, thousands of them, and true ones."""
-        names = ["", "A" * 1_000_000, "../..", *(f"/{NAME}/{self.camera}/node{number}" for number in range(3000))]
-        names += [f"/{NAME}/{self.camera}/{kind}" for kind in ("depth", "segmentation", "topodepth", "fuel_votes")]
-        for name in names:
-            yield topics.FINISHED, make_header(self.stamp() - 60 * 10**9, name)
-        for stamp in (0, self.stamp() + 3600 * 10**9, 2**31 * 10**9 - 1):
-            yield topics.FINISHED, make_header(stamp, f"/{NAME}/{self.camera}/depth")
-
     def site_topics(self) -> Messages:
         """What the site's nodes take besides: questions, regions, changes of the surface."""
         for x, frame in ((float("nan"), "map"), (1e300, "map"), (-1.0, "map"), (5.0, "odom")):
@@ -279,7 +270,6 @@ ATTACKS: dict[str, Callable[[Stranger], Messages]] = {
     "forged votes": Stranger.forged_votes,
     "hostile strings": Stranger.hostile_strings,
     "noise": Stranger.noise,
-    "forged finished": Stranger.forged_finished,
     "site topics": Stranger.site_topics,
 }
 FLOODS: dict[str, Callable[[Stranger], Messages]] = {

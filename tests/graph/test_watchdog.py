@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from bystander import Bystander
@@ -56,7 +56,7 @@ class Talker(Handler[NodeConfig]):
     publications = (HEARD,)
 
     def tick(self, waited: float) -> None:
-        self.outlet.acknowledge(HEARD, 0)
+        cast(Any, self.outlet).send(HEARD, Header())
 
 
 def made(config: NodeConfig, outlet: Outlet, health: Health) -> Handler[NodeConfig]:

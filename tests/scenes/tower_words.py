@@ -30,7 +30,6 @@ def healths() -> dict[str, Health]:
     for camera, age_s, shed in (("north", 4.5, 3), ("east", 700.25, 11)):
         capture, judge = made[f"/ridge/{camera}/capture"], made[f"/ridge/{camera}/topodepth"]
         capture.gauge("newest_stamp", f"{NOW_S - age_s:.3f}")
-        capture.gauge("finished", 5 + shed)
         capture.gauge("waiting", 2)
         capture.drop("shed", "more come than can be done", shed)
         capture.drop("no_pose", "publish one", 2)
