@@ -87,8 +87,10 @@ def write_update_site(folder: Path, scene: HillsideScene, looks: int, seed: int,
         "surface": {"path": "surface.tif"},
         # The noise is normal, and mostly new in each frame: see `hillside_scenes.Noise`.
         "terrain": {"trace_confirmed": True},
-        "processes": processes,
-        "expert": {"terrain": {"repeated_error_share": conditions.noise.repeats, "alone": 3.0}},
+        "expert": {
+            "processes": processes,
+            "terrain": {"repeated_error_share": conditions.noise.repeats, "alone": 3.0},
+        },
         "nodes": {"terrain": {"folder": "kept", "depth_from_elsewhere": True, "max_behind": _MAX_BEHIND_S}},
         "cameras": {name: {} for name in TOWERS},
     }

@@ -237,15 +237,11 @@ def _print_found(console: Console, found: Found) -> None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
     if found.ptz is not None:
-        reading, limits = found.ptz.reading, found.ptz.limits
-
-        def ends(span: tuple[float, float] | None, unit: str) -> str:
-            return "limits not reported" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
-
+        reading = found.ptz.reading
         row("PTZ protocol", " ".join(str(value) for value in found.ptz.config.values()))
-        rows.append(("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}"))
-        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}"))
-        rows.append(("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}"))
+        rows.append(("pan", f"{reading.pan_deg:.2f} deg"))
+        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
+        rows.append(("zoom", f"{reading.zoom:g}"))
         row("presets", ", ".join(found.ptz.presets) or "none")
     for what, told in found.tried:
         rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))

@@ -103,7 +103,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
     sync = {True: "synchronised", False: "not synchronised (no NTP)", None: "synchronisation unknown"}[
         said["clock"]["synchronised"]
     ]
-    console.print(escape(f"clock {sync}, stepped {said['clock_steps']} times; {kept}"), highlight=False)
+    console.print(escape(f"clock {sync}; {kept}"), highlight=False)
     console.print(
         escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available; {used}"),
         highlight=False,

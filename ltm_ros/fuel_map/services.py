@@ -109,8 +109,6 @@ class FuelMapConfig(NodeConfig):
     Never set by a message."""
     export_path: str = ""
     """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
-    accept_unknown_cameras: bool = False
-    """Whether to count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
     allow_clear_and_burn: bool = False
     """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
     map's evidence."""

@@ -53,8 +53,8 @@ class JobNode(OutletNode):
         self._camera, self._pipeline = camera, camera.pipeline
         handler = node_type.handler(self.config, self, self.health)
         self.job = Job(spec.full_name, spec.namespace, self.health, handler)
-        if handler.services or handler.discoverable:
-            raise ConfigError(f"{spec.label}: a node with services or topics by pattern needs a process of its own")
+        if handler.services:
+            raise ConfigError(f"{spec.label}: a node with services needs a process of its own")
         for topic in handler.publications:
             self.open(topic)
         self._pipeline.add(self.job)
@@ -63,7 +63,7 @@ class JobNode(OutletNode):
         """Subscribe over DDS to topics that no job of the pipeline publishes; call it after all jobs are added."""
         for topic in self.job.callbacks:
             if not self._pipeline.made_here(self.job.topic(topic)):
-                self.listen(topic, topic.name, partial(self._offer, wake, topic))
+                self.listen(topic, partial(self._offer, wake, topic))
 
     def publish(self, topic: Topic, message: Any) -> None:
         """Implement Outlet."""
@@ -160,7 +160,11 @@ class SiteProcess:
             if str(error) != before:
                 if not isinstance(error, LtmError):
                     sys.excepthook(*sys.exc_info())
-                print(f"{namespace}: cannot start: {str(error) or repr(error)}; retrying later", file=sys.stderr, flush=True)
+                print(
+                    f"{namespace}: cannot start: {str(error) or repr(error)}; retrying later",
+                    file=sys.stderr,
+                    flush=True,
+                )
             return False
         return True
 
@@ -200,7 +204,6 @@ class SiteProcess:
                 print(f"{namespace}: started", file=sys.stderr, flush=True)
         for node in self._members:
             node.state_listeners()
-        self._members[0].look_at_clock()
         for camera in self._cameras:
             next(iter(camera.pipeline.jobs.values())).health.gauge("queue", camera.waiting)
             camera.tick(waited)

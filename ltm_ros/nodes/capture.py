@@ -18,7 +18,7 @@ from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, 
 from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.admission import Admission
+from ltm_ros.runtime.admission import Admission, RepeatCheck
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -74,7 +74,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._correction: PoseCorrection | None = None
         self._correction_parts: dict[Topic, Any] = {}
         """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
-        self._stamps, self._digest = StampCheck(outlet.now_ns, health), ""
+        self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
             self._send,
@@ -120,14 +120,11 @@ class CaptureHandler(Handler[CaptureConfig]):
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
-        if self.config.drop_repeated and not known:
-            # Sensor noise makes working cameras' images differ.
-            digest = hashlib.blake2b(message.data).hexdigest()
-            repeated, self._digest = digest == self._digest, digest
-            if repeated:
-                why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
-                self.health.drop("repeated", why)
-                return
+        drops = self.config.drop_repeated and not known
+        if drops and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest()):
+            why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
+            self.health.drop("repeated", why)
+            return
         self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
         self._join.add_image(stamp, message)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
 from ltm_core.site.networks import labels_state, with_live_record
-from ltm_core.site.site import SITE_NAMES
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.tile_store import TileStore
@@ -113,12 +111,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         return {**cameras, **models, **asked, **surface}
 
     @property
-    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
-        if not self.config.accept_unknown_cameras:
-            return {}
-        return {Topic(camera_topic(self._site.name, "*", FUEL_VOTES), FUEL_VOTES.type): self.on_unknown_votes}
-
-    @property
     def services(self) -> Mapping[str, Callable[[], str]]:
         return {
             "fuel_map/save": self.save,
@@ -159,7 +151,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         if counting is None:
             votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
             counting = self.persistence.count(votes, self._models.get(camera, ""))
-            if counting is Counting.COUNTED and camera in self._site.cameras:
+            if counting is Counting.COUNTED:
                 self._measuring.take(votes)
                 self._drift.take(votes, self._models.get(camera, ""), self.persistence.shown)
         if counting is Counting.DUPLICATE:
@@ -171,12 +163,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             )
         elif counting is Counting.EMPTY:
             self.health.note("empty_votes")
-
-    def on_unknown_votes(self, topic: str, message: Any) -> None:
-        camera = topic.split("/")[2]
-        if not re.fullmatch("[a-z][a-z0-9_]*", camera) or camera in SITE_NAMES:
-            raise MessageError(f"votes on {topic}: {camera!r} is not a camera name")
-        self.on_votes(camera, message)
 
     def on_label_info(self, camera: str, message: Any) -> None:
         """Store which network labels a camera's images, with its frames."""

@@ -86,13 +86,6 @@ class Handler(Generic[ConfigT]):
         return {}
 
     @property
-    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
-        """Return topics to subscribe to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
-
-        `*` matches one part of the name; the callback gets the whole name."""
-        return {}
-
-    @property
     def services(self) -> Mapping[str, Callable[[], str]]:
         """Return std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
         return {}

@@ -17,7 +17,6 @@ from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import POSE_TYPES
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
@@ -54,7 +53,6 @@ class OutletNode(Node):  # type: ignore[misc]
         self._heard: list[TopicCount] = []
         self._reliable: dict[str, tuple[Any, Topic, Callable[..., None]]] = {}
         """Subscriptions by absolute topic, with the function that takes messages."""
-        self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
         self._undecided: dict[str, Callable[[type], None]] = {}
         """Functions that subscribe to a topic once its type is known, by the topic's name."""
@@ -95,8 +93,9 @@ class OutletNode(Node):  # type: ignore[misc]
         if (said := self._said.get(topic)) is not None:
             said.messages += 1
 
-    def listen(self, topic: Topic, name: str, offer: Callable[[Any], None]) -> None:
-        """Pass messages of the named topic to `offer`; lost messages are counted."""
+    def listen(self, topic: Topic, offer: Callable[[Any], None]) -> None:
+        """Pass messages of a topic to `offer`; lost messages are counted."""
+        name = topic.name
         losses = LossCounter(writers_of(self, name))
         heard = TRAFFIC.listener(self.resolve_topic_name(name))
         self._heard.append(heard)
@@ -139,16 +138,6 @@ class OutletNode(Node):  # type: ignore[misc]
         self._settle_types()
         for topic, publisher in self._publishers_by_topic.items():
             self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
-
-    def look_at_clock(self) -> None:
-        """Report if the system clock was set."""
-        step = self._clock_watch.step_s()
-        if step and not self.get_parameter("use_sim_time").value:
-            self.health.note("clock_step")
-            self.health.trouble(
-                "clock_step",
-                f"the system clock was set by {step:+.1f} s; earlier frames may appear early or late",
-            )
 
     def look_at_wiring(self) -> None:
         """Report published topics that do not reach this node, if that persists and is not for best effort."""

@@ -135,9 +135,6 @@ class TowerCollector(Collector):
                 "Clock error as the kernel estimates it",
                 value=status.clock.estimated_error_s,
             )
-        yield CounterMetricFamily(
-            "ltm_clock_steps", "Number of clock steps of a second or more", value=status.clock_steps
-        )
         disks = [disk for disk in status.disks if disk.total >= 0]
         free = [((disk.folder,), disk.free) for disk in disks]
         yield _gauge("ltm_disk_free_bytes", "Free space of a storage folder", free, ("folder",))

@@ -117,7 +117,6 @@ class TowerStatus:
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraStatus]
     clock: KernelClock
-    clock_steps: int
     disks: Sequence[Disk]
     memory_total: int
     memory_available: int
@@ -184,7 +183,6 @@ class TowerWatch:
         nodes = [self._node(name, now_s) for name in self._expected]
         cameras = self.cameras(now_s, time_s)
         outbox = self._outbox()
-        steps = max((r.counts("noted.").get("clock_step", 0) for r in self._reports.values()), default=0)
         return TowerStatus(
             site=self._site,
             time_s=time_s,
@@ -192,7 +190,6 @@ class TowerWatch:
             nodes=nodes,
             cameras=cameras,
             clock=clock,
-            clock_steps=steps,
             disks=list(disks),
             memory_total=memory[0],
             memory_available=memory[1],

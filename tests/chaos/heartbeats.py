@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from ltm_ros.launching.graph import CAMERAS_PROCESS
-from ltm_ros.runtime.process_memory import MemoryInUse
 
 
 class Heartbeats:
@@ -54,15 +53,6 @@ class Heartbeats:
         """The last report of each node, whole."""
         with self._lock:
             return {label: dict(summary) for label, summary in self._latest.items()}
-
-    def memory_in_use(self) -> dict[str, MemoryInUse]:
-        """What the process of each node that speaks for one has last said, by the process's label."""
-        found = {}
-        for label, summary in self.said().items():
-            if "heap_bytes" in summary:
-                process = label if label in self._processes else CAMERAS_PROCESS
-                found[process] = MemoryInUse(int(summary["heap_bytes"]), int(summary["python_blocks"]))
-        return found
 
     def _take(self, message: Any) -> None:
         with self._lock:

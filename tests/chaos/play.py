@@ -185,14 +185,13 @@ def play_soak(folder: Path, domain: int, period_s: float, processes: str, minute
     """No faults."""
     found, soak = Found(), Soak()
     with on_stage(folder, domain, period_s, processes, False, found) as stage:
-        soak.watch(stage.site, stage.heartbeats, minutes, lambda text: print(text, flush=True))
-    growth, in_use = soak.growth(), soak.growth_in_use()
-    print(*report.growth(growth, in_use), sep="\n")
+        soak.watch(stage.site, minutes, lambda text: print(text, flush=True))
+    growth = soak.growth()
+    print(*report.growth(growth), sep="\n")
     found.missed += soak.missed()
     if strangers := sorted(stage.heartbeats.strangers):
         found.missed.append(f"another graph was in the domain ({', '.join(strangers[:3])}...): nothing is said by this")
     found.content["soak"] = asdict(soak) | {
         "growth": {label: asdict(one) for label, one in growth.items()},
-        "growth_in_use": {label: asdict(one) for label, one in in_use.items()},
     }
     return found

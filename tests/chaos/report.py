@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from chaos.bounded_caches import STATED, caches_of
 from chaos.cameras import CAMERAS
 from chaos.chaos_run import Outcome
-from chaos.soak import Growth, InUseGrowth
+from chaos.soak import Growth
 from chaos.verdict import Verdict
 
 
@@ -46,15 +46,11 @@ def causes(counted: Mapping[str, int], most: int = 40) -> Iterable[str]:
         yield f"  {count:6d}  {name}"
 
 
-def growth(own: Mapping[str, Growth], in_use: Mapping[str, InUseGrowth]) -> Iterable[str]:
-    """Of memory, by process: what it has asked for, and how much of that objects lie in. What the former grows by
-    beyond the latter are holes of the heaps. Below each, what it keeps that is bounded."""
-    yield "own memory over the last two thirds: kB a minute (95 % interval); kB grown, the largest step of it;"
-    yield "what of it is in use: kB a minute of the C library's heap (95 % interval), blocks a minute of Python's"
+def growth(own: Mapping[str, Growth]) -> Iterable[str]:
+    """Of memory, by process. Below each, what it keeps that is bounded."""
+    yield "own memory over the last two thirds: kB a minute (95 % interval); kB grown, the largest step of it"
     for label, one in own.items():
         row = f"  {label:<20}{_slope(one)}; {one.grown:.0f}, {one.largest_step:.0f}"
-        if used := in_use.get(label):
-            row += f"; {_slope(used.heap_kb)}, {used.python_blocks.slope:.0f}"
         yield row
         yield from (f"    keeps {said}" for said in caches_of(label))
     yield f"  nothing is subtracted for what is kept; bounds: {STATED}"

@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import theilslopes
 
-from chaos.heartbeats import Heartbeats
 from chaos.running_site import RunningSite
 from ltm_core.base.types import Float64Array
 from ltm_lab.bench.process_usage import Usage, usage_of
-from ltm_ros.runtime.process_memory import MemoryInUse
 
 EVERY_S = 5.0
 A_MINUTE = 12
@@ -82,28 +80,17 @@ def memory_growth(samples: list[Sample], size: int) -> dict[str, Growth]:
     return {label: Growth.of(medians(minutes, size), medians(memory, size)) for label, memory in series.items()}
 
 
-@dataclass(frozen=True)
-class InUseGrowth:
-    """Of what a process says that objects lie in."""
-
-    heap_kb: Growth
-    python_blocks: Growth
-
-
 @dataclass
 class Soak:
     """Samples of a running site."""
 
     samples: list[Sample] = field(default_factory=list)
-    in_use: list[dict[str, MemoryInUse]] = field(default_factory=list)
-    """At each sample, what processes have last said."""
 
-    def watch(self, site: RunningSite, heartbeats: Heartbeats, minutes: float, tell: Callable[[str], None]) -> None:
+    def watch(self, site: RunningSite, minutes: float, tell: Callable[[str], None]) -> None:
         """Sample for so long."""
         begun = time.monotonic()
         while time.monotonic() - begun <= 60.0 * minutes:
             self.samples.append(Sample(time.monotonic() - begun, usage_of(site.processes())))
-            self.in_use.append(heartbeats.memory_in_use())
             last = self.samples[-1]
             own, private = (sum(getattr(one, what) for one in last.usage.values()) for what in ("own", "private"))
             if len(self.samples) % A_MINUTE == 1:
@@ -113,20 +100,6 @@ class Soak:
     def growth(self) -> dict[str, Growth]:
         """Of the memory of its own (`Usage.own`) of each process that lived through the last two thirds, and in sum."""
         return memory_growth(self.samples[self._settled :], A_MINUTE)
-
-    def growth_in_use(self) -> dict[str, InUseGrowth]:
-        """Likewise, of the processes that say what they use."""
-        minutes = np.array([sample.seconds for sample in self.samples[self._settled :]]) / 60.0
-        said = self.in_use[self._settled :]
-
-        def of(label: str, what: str, unit: float) -> Growth:
-            values = np.array([getattr(one[label], what) / unit for one in said])
-            return Growth.of(medians(minutes, A_MINUTE), medians(values, A_MINUTE))
-
-        lasting = sorted(set.intersection(*(set(one) for one in said)))
-        return {
-            label: InUseGrowth(of(label, "heap_bytes", 1024.0), of(label, "python_blocks", 1.0)) for label in lasting
-        }
 
     @property
     def _settled(self) -> int:

@@ -57,7 +57,6 @@ def _head(name: str, seed: bytes, **config: object) -> Target:
         answering: Any = _Answering((folder / "answer").read_bytes())
         head = open_ptz(adapter.validate_python(config), None, answering)
         head.read()
-        head.limits()
         head.presets()
 
     return Target(name, "answer", lambda folder: [seed], read, spoil_text)

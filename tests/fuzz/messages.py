@@ -263,7 +263,8 @@ def _capture(small: SmallSite, folder: Path) -> Handler[Any]:
 
 def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
     document = yaml.safe_load(small.path.read_text())
-    document["cameras"]["tower"]["sensors"] = {"geoid_undulation": -35.0}
+    document["cameras"]["tower"]["sensors"] = {}
+    document["expert"] = {"cameras": {"tower": {"sensors": {"geoid_undulation": -35.0}}}}
     path = small.path.with_name("sensors.yaml")
     path.write_text(yaml.safe_dump(document))
     return CaptureHandler(CaptureConfig(site=str(path), camera="tower"), _outlet(), Health())

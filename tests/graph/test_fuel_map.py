@@ -40,9 +40,9 @@ class Living:
         self.folder, self.runner, self.bystander = folder, runner, bystander
         self.grid = grid_of(site)
 
-    def send(self, *numbers: int, camera: str | None = None) -> None:
+    def send(self, *numbers: int) -> None:
         for number in numbers:
-            topic = camera_topic(NAME, camera or camera_of(number), FUEL_VOTES)
+            topic = camera_topic(NAME, camera_of(number), FUEL_VOTES)
             self.bystander.send(topic, message(number, self.grid))
 
     def told(self) -> set[int]:
@@ -56,9 +56,7 @@ class Living:
 @pytest.fixture
 def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
     site, folder = write_site(tmp_path), tmp_path / "kept"
-    parameters: dict[str, Any] = {
-        "fuel_map": {"folder": str(folder), "accept_unknown_cameras": True, "allow_clear_and_burn": True}
-    }
+    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "allow_clear_and_burn": True}}
     whole = describe(load_site(site), site, parameters=parameters)
     runner = Runner(
         Graph(NAME, (whole.node("fuel_map"),)),
@@ -77,10 +75,7 @@ def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
 
 def test_cameras_join_and_people_ask(living: Living) -> None:
     bystander = living.bystander
-    bystander.open(camera_topic(NAME, "phone_7", FUEL_VOTES), FUEL_VOTES.type)
-    bystander.wait_for_wiring(1)
-    living.send(0, 1, 2)
-    living.send(3, camera="phone_7")
+    living.send(0, 1, 2, 3)
     living.wait_told(0, 1, 2, 3)
 
     latest = bystander.wait_for_stamp(UPDATE, stamp_of_frame(3))

@@ -147,7 +147,7 @@ def test_killed_runner_leaves_no_process_and_the_next_one_removes_its_shared_mem
     runner.kill()
     runner.communicate()
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
-    wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
+    wait_for(lambda: not shared_memory.remove_stale(), "what is left to be old enough")
     assert [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)] == []
 
 

@@ -57,7 +57,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"alerts": {"webhook": "http://u:p@host/"}}, ["alerts.webhook", "password"]),
         ({"alerts": {"webhook": "ftp://host/"}}, ["alerts.webhook", "http"]),
         ({"alerts": {"webhook": "http://host/{token}"}}, ["alerts", "token: {credential"]),
-        ({"alerts": {"mqtt": "mqtts://b", "key": "k.pem"}}, ["alerts", "certificate and key"]),
+        ({"alerts": {"mqtt": "mqtts://b"}, "expert": {"alerts": {"key": "k.pem"}}}, ["alerts", "certificate and key"]),
         ({"alerts": {"mqtt": "mqtts://b", "password": {"file": "p"}}}, ["alerts", "user"]),
         ({"alerts": {"mqtt": "mqtts://u:p@b"}}, ["alerts.mqtt", "password"]),
         ({"alerts": {"mqtt": "mqtt://10.0.0.1"}}, ["alerts", "mqtts://10.0.0.1"]),

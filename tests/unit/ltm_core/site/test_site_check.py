@@ -171,7 +171,14 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
         ({"model": "colors.yaml"}, "unmeasured"),
         ({"nodes": {"segmentation": {"model": "mosaic_r4_ade20k31"}}}, "unmeasured"),
         ({"cameras": {"north": {"label_head": "near"}, "east": {}}}, "measured on photos"),
-        ({"cameras": {"n": {"label_head": "chaparral"}}, "model": "colors.yaml", "label_heads": "heads"}, "unmeasured"),
+        (
+            {
+                "cameras": {"n": {"label_head": "chaparral"}},
+                "model": "colors.yaml",
+                "expert": {"label_heads": "heads"},
+            },
+            "unmeasured",
+        ),
     ],
 )
 def test_a_site_states_what_the_labels_that_vote_were_measured_on(

@@ -67,7 +67,7 @@ POSE = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48, "--pitch
         "",
         "cameras: {}\n",
         "cameras:\n  north: {}\n",
-        "cameras:\n  north:   # mine\n    judge_smoke: false\n",
+        "cameras:\n  north:   # mine\n    label_head: mine\n",
     ],
     ids=["another camera", "no section", "no camera", "README", "begun"],
 )
@@ -95,7 +95,7 @@ def test_probe_adds_a_camera_to_every_site_file_and_completes_it(small: SmallSit
     assert north.pose.azimuth_deg == 48.0
     assert north.calibration is not None
     assert (north.calibration.width, north.calibration.hfov_deg) == (320, 50.0)
-    assert north.judge_smoke is ("smoke" not in cameras)
+    assert north.label_head == ("mine" if "label_head" in cameras else "landscape")
     assert set(site.cameras) == {"north", *({"tower"} if "tower" in cameras else ())}
     written = small.path.read_text()
     assert PASSWORD not in written

@@ -29,7 +29,7 @@ from ltm_msgs_py.pose import (
     pose_to_msg,
 )
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
-from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health

@@ -16,20 +16,19 @@ from scenes.fuel_frames import (
     BEGIN_NS,
     CAMERAS,
     LABELS,
-    NAME,
     message,
     write_site,
 )
 from scenes.fuel_map_node import Node, state
 
-from ltm_core.base.errors import ConfigError, LtmError, MessageError
+from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
+from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER
 
 
 @pytest.fixture
@@ -108,20 +107,6 @@ def test_hostile_votes_leave_the_map_alone(site: Path) -> None:
         np.testing.assert_array_equal(state(node.map)[name], values)
     node.feed(1)
     assert node.gauge("frames") == "2", "a frame that was refused may come again, whole"
-
-
-def test_unknown_cameras_only_where_they_are_welcome(site: Path) -> None:
-    assert Node(site).handler.discoverable == {}
-    node = Node(site, accept_unknown_cameras=True)
-    ((topic, callback),) = node.handler.discoverable.items()
-    assert topic.name == f"/{NAME}/*/fuel/votes"
-    assert topic.type is FUEL_VOTES.type
-    callback(f"/{NAME}/west/fuel/votes", message(0, node.map.geometry))
-    node.handler.idle()
-    assert node.handler.persistence.store.sources() == {"west": 1}
-    for name in ("fuel_map", "West", "a__;"):
-        with pytest.raises(LtmError):
-            callback(f"/{NAME}/{name}/fuel/votes", message(1, node.map.geometry))
 
 
 def point(x: float, y: float, frame: str = "map") -> PointStamped:

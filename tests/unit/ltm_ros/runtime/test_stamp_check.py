@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 
-from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 
@@ -57,28 +56,3 @@ def test_a_jump_of_a_source_is_noted_once_and_is_its_own() -> None:
     assert not check.refuses("north", now - 3600 * S)
     assert not check.refuses("south", now - 3 * S)
     assert jumps() == "1"
-
-
-class Clocks:
-    def __init__(self) -> None:
-        self.wall, self.elapsed, self.pause = 1_800_000_000 * S, 5 * S, 0
-
-    def go_on(self, seconds: float) -> None:
-        self.wall += round(seconds * S)
-        self.elapsed += round(seconds * S)
-
-    def wall_ns(self) -> int:
-        self.elapsed += self.pause
-        return self.wall
-
-    def watch(self) -> ClockWatch:
-        return ClockWatch(self.wall_ns, lambda: self.elapsed)
-
-
-def test_steps_are_told_once_with_their_sign() -> None:
-    clocks = Clocks()
-    watch = clocks.watch()
-    for step in (0.0, 3600.0, 0.0, -7.5, 0.0):
-        clocks.go_on(0.5)
-        clocks.wall += round(step * S)
-        assert watch.step_s() == step
