@@ -93,7 +93,7 @@ def test_cameras_join_and_people_ask(living: Living) -> None:
     answer = json.loads(bystander.heard[answers][0].data)
     assert answer["seen_by"] >= 1
     assert answer["fuel"]["code"] > 0
-    assert "phone_7" in {touch["camera"] for touch in answer["tile"]}
+    assert {touch["camera"] for touch in answer["tile"]} == {camera_of(number) for number in range(4)}
 
     maps = site_topic(NAME, FUEL_MAP)
     bystander.listen(maps, FUEL_MAP.type, latched=True)

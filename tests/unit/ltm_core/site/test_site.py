@@ -80,8 +80,9 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
 
 
 def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
-    broker = {"mqtt": "mqtts://10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
-    site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker})
+    broker = {"mqtt": "mqtts://10.8.0.1", "user": "ridge", "password": {"file": "mqtt"}}
+    alerts = {"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker}
+    site = load(tmp_path, alerts=alerts, expert={"alerts": {"ca": "ca.crt"}})
     assert site.health is not None
     assert site.health.address == "127.0.0.1"
     assert site.alerts is not None
