@@ -160,13 +160,12 @@ class CountedVersion(StrictModel):
 
 
 class SurfaceManifest(StrictModel):
-    """List of versions. `current`: the version in use. `held`: it was reverted, and none follows automatically.
+    """List of versions. `current`: the version in use.
     `history`: versions used, in order, without reverted ones; a version that returns is listed twice. `forgotten`:
     earlier entries were dropped."""
 
     site: str
     current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
-    held: bool = False
     versions: tuple[SurfaceVersion, ...] = ()
     history: tuple[CountedVersion, ...] = ()
     forgotten: bool = False

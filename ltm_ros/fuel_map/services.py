@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from ltm_core.base.errors import ImageError, MessageError
 from ltm_core.base.types import BoolArray, Int16Array
@@ -35,9 +34,9 @@ from ltm_msgs_py.cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
-from ltm_ros.runtime.handler import NodeConfig, Outlet
+from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S
+from ltm_ros.runtime.stamp_join import StampLimits
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
 
 MAP_CELLS_PER_S = 1_000_000
@@ -103,7 +102,7 @@ class FuelPublisher:
         self._outlet.publish(FUEL_MAP_CELLS, message)
 
 
-class FuelMapConfig(NodeConfig):
+class FuelMapConfig(StampLimits):
     folder: str = ""
     """Folder in which the map is kept between runs and written on request, relative to the site file. Empty: not kept.
     Never set by a message."""
@@ -112,10 +111,6 @@ class FuelMapConfig(NodeConfig):
     allow_clear_and_burn: bool = False
     """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
     map's evidence."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a frame may be late."""
 
 
 MOST_CORNERS = 1000

@@ -16,10 +16,10 @@ from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import SurfaceFollower
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 from ltm_ros.runtime.topics import (
     ALIGNMENT,
     DEPTH_CAMERA_INFO,
@@ -40,7 +40,7 @@ class DepthConfig(JoinConfig, TracingConfig):
     """Folder of the confirmed surfaces to trace to; empty: the site's rasters are used. The graph sets it."""
 
 
-class DepthHandler(Handler[DepthConfig]):
+class DepthHandler(JoiningHandler[DepthConfig]):
     """Traces the terrain for each calibration and pose; uses no image."""
 
     publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
@@ -66,15 +66,9 @@ class DepthHandler(Handler[DepthConfig]):
             found[self._surface] = self._follower.on_message
         return found
 
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
     def tick(self, waited: float) -> None:
-        self._join.tick(waited)
+        super().tick(waited)
         self._follower.tick()
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _trace(self, info: Any, pose: Any) -> None:
         camera, where, stamp = msg_to_camera(info), msg_to_pose(pose, "map"), stamp_of(info)

@@ -297,10 +297,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
 def _folder(config: FuelMapConfig) -> Path | None:
     """Return the node's folder; created only if its parent exists, so that a missing disk is noticed."""
-    if not config.folder:
-        return None
-    folder = Path(config.site).parent / Path(config.folder).expanduser()
-    make_folder(folder)
+    if (folder := config.beside_site(config.folder)) is not None:
+        make_folder(folder)
     return folder
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,10 +17,10 @@ from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
@@ -32,7 +31,7 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class FuelVotesHandler(Handler[JoinConfig]):
+class FuelVotesHandler(JoiningHandler[JoinConfig]):
     publications = (FUEL_VOTES,)
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
@@ -49,22 +48,9 @@ class FuelVotesHandler(Handler[JoinConfig]):
         }
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
-    @property
-    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return self._join.subscriptions
-
     def start(self) -> None:
         """Compile the kernels, so that the first frame is not delayed."""
         compile_kernels("fuel_votes", self._site)
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _vote(self, depth: Any, info: Any, labels: Any, confidence: Any, pose: Any) -> None:
         stamp, camera, posed = stamp_of(depth), msg_to_camera(info), msg_to_pose(pose, "map")

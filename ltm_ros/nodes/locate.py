@@ -37,10 +37,10 @@ from ltm_msgs_py.pose import (
 )
 from ltm_msgs_py.sensors import msg_to_camera, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck, StampLimits
 from ltm_ros.runtime.topics import (
     LOCATE_AREA,
     LOCATE_ESTIMATE,
@@ -55,7 +55,7 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class LocateConfig(NodeConfig):
+class LocateConfig(StampLimits):
     smoke: bool = True
     """Whether the marks are smoke, whose base may be hidden; otherwise the object stands on the marked ground."""
     pose_age: float = Field(120.0, gt=0)
@@ -64,10 +64,6 @@ class LocateConfig(NodeConfig):
     """Seconds without a new sighting after which a track ends."""
     max_tracks: int = Field(16, ge=1, le=100)
     """Maximum number of tracks; the one seen longest ago is dropped first."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a region's stamp may be ahead."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a region may be late."""
 
 
 class LocateHandler(Handler[LocateConfig]):

@@ -16,10 +16,10 @@ from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_CONFIDENCE,
     LABELS_HEAT,
@@ -37,7 +37,7 @@ class SegmentationConfig(JoinConfig, LabellingConfig):
     """Parameters of the node: camera, network, and how images are joined with their poses."""
 
 
-class SegmentationHandler(Handler[SegmentationConfig]):
+class SegmentationHandler(JoiningHandler[SegmentationConfig]):
     """Labels images; uses their poses only if the camera has masks of single views."""
 
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_HEAT, LABELS_INFO)
@@ -64,15 +64,6 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         """Show where the images show a prompt, from the next one on."""
         self._step.show(message.data)
         self.health.gauge("prompt", message.data or "none")
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _label_view(self, image: Any, info: Any, pose: Any) -> None:
         self.on_image(image, Looking.of(msg_to_camera(info), msg_to_pose(pose, "map")))

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -28,7 +27,7 @@ from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, JoinConfig, Part, StampCheck, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampCheck, StampJoin, StampLimits
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     MEASURED_DEPTH,
@@ -54,7 +53,7 @@ _WAITING = 6
 """Maximum number of frames per camera that wait for their parts, and of labels that wait for their frame."""
 
 
-class TerrainNodeConfig(JoinConfig):
+class TerrainNodeConfig(JoinConfig, StampLimits):
     max_wait: float = Field(120.0, gt=0)
     """Seconds for which a frame's pose waits for its measured depth, which may have waited in `topodepth` before."""
     folder: str = ""
@@ -62,10 +61,6 @@ class TerrainNodeConfig(JoinConfig):
     kept. Never set by a message."""
     commit_every: float = Field(10.0, gt=0)
     """Seconds of frames that a power cut may lose."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a camera's clock may be ahead."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a frame may be late."""
     surfaces: str = ""
     """Folder for the confirmed surfaces that depth is traced to; empty: none. The graph sets it."""
     depth_from_elsewhere: bool = False
@@ -88,7 +83,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
                 f"{config.site}: terrain needs measured depth, because traced depth agrees with the DEM by "
                 "construction: set `depth_model` to a depth network, or set the node's depth_from_elsewhere"
             )
-        self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
+        self._folder = config.beside_site(config.folder)
         self._terrain = SiteTerrain(site, self._open_store)
         self._store, self._map = self._terrain.store, self._terrain.map
         self._publisher = TerrainPublisher(site, self._map, outlet, health)
@@ -123,10 +118,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        found: dict[str, Callable[[], str]] = {"terrain/save": self.save}
-        if self._confirmation is not None:
-            found |= {"terrain/confirm": self._confirm, "terrain/take_back": self._confirmation.take_back}
-        return found
+        return {"terrain/save": self.save}
 
     def start(self) -> None:
         self._publisher.info()
@@ -185,11 +177,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._folder, layers, self._site.in_crs(layers.geometry), self._map.newest_ns, self._map.cameras
         )
         return f"written: {', '.join(path.name for path in files)}"
-
-    def _confirm(self) -> str:
-        assert self._confirmation is not None  # nosec B101 # tells the type checker what holds
-        self._settle()
-        return self._confirmation.confirm()
 
     def _of(self, camera: str, topic: Topic) -> Topic:
         return replace(topic, name=camera_topic(self._site.name, camera, topic))

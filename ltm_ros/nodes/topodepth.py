@@ -24,10 +24,10 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import status_to_msg
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     DEPTH_INFO,
@@ -61,7 +61,7 @@ class TopoDepthConfig(JoinConfig, FusingConfig):
     it."""
 
 
-class TopoDepthHandler(Handler[TopoDepthConfig]):
+class TopoDepthHandler(JoiningHandler[TopoDepthConfig]):
     """Joins image, calibration, pose and traced depth, and labels if they come in time."""
 
     publications = (
@@ -93,15 +93,6 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         if self.config.surfaces:
             found[DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
         return found
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
         """Fuse a frame. `traced`: the version of the surface that it was traced to."""

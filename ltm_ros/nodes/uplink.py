@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -48,14 +47,13 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
         site = load_site(config.site)
         if site.region is None:
             raise ConfigError(f"{config.site}: has no section `region`")
-        if not config.folder:
+        if (folder := config.beside_site(config.folder)) is None:
             raise ConfigError(
                 "the outbox of the section `region` needs a disk: start with `ltm run --state FOLDER`, or set "
                 "`nodes: {uplink: {folder: ...}}` in the site file"
             )
         self._site = site
         self._models: dict[str, str] = {}
-        folder = Path(config.site).parent / Path(config.folder).expanduser()
         self._link = TowerLink(site.region, _grid(site), folder / OUTBOX_FILE, health, _age_clock)
 
     @property

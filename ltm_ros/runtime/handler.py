@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from ltm_core.base.strict_model import DescribedModel
@@ -39,6 +40,10 @@ class NodeConfig(DescribedModel):
     """Path of the site file."""
     camera: str = ""
     """Name of the node's camera in the site; empty for nodes of the whole site."""
+
+    def beside_site(self, folder: str) -> Path | None:
+        """Return a folder that is relative to the site file; None if it is empty."""
+        return Path(self.site).parent / Path(folder).expanduser() if folder else None
 
 
 class Outlet(Protocol):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +18,23 @@ from ltm_core.base.errors import LtmError
 from ltm_core.site.sections import MessageLimits
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import NodeConfig, Topic
+from ltm_ros.runtime.handler import Handler, NodeConfig, Topic
 from ltm_ros.runtime.health import Health, cause_of
 
 CLOCKS_SET_NS = 946_684_800_000_000_000
 """The year 2000: an earlier stamp is from a clock that was never set, and would count as a view decades apart."""
-MAX_AHEAD_S = 10.0
-"""Default of nodes in seconds: synchronised clocks agree within a second. Stamps far ahead would displace others."""
-MAX_BEHIND_S = 7 * 86400.0
-"""Default of nodes in seconds: a radio link may fail for days and deliver then; use a replay for older frames."""
 JUMP_S = 60.0
 """Change of a source's lateness in seconds, between two frames, that shows that its clock, or this one, was set."""
+
+
+class StampLimits(NodeConfig):
+    """Parameters of a node that stores what it receives."""
+
+    # Synchronised clocks agree within a second; a radio link may fail for days and deliver then.
+    max_ahead: float = Field(10.0, gt=0)
+    """Maximum seconds by which a sender's clock may be ahead; messages from the future would make all others old."""
+    max_behind: float = Field(7 * 86400.0, gt=0)
+    """Maximum seconds by which a message may be late; use a replay for older ones."""
 
 
 class StampCheck:
@@ -343,3 +349,25 @@ class StampJoin:
         self._health.drop("unjoined", f"{whose}stamp {stamp} ns is incomplete, without {parts} ({why})")
         for name in lacking:
             self._health.note(f"unjoined.{self._camera}.{name}" if self._camera else f"unjoined.{name}")
+
+
+JoinConfigT = TypeVar("JoinConfigT", bound=JoinConfig)
+
+
+class JoiningHandler(Handler[JoinConfigT]):
+    """A handler that works on frames; subclasses set `_join`, which collects them."""
+
+    _join: StampJoin
+
+    @property
+    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
+        return self._join.subscriptions
+
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
+
+    def finish(self) -> None:
+        self._join.finish()

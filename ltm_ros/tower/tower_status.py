@@ -159,10 +159,6 @@ class TowerWatch:
         self._states: dict[str, tuple[CameraState, float]] = {}
         """State of each camera, and its start by the system clock."""
 
-    @property
-    def reports(self) -> Mapping[str, NodeReport]:
-        return dict(self._reports)
-
     def hear(self, name: str, troubled: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
         if name in self._expected:
             kept = {key[:LENGTH]: value[:LENGTH] for key, value in list(values.items())[:KEYS]}

@@ -68,7 +68,7 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started]) -> None:
     assert len({*pids.values()}) == 3
     graph.runner.stop()
     for label, process in graph.runner.processes.items():
-        assert (process.state, process.restarts) == (ProcessState.STOPPED, 0)
+        assert (process.state, process.starts) == (ProcessState.STOPPED, 1)
         # Each line bears its node's label.
         hello = f"hello from /ridge/{label} pid {pids[label]}"
         assert f"[{label}] {hello}" in graph.lines

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck
 
 NOW = 1_800_000_000 * 10**9
 S = 10**9
@@ -12,7 +12,7 @@ DAY = 86_400 * S
 
 def check_at(now: int) -> tuple[StampCheck, Health]:
     health = Health()
-    return StampCheck(lambda: now, health, MAX_AHEAD_S, MAX_BEHIND_S), health
+    return StampCheck(lambda: now, health, 10.0, 7 * 86400.0), health
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_what_is_refused(now: int, stamp: int, cause: str) -> None:
 def test_a_jump_of_a_source_is_noted_once_and_is_its_own() -> None:
     now = NOW
     health = Health()
-    check = StampCheck(lambda: now, health, MAX_AHEAD_S, MAX_BEHIND_S)
+    check = StampCheck(lambda: now, health, 10.0, 7 * 86400.0)
 
     def jumps() -> str:
         return health.summary().get("noted.stamp_jump", "0")
