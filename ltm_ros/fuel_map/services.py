@@ -1,5 +1,5 @@
 """What the node `fuel_map` offers: its parameters, its topics, and its services (query a point, mark a region burned,
-clear a region, write landscapes)."""
+write landscapes)."""
 
 from __future__ import annotations
 
@@ -108,9 +108,8 @@ class FuelMapConfig(StampLimits):
     Never set by a message."""
     export_path: str = ""
     """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
-    allow_clear_and_burn: bool = False
-    """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
-    map's evidence."""
+    allow_burn: bool = False
+    """Whether to serve `fuel_map/burn`, with which any node in the graph can mark regions of the map as burned."""
 
 
 MOST_CORNERS = 1000
@@ -206,20 +205,6 @@ def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, 
 
 def _tiles_of(cells: BoolArray) -> list[Key]:
     return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
-
-
-def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
-    """Return the state of the tiles of these cells without evidence."""
-    tiles = {}
-    for row, col in _tiles_of(cells):
-        state = evidence.tile_state((row, col))
-        inside = np.zeros((TILE, TILE), np.bool_)
-        part = cells[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]
-        inside[: part.shape[0], : part.shape[1]] = part
-        for array in state.values():
-            array[inside] = 0
-        tiles[row, col] = state
-    return tiles
 
 
 def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:

@@ -32,7 +32,6 @@ from ltm_ros.fuel_map.services import (
     FuelPublisher,
     answer,
     burned,
-    forgotten,
     region_of,
     write_landscapes,
 )
@@ -115,7 +114,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         return {
             "fuel_map/save": self.save,
             "fuel_map/export": self.export,
-            "fuel_map/clear": self.clear,
             "fuel_map/burn": self.burn,
         }
 
@@ -229,20 +227,13 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         paths = write_landscapes(self.persistence.map, self._site, self._folder, self._folder)
         return f"{' and '.join(path.name for path in paths)} written, as of stamp {self.persistence.map.newest_ns} ns"
 
-    def clear(self) -> str:
-        """Delete all evidence in the last region of `fuel_map/region`, which is used once."""
-        self._check_allowed("clear")
-        cells = self._take_region().cells
-        self.persistence.replace_tiles(forgotten(self.persistence.map, cells))
-        if self._surface is not None:
-            self._surface.forget(cells)
-        self._settle(write_tiles=True)
-        self._publisher.send_map()
-        return f"deleted the evidence of {int(cells.sum())} cells"
-
     def burn(self) -> str:
         """Mark the last region of `fuel_map/region` as burned at its stamp, or now; it is used once."""
-        self._check_allowed("burn")
+        if not self.config.allow_burn:
+            raise ConfigError(
+                "fuel_map/burn is disabled: set `allow_burn: true` under `nodes: fuel_map:` in the site file, and "
+                "restart the node"
+            )
         region = self._take_region()
         stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.ahead("the burned region", stamp):
@@ -252,13 +243,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
-
-    def _check_allowed(self, service: str) -> None:
-        if not self.config.allow_clear_and_burn:
-            raise ConfigError(
-                f"fuel_map/{service} is disabled: set `allow_clear_and_burn: true` under `nodes: fuel_map:` in "
-                "the site file, and restart the node"
-            )
 
     def _take_region(self) -> DrawnRegion:
         if self._region is None:

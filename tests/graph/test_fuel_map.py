@@ -12,6 +12,7 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 from scenes.waiting import wait_for
 
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
@@ -56,7 +57,7 @@ class Living:
 @pytest.fixture
 def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
     site, folder = write_site(tmp_path), tmp_path / "kept"
-    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "allow_clear_and_burn": True}}
+    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "allow_burn": True}}
     whole = describe(load_site(site), site, parameters=parameters)
     runner = Runner(
         Graph(NAME, (whole.node("fuel_map"),)),
@@ -103,8 +104,9 @@ def test_cameras_join_and_people_ask(living: Living) -> None:
     g = living.grid
     corners = ((g.x_min, g.y_min), (g.x_max, g.y_min), (g.x_max, g.y_max), (g.x_min, g.y_max))
     region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
-    assert bystander.call(f"{NODE}/clear")[0] is False
+    assert bystander.call(f"{NODE}/burn")[0] is False
     wait_for(lambda: bystander.heard[maps] and (np.array(bystander.heard[maps][-1].data) > 0).any(), "the map")
     bystander.send(site_topic(NAME, FUEL_MAP_REGION), region)
-    wait_for(lambda: bystander.call(f"{NODE}/clear")[0], "the region to be cleared")
-    wait_for(lambda: (np.array(bystander.heard[maps][-1].data) == -1).all(), "an empty map")
+    wait_for(lambda: bystander.call(f"{NODE}/burn")[0], "the region to be burned")
+    burned = int(LifeForm.BURNED)
+    wait_for(lambda: (np.array(bystander.heard[maps][-1].data) == burned).all(), "a burned map")
