@@ -36,22 +36,13 @@ from ltm_ros.fuel_map.services import (
     write_landscapes,
 )
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
 from ltm_ros.runtime.stamp_join import StampCheck
-from ltm_ros.runtime.topics import (
-    FUEL_MAP_ANSWER,
-    FUEL_MAP_INFO,
-    FUEL_MAP_QUERY,
-    FUEL_MAP_REGION,
-    FUEL_VOTES,
-    LABELS_INFO,
-    TERRAIN_CHANGE,
-    TERRAIN_UPDATE,
-    camera_topic,
-)
+from ltm_ros.runtime.topics import of_camera
 
 BURN_SOURCE = "fuel_map/burn"
 """Source name of burns in the store; no camera can have this name."""
@@ -62,7 +53,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     Live, at each `tick`, twice a second; in an offline replay, after each frame."""
 
-    publications = (*FuelPublisher.publications, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
+    publications = (*FuelPublisher.publications, topics.FUEL_MAP_INFO, topics.FUEL_MAP_ANSWER)
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -93,21 +84,16 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        cameras = {
-            Topic(camera_topic(self._site.name, camera, FUEL_VOTES), FUEL_VOTES.type): partial(self.on_votes, camera)
-            for camera in self._site.cameras
+        found: dict[Topic, Callable[[Any], None]] = {
+            topics.FUEL_MAP_QUERY: self.on_query,
+            topics.FUEL_MAP_REGION: self.on_region,
         }
-        models = {
-            Topic(camera_topic(self._site.name, camera, LABELS_INFO), LABELS_INFO.type, latched=True): partial(
-                self.on_label_info, camera
-            )
-            for camera in self._site.cameras
-        }
-        asked = {FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
-        if self._surface is None:
-            return {**cameras, **models, **asked}
-        surface = {TERRAIN_UPDATE: self._surface.on_update, TERRAIN_CHANGE: self.on_surface_change}
-        return {**cameras, **models, **asked, **surface}
+        for camera in self._site.cameras:
+            votes, labels = (of_camera(self._site.name, camera, t) for t in (topics.FUEL_VOTES, topics.LABELS_INFO))
+            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
+        if self._surface is not None:
+            found |= {topics.TERRAIN_UPDATE: self._surface.on_update, topics.TERRAIN_CHANGE: self.on_surface_change}
+        return found
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
@@ -139,7 +125,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             labels_measured=state,
         )
         self.health.gauge("labels", state)
-        self.outlet.publish(FUEL_MAP_INFO, info.to_msg())
+        self.outlet.publish(topics.FUEL_MAP_INFO, info.to_msg())
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
@@ -172,7 +158,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         point = message.point
         found = answer(self.persistence.map, self.persistence.store, self._classes, float(point.x), float(point.y))
         asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
-        self.outlet.publish(FUEL_MAP_ANSWER, FuelMapAnswer.model_validate(asked | found).to_msg())
+        self.outlet.publish(topics.FUEL_MAP_ANSWER, FuelMapAnswer.model_validate(asked | found).to_msg())
 
     def on_region(self, message: Any) -> None:
         self._region = region_of(message, self._geometry)

@@ -17,22 +17,15 @@ from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
-from ltm_ros.runtime.topics import (
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FUEL_VOTES,
-    LABELS_CONFIDENCE,
-    LABELS_IMAGE,
-    POSED_POSE,
-)
 
 
 class FuelVotesHandler(JoiningHandler[JoinConfig]):
-    publications = (FUEL_VOTES,)
+    publications = (topics.FUEL_VOTES,)
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -40,11 +33,11 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
         self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
         self._withdrawn = np.zeros(2, np.int64)
         parts = {
-            "depth": DEPTH_IMAGE,
-            "info": DEPTH_CAMERA_INFO,
-            "labels": LABELS_IMAGE,
-            "confidence": LABELS_CONFIDENCE,
-            "pose": POSED_POSE,
+            "depth": topics.DEPTH_IMAGE,
+            "info": topics.DEPTH_CAMERA_INFO,
+            "labels": topics.LABELS_IMAGE,
+            "confidence": topics.LABELS_CONFIDENCE,
+            "pose": topics.POSED_POSE,
         }
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
@@ -66,7 +59,7 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
         for name, pixels in zip(("too_steep", "above_tree_line"), self._withdrawn.tolist(), strict=True):
             if pixels:
                 self.health.gauge(f"withdrawn.{name}", pixels)
-        self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
+        self.outlet.publish(topics.FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)

@@ -16,21 +16,12 @@ from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import NodeType, Outlet, Topic
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
-from ltm_ros.runtime.topics import (
-    LABELS_CONFIDENCE,
-    LABELS_HEAT,
-    LABELS_IMAGE,
-    LABELS_INFO,
-    POSED_CAMERA_INFO,
-    POSED_IMAGE,
-    POSED_POSE,
-    PROMPT,
-    site_topic,
-)
+from ltm_ros.runtime.topics import of_site
 
 
 class SegmentationConfig(JoinConfig, LabellingConfig):
@@ -40,24 +31,24 @@ class SegmentationConfig(JoinConfig, LabellingConfig):
 class SegmentationHandler(JoiningHandler[SegmentationConfig]):
     """Labels images; uses their poses only if the camera has masks of single views."""
 
-    publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_HEAT, LABELS_INFO)
+    publications = (topics.LABELS_IMAGE, topics.LABELS_CONFIDENCE, topics.LABELS_HEAT, topics.LABELS_INFO)
 
     def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = self._site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
-        parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE}
+        parts = {"image": topics.POSED_IMAGE, "info": topics.POSED_CAMERA_INFO, "pose": topics.POSED_POSE}
         self._join = StampJoin(parts, self._label_view, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        prompt = {Topic(site_topic(self._site.name, PROMPT), PROMPT.type): self.on_prompt}
-        return prompt | (self._join.subscriptions if self._step.by_view else {POSED_IMAGE: self.on_image})
+        prompt = {of_site(self._site.name, topics.PROMPT): self.on_prompt}
+        return prompt | (self._join.subscriptions if self._step.by_view else {topics.POSED_IMAGE: self.on_image})
 
     def start(self) -> None:
         step = self._step
-        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, step.described, step.reliability))
+        self.outlet.publish(topics.LABELS_INFO, label_set_to_msg(self._labels, step.described, step.reliability))
         self.health.gauge("labels", step.reliability)
 
     def on_prompt(self, message: Any) -> None:
@@ -72,10 +63,10 @@ class SegmentationHandler(JoiningHandler[SegmentationConfig]):
         stamp, frame_id = stamp_of(message), message.header.frame_id
         found, view = self._step.label(msg_to_rgb(message), looking, stamp)
         note_picture(self.health, view)
-        for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
+        for topic, image in ((topics.LABELS_CONFIDENCE, found.confidence), (topics.LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
-        if self.outlet.wanted(LABELS_HEAT) and (heat := self._step.heat(msg_to_rgb(message), view)) is not None:
-            self.outlet.publish(LABELS_HEAT, image_to_msg(heat, "mono8", stamp, frame_id))
+        if self.outlet.wanted(topics.LABELS_HEAT) and (heat := self._step.heat(msg_to_rgb(message), view)) is not None:
+            self.outlet.publish(topics.LABELS_HEAT, image_to_msg(heat, "mono8", stamp, frame_id))
 
 
 NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)

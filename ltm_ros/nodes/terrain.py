@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,31 +22,21 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import Confirmation, TerrainPublisher
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampCheck, StampJoin, StampLimits
-from ltm_ros.runtime.topics import (
-    LABELS_IMAGE,
-    MEASURED_DEPTH,
-    MEASURED_SIGMA,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
-    TERRAIN_CHANGE,
-    TERRAIN_INFO,
-    TERRAIN_SURFACE,
-    TERRAIN_UPDATE,
-    camera_topic,
-)
+from ltm_ros.runtime.topics import of_camera
 
 GRID_CELLS_PER_S = 1_000_000
 """Cells per second of the latched grid of changes: a large grid is published less often."""
 _PARTS: Mapping[str, Topic] = {
-    "depth": MEASURED_DEPTH,
-    "sigma": MEASURED_SIGMA,
-    "info": POSED_CAMERA_INFO,
-    "pose": POSED_POSE,
+    "depth": topics.MEASURED_DEPTH,
+    "sigma": topics.MEASURED_SIGMA,
+    "info": topics.POSED_CAMERA_INFO,
+    "pose": topics.POSED_POSE,
 }
 _WAITING = 6
 """Maximum number of frames per camera that wait for their parts, and of labels that wait for their frame."""
@@ -71,7 +60,7 @@ class TerrainNodeConfig(JoinConfig, StampLimits):
 class TerrainHandler(Handler[TerrainNodeConfig]):
     """Publishes changed cells after they are confirmed and stored, and the whole grid of changes (latched)."""
 
-    publications: Sequence[Topic] = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
+    publications: Sequence[Topic] = (topics.TERRAIN_UPDATE, topics.TERRAIN_CHANGE, topics.TERRAIN_INFO)
 
     def __init__(self, config: TerrainNodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -90,10 +79,10 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         self._confirmation: Confirmation | None = None
         if config.surfaces:
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
-            self.publications = (*self.publications, TERRAIN_SURFACE)
+            self.publications = (*self.publications, topics.TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         required = [Part(name, topic=topic) for name, topic in _PARTS.items()]
-        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=LABELS_IMAGE)]
+        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=topics.LABELS_IMAGE)]
         self._joins = {
             camera: StampJoin(
                 labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera
@@ -112,8 +101,8 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         found: dict[Topic, Callable[[Any], None]] = {}
         for camera in self._site.cameras:
             for name, topic in _PARTS.items():
-                found[self._of(camera, topic)] = partial(self._part, camera, name)
-            found[self._of(camera, LABELS_IMAGE)] = partial(self._part, camera, "labels")
+                found[of_camera(self._site.name, camera, topic)] = partial(self._part, camera, name)
+            found[of_camera(self._site.name, camera, topics.LABELS_IMAGE)] = partial(self._part, camera, "labels")
         return found
 
     @property
@@ -177,9 +166,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._folder, layers, self._site.in_crs(layers.geometry), self._map.newest_ns, self._map.cameras
         )
         return f"written: {', '.join(path.name for path in files)}"
-
-    def _of(self, camera: str, topic: Topic) -> Topic:
-        return replace(topic, name=camera_topic(self._site.name, camera, topic))
 
     def _part(self, camera: str, name: str, message: Any) -> None:
         self._joins[camera].add(name, stamp_of(message), message)

@@ -27,7 +27,7 @@ from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
+from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, of_camera
 
 OUTBOX_FILE: Final = "outbox.sqlite"
 SECTORS: Final = 24
@@ -60,10 +60,8 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         found: dict[Topic, Callable[[Any], None]] = {}
         for camera in self._site.cameras:
-            votes = camera_topic(self._site.name, camera, FUEL_VOTES)
-            labels = camera_topic(self._site.name, camera, LABELS_INFO)
-            found[Topic(votes, FUEL_VOTES.type)] = partial(self.on_votes, camera)
-            found[Topic(labels, LABELS_INFO.type, latched=True)] = partial(self.on_label_info, camera)
+            votes, labels = (of_camera(self._site.name, camera, topic) for topic in (FUEL_VOTES, LABELS_INFO))
+            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
         return found
 
     def start(self) -> None:

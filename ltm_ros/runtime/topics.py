@@ -182,3 +182,13 @@ def other_inputs(camera: CameraConfig) -> tuple[Topic, ...]:
 def site_topic(site: str, topic: Topic) -> str:
     """Return a site topic's absolute name."""
     return f"/{site}/{topic.name}"
+
+
+def of_camera(site: str, camera: str, topic: Topic) -> Topic:
+    """Return a camera topic under its absolute name, for nodes of the whole site."""
+    return replace(topic, name=camera_topic(site, camera, topic))
+
+
+def of_site(site: str, topic: Topic) -> Topic:
+    """Return a site topic under its absolute name, for nodes of a camera."""
+    return replace(topic, name=site_topic(site, topic))
