@@ -48,9 +48,6 @@ class SecretConfig(StrictModel):
 class SourceSettings(StrictModel):
     """Settings of all kinds of sources. Times in seconds."""
 
-    unsynchronised: Expert[Literal["hold", "mark", "ignore"]] = "mark"
-    """What to do while this computer's clock is not synchronised. `hold`: publish no frame; `mark`: publish and report
-    it on `source/info`; `ignore`: publish as usual."""
     night: Expert[Literal["hold", "publish"]] = "hold"
     """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
     stalled_after: Expert[float | None] = Field(None, gt=0)

@@ -196,7 +196,6 @@ class RegionWatch:
                 clock=kernel_clock(),
                 disks=machine.disks([str(self._config.folder)]),
                 memory=machine.memory(),
-                process_memory={},
             )
 
     def run(self, stopping: threading.Event) -> None:

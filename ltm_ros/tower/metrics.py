@@ -144,8 +144,6 @@ class TowerCollector(Collector):
         yield GaugeMetricFamily(
             "ltm_memory_available_bytes", "Available memory of the machine", value=status.memory_available
         )
-        used = [((name,), size) for name, size in status.process_memory.items()]
-        yield _gauge("ltm_process_memory_bytes", "Memory of a process (PSS)", used, ("process",))
 
 
 def _gauge(

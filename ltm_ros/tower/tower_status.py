@@ -120,7 +120,6 @@ class TowerStatus:
     disks: Sequence[Disk]
     memory_total: int
     memory_available: int
-    process_memory: Mapping[str, int]
     frame_limit_s: float
     outbox: OutboxState | None = None
     """None: the site belongs to no region, or its node `uplink` has not reported."""
@@ -173,7 +172,6 @@ class TowerWatch:
         clock: KernelClock,
         disks: Sequence[Disk],
         memory: tuple[int, int],
-        process_memory: Mapping[str, int],
     ) -> TowerStatus:
         """Return the status. `now_s`: by the clock of `hear`; `time_s`: by the clock that stamps frames."""
         nodes = [self._node(name, now_s) for name in self._expected]
@@ -189,7 +187,6 @@ class TowerWatch:
             disks=list(disks),
             memory_total=memory[0],
             memory_available=memory[1],
-            process_memory=process_memory,
             frame_limit_s=self._frame_limit_s,
             outbox=outbox,
             conditions=tuple(_conditions(nodes, cameras, clock, disks, outbox)),

@@ -60,5 +60,4 @@ def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
         clock=KernelClock(False, None),
         disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
         memory=(8_000_000_000, 3_000_000_000),
-        process_memory={"cameras": 400_000_000},
     )

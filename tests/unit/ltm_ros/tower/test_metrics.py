@@ -94,7 +94,6 @@ def test_cameras_and_machine() -> None:
     assert scraped["ltm_clock_synchronised", ()] == 0
     assert scraped["ltm_disk_free_bytes", (("folder", "/state"),)] == 2e9
     assert ("ltm_disk_free_bytes", (("folder", "/gone"),)) not in scraped
-    assert scraped["ltm_process_memory_bytes", (("process", "cameras"),)] == 4e8
     assert scraped["ltm_build_info", (("ltm", "0.1.0"), ("ros_rclpy", "7.1.6"), ("site", "ridge"))] == 1
     assert (scraped["ltm_alive", ()], scraped["ltm_ready", ()]) == (1, 0)
 
