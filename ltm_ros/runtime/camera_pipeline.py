@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from ltm_core.base.errors import LtmError
 from ltm_msgs_py.stamp import stamp_of
@@ -20,27 +20,18 @@ from ltm_ros.runtime.pipeline import Job, Pipeline
 from ltm_ros.runtime.stamp_join import data_bytes
 
 
-class TurnTaker(Protocol):
-    """A camera or another object that is processed turn by turn, by one thread at a time."""
-
-    def turn(self, activity: Activity) -> bool:
-        """Process one frame at most; return whether there may be more. `activity`: the thread's activity, for the
-        heartbeat."""
-        ...
-
-
 class FrameScheduler:
-    """Gives turns to woken takers, in that order, on `workers` threads.
+    """Gives turns to woken cameras, in that order, on `workers` threads.
 
-    A taker that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
+    A camera that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
     equally many turns. An exception from a turn is a bug and ends the process with its traceback."""
 
     def __init__(self, workers: int, heartbeat: Heartbeat) -> None:
         self._changed = threading.Condition()
-        self._queue: deque[TurnTaker] = deque()
-        self._queued: set[TurnTaker] = set()
-        self._at_work: dict[TurnTaker, bool] = {}
-        """Takers that have a turn now, and whether they were woken meanwhile."""
+        self._queue: deque[CameraPipeline] = deque()
+        self._queued: set[CameraPipeline] = set()
+        self._at_work: dict[CameraPipeline, bool] = {}
+        """Cameras that have a turn now, and whether they were woken meanwhile."""
         self._closing = False
         self._threads = [
             threading.Thread(
@@ -53,13 +44,13 @@ class FrameScheduler:
         for thread in self._threads:
             thread.start()
 
-    def wake(self, taker: TurnTaker) -> None:
-        """Schedule `taker`; thread-safe."""
+    def wake(self, camera: CameraPipeline) -> None:
+        """Schedule `camera`; thread-safe."""
         with self._changed:
-            if taker in self._at_work:
-                self._at_work[taker] = True
+            if camera in self._at_work:
+                self._at_work[camera] = True
             else:
-                self._enqueue(taker)
+                self._enqueue(camera)
 
     def close(self, patience_s: float) -> bool:
         """Let the threads end when the queue is empty; return whether they have within the time limit."""
@@ -71,33 +62,33 @@ class FrameScheduler:
             thread.join(max(0.0, deadline - time.monotonic()))
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _enqueue(self, taker: TurnTaker) -> None:
-        if taker not in self._queued:
-            self._queued.add(taker)
-            self._queue.append(taker)
+    def _enqueue(self, camera: CameraPipeline) -> None:
+        if camera not in self._queued:
+            self._queued.add(camera)
+            self._queue.append(camera)
             self._changed.notify()
 
-    def _next(self) -> TurnTaker | None:
+    def _next(self) -> CameraPipeline | None:
         with self._changed:
             while not self._queue:
                 if self._closing:
                     return None
                 self._changed.wait()
-            taker = self._queue.popleft()
-            self._queued.discard(taker)
-            self._at_work[taker] = False
-            return taker
+            camera = self._queue.popleft()
+            self._queued.discard(camera)
+            self._at_work[camera] = False
+            return camera
 
     def _work(self, activity: Activity) -> None:
-        while (taker := self._next()) is not None:
+        while (camera := self._next()) is not None:
             try:
-                more = taker.turn(activity)
+                more = camera.turn(activity)
             except BaseException:
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             with self._changed:
-                if self._at_work.pop(taker) or more:
-                    self._enqueue(taker)
+                if self._at_work.pop(camera) or more:
+                    self._enqueue(camera)
 
 
 INBOX = 1000
@@ -155,7 +146,7 @@ class CameraPipeline:
             self._waited += waited
 
     def turn(self, activity: Activity) -> bool:
-        """Implement `TurnTaker`."""
+        """Process one frame at most; return whether there may be more. `activity`: of the thread, for the heartbeat."""
         self._activity = activity
         self._take_inbox()
         self._tell_time()
