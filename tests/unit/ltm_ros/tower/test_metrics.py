@@ -42,7 +42,7 @@ def test_every_number_of_the_diagnostics_is_a_metric_with_that_value() -> None:
     watch = watch_of(made)
     scraped = samples(exposition(status_of(watch)).decode())
     numbers = 0
-    for name, report in watch.reports.items():
+    for name, report in ((node.name, node) for node in status_of(watch).nodes):
         camera = name.split("/")[2] if name.count("/") > 2 else ""
         labels = {"node": name, "camera": camera}
 
