@@ -36,7 +36,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import StampLimits
+from ltm_ros.runtime.stamp_check import StampLimits
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
 
 MAP_CELLS_PER_S = 1_000_000

@@ -24,7 +24,8 @@ from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, 
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampCheck, data_bytes
+from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_join import data_bytes
 from ltm_ros.runtime.topics import TF, TF_STATIC, transform_topics
 
 AHEAD_NS = 10**10

@@ -41,7 +41,7 @@ from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.stamp_join import StampCheck
+from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import of_camera
 
 BURN_SOURCE = "fuel_map/burn"

@@ -40,7 +40,7 @@ from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampCheck, StampLimits
+from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
 from ltm_ros.runtime.topics import of_camera
 
 

@@ -27,7 +27,8 @@ from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
-from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampCheck, StampJoin, StampLimits
+from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import of_camera
 
 GRID_CELLS_PER_S = 1_000_000

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import StampCheck
+from ltm_ros.runtime.stamp_check import StampCheck
 
 NOW = 1_800_000_000 * 10**9
 S = 10**9
