@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bystander import Bystander
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
-from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
+from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, votes, write_grass_site
 from scenes.waiting import wait_for
 
 from ltm_core.fuel.life_form import LifeForm
@@ -56,7 +56,7 @@ class Living:
 
 @pytest.fixture
 def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
-    site, folder = write_site(tmp_path), tmp_path / "kept"
+    site, folder = write_grass_site(tmp_path), tmp_path / "kept"
     parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "allow_burn": True}}
     whole = describe(load_site(site), site, parameters=parameters)
     runner = Runner(
@@ -79,12 +79,10 @@ def test_cameras_join_and_people_ask(living: Living) -> None:
     living.send(0, 1, 2, 3)
     living.wait_told(0, 1, 2, 3)
 
-    latest = bystander.wait_for_stamp(UPDATE, stamp_of_frame(3))
-    corner, cells = latest.info.origin.position, np.array(latest.data).reshape(latest.info.height, latest.info.width)
-    row, col = np.argwhere(cells > 0)[0]
+    seen, g = votes(3, living.grid), living.grid
     asked = PointStamped()
     asked.header.frame_id = "map"
-    asked.point.x, asked.point.y = corner.x + 30.0 * col + 15.0, corner.y + 30.0 * row + 15.0
+    asked.point.x, asked.point.y = g.x_min + 30.0 * seen.cols[0] + 15.0, g.y_max - 30.0 * seen.rows[0] - 15.0
     answers = site_topic(NAME, FUEL_MAP_ANSWER)
     bystander.listen(answers, FUEL_MAP_ANSWER.type, latched=True)
     bystander.open(site_topic(NAME, FUEL_MAP_QUERY), PointStamped)
@@ -101,7 +99,6 @@ def test_cameras_join_and_people_ask(living: Living) -> None:
     bystander.open(site_topic(NAME, FUEL_MAP_REGION), PolygonStamped)
     region = PolygonStamped()
     region.header.frame_id = "map"
-    g = living.grid
     corners = ((g.x_min, g.y_min), (g.x_max, g.y_min), (g.x_max, g.y_max), (g.x_min, g.y_max))
     region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
     assert bystander.call(f"{NODE}/burn")[0] is False
