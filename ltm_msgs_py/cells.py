@@ -87,7 +87,7 @@ def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -
 def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:
     """Return the version in use, its digest and the shares of cells seen and changed."""
     entry = manifest.entry(manifest.current)
-    values: dict[str, object] = {"version": manifest.current, "held": manifest.held}
+    values: dict[str, object] = {"version": manifest.current}
     if entry is not None:
         values |= entry.model_dump(exclude={"version"}) | {
             "seen_share": round(entry.seen / entry.cells, 4),

@@ -141,18 +141,21 @@ class SiteFile:
                 before = len(self.lines)
                 if isinstance(section, BaseModel):
                     self.tuning(section, indent + 4)
-                if len(self.lines) > before:
-                    self.lines.insert(before, f"{' ' * indent}  {part}:")
-            if len(self.lines) > at:
-                self.lines.insert(at, f"{' ' * indent}{name}:")
+                self._head(before, f"{' ' * indent}  ", part)
+            self._head(at, " " * indent, name)
+
+    def _head(self, at: int, begin: str, name: str) -> None:
+        """Put a section's name before its lines; as a comment, if all of them are."""
+        if below := self.lines[at:]:
+            empty = all(line.lstrip().startswith("#") for line in below)
+            self.lines.insert(at, f"{begin}{'# ' if empty else ''}{name}:")
 
     def _value(self, key: str, value: Any, indent: int) -> None:
         begin = " " * indent
         if isinstance(value, BaseModel):
             at = len(self.lines)
             self.keys(value, indent + 2)
-            empty = all(line.lstrip().startswith("#") for line in self.lines[at:])
-            self.lines.insert(at, f"{begin}{'# ' if empty else ''}{key}:")
+            self._head(at, begin, key) if len(self.lines) > at else self.lines.append(f"{begin}# {key}:")
         elif isinstance(value, dict) and value and all(isinstance(item, BaseModel) for item in value.values()):
             self.lines.append(f"{begin}{key}:")
             for name, item in value.items():

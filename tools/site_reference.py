@@ -1,7 +1,7 @@
 """Write the tables of the site file's keys into the documentation, from the classes that read the file.
 
 MkDocs runs `on_page_markdown` for each page: a line `{site keys: GROUP}` becomes the table of the group's keys, and
-`{expert keys}` the table of the tuning constants.
+`{expert keys}` and `{written keys}` the tables of the tuning constants and of what commands write.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from ltm_core.base.strict_model import is_expert, section_models
+from ltm_core.base.strict_model import is_expert, is_written, section_models
 from ltm_core.site.site import Site
 
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -43,6 +43,8 @@ class Key:
     default: str
     meaning: str
     expert: bool
+    written: bool = False
+    """Whether commands find it out and write it."""
 
     @property
     def section(self) -> str:
@@ -64,17 +66,39 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
     return found
 
 
-def keys(model: type[BaseModel] = Site, above: str = "", expert: bool = False) -> Iterator[Key]:
-    """Yield every key of a file once, sections before what they contain. `coarser` is no key: it is the rest of the
-    list `dem`."""
+def keys(
+    model: type[BaseModel] = Site,
+    above: str = "",
+    expert: bool = False,
+    written: bool = False,
+    seen: frozenset[tuple[type[BaseModel], str]] = frozenset(),
+) -> Iterator[Key]:
+    """Yield every key of a file, sections before what they contain; a section that occurs again, such as a password, is
+    yielded without its keys. `coarser` is no key: it is the rest of the list `dem`."""
     for name, field in model.model_fields.items():
-        if (model, name) == (Site, "coarser"):
+        owner = _owner(model, name)
+        if (model, name) == (Site, "coarser") or (owner, name) in seen:
             continue
-        path, tuning = f"{above}{name}", expert or is_expert(field)
-        yield Key(path, (), type_of(field), default_of(field), meanings(model).get(name, ""), tuning)
+        path, tuning, found_out = f"{above}{name}", expert or is_expert(field), written or is_written(field)
+        yield Key(path, (), type_of(field), default_of(field), meanings(model).get(name, ""), tuning, found_out)
+        seen |= set() if tuning else {(owner, name)}
         models = section_models(field.annotation)
         below = f"{path}.{'NAME.' if _is_mapping(field.annotation) else ''}"
-        yield from _merged([(kind_of(part), key) for part in models for key in keys(part, below, tuning)], len(models))
+        parts = [(kind_of(part), key) for part in models for key in keys(part, below, tuning, found_out, seen)]
+        yield from _merged(parts, len(models))
+        if not tuning:
+            seen |= {(_owner(part, key), key) for part in _below(models) for key in part.model_fields}
+
+
+def _owner(model: type[BaseModel], name: str) -> type[BaseModel]:
+    """Return the class that declares a field first."""
+    return next(base for base in reversed(model.__mro__) if name in inspect.get_annotations(base))
+
+
+def _below(models: list[type[BaseModel]]) -> Iterator[type[BaseModel]]:
+    for model in models:
+        yield model
+        yield from _below([part for field in model.model_fields.values() for part in section_models(field.annotation)])
 
 
 def _merged(found: list[tuple[str, Key]], models: int) -> Iterator[Key]:
@@ -88,7 +112,7 @@ def _merged(found: list[tuple[str, Key]], models: int) -> Iterator[Key]:
         types = dict.fromkeys(key.type for _, key in several)
         defaults = dict.fromkeys(key.default for _, key in several)
         meaning = max((key.meaning for _, key in several), key=len)
-        yield Key(first.path, kinds, " or ".join(types), " or ".join(defaults), meaning, first.expert)
+        yield Key(first.path, kinds, " or ".join(types), " or ".join(defaults), meaning, first.expert, first.written)
 
 
 def kind_of(model: type[BaseModel]) -> str:
@@ -159,12 +183,14 @@ def on_page_markdown(markdown: str, **_: object) -> str:
     """Replace the marks of a page (a hook of MkDocs)."""
 
     def of_group(match: re.Match[str]) -> str:
-        return table([key for key in keys() if not key.expert and group_of(key) == match[1]])
+        return table([key for key in keys() if not (key.expert or key.written) and group_of(key) == match[1]])
 
     text = re.sub(r"^\{site keys: (\w+)\}$", of_group, markdown, flags=re.MULTILINE)
-    return (
-        text.replace("{expert keys}", table([key for key in keys() if key.expert])) if "{expert keys}" in text else text
-    )
+    if "{expert keys}" in text:
+        text = text.replace("{expert keys}", table([key for key in keys() if key.expert]))
+    if "{written keys}" in text:
+        text = text.replace("{written keys}", table([key for key in keys() if key.written and not key.expert]))
+    return text
 
 
 if __name__ == "__main__":

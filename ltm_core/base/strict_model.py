@@ -13,6 +13,8 @@ from ltm_core.base.errors import ConfigError
 _T = TypeVar("_T")
 Expert = Annotated[_T, "expert"]
 """Type of a field that has a good default everywhere. A file sets it below its section `expert`, at the same path."""
+Written = Annotated[_T, "written"]
+"""Type of a field that commands find out and write in place: `ltm init`, `cameras probe`, `pose` and `mask`."""
 
 
 class StrictModel(BaseModel):
@@ -40,6 +42,10 @@ def beside(value: _T, folder: Path) -> _T:
 
 def is_expert(field: FieldInfo) -> bool:
     return "expert" in field.metadata
+
+
+def is_written(field: FieldInfo) -> bool:
+    return "written" in field.metadata
 
 
 def section_models(annotation: object) -> list[type[BaseModel]]:

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError, PoseError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, Written
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.geometry.camera import MOST_A_SIDE, Camera
@@ -30,23 +30,23 @@ class PartialCalibration(StrictModel):
     """Height of the image in pixels."""
     hfov_deg: float | None = Field(None, gt=0, lt=180)
     """Horizontal field of view in degrees between the image's outer edges; instead of fx."""
-    fx: float | None = Field(None, gt=0)
+    fx: Written[float | None] = Field(None, gt=0)
     """Horizontal focal length in pixels."""
-    fy: float | None = Field(None, gt=0)
+    fy: Written[float | None] = Field(None, gt=0)
     """Vertical focal length in pixels; default: fx."""
-    cx: float | None = None
+    cx: Written[float | None] = None
     """Column of the principal point in pixels; default: the image's centre."""
-    cy: float | None = None
+    cy: Written[float | None] = None
     """Row of the principal point in pixels; default: the image's centre."""
-    k1: float = 0.0
+    k1: Written[float] = 0.0
     """First radial distortion after Brown and Conrady (plumb_bob of CameraInfo)."""
-    k2: float = 0.0
+    k2: Written[float] = 0.0
     """Second radial distortion."""
-    p1: float = 0.0
+    p1: Written[float] = 0.0
     """First tangential distortion."""
-    p2: float = 0.0
+    p2: Written[float] = 0.0
     """Second tangential distortion."""
-    k3: float = 0.0
+    k3: Written[float] = 0.0
     """Third radial distortion."""
 
     @model_validator(mode="after")
@@ -117,7 +117,7 @@ class PartialPose(StrictModel):
     """Easting in `crs`, in metres, without subtracting an origin."""
     y: float | None = None
     """Northing in `crs`, in metres."""
-    crs: str | None = None
+    crs: Written[str | None] = None
     """CRS of x and y; default: that of the site or of the DEM. In EPSG:4326, x and y are longitude and latitude."""
     lon: float | None = Field(None, ge=-180, le=180)
     """Longitude in WGS 84 degrees, instead of x."""
@@ -135,15 +135,15 @@ class PartialPose(StrictModel):
     """Pitch in degrees, up from the horizon."""
     roll_deg: RollDeg | None = None
     """Roll in degrees, clockwise about the viewing direction."""
-    position_sigma: float | None = Field(None, gt=0)
+    position_sigma: Written[float | None] = Field(None, gt=0)
     """Standard deviation of x and of y in metres."""
-    height_sigma: float | None = Field(None, gt=0)
+    height_sigma: Written[float | None] = Field(None, gt=0)
     """Standard deviation of the height in metres."""
-    azimuth_sigma_deg: float | None = Field(None, gt=0)
+    azimuth_sigma_deg: Written[float | None] = Field(None, gt=0)
     """Standard deviation of the azimuth in degrees."""
-    pitch_sigma_deg: float | None = Field(None, gt=0)
+    pitch_sigma_deg: Written[float | None] = Field(None, gt=0)
     """Standard deviation of the pitch in degrees."""
-    roll_sigma_deg: float | None = Field(None, gt=0)
+    roll_sigma_deg: Written[float | None] = Field(None, gt=0)
     """Standard deviation of the roll in degrees."""
 
     @model_validator(mode="after")

@@ -72,7 +72,7 @@ class SensorsConfig(StrictModel):
     tf."""
     north: Literal["magnetic", "true"] = "magnetic"
     """North of the attitude's world: magnetic (Android) or true (iOS)."""
-    geoid_undulation: float | None = None
+    geoid_undulation: Expert[float | None] = None
     """Height in metres of the geoid above the ellipsoid of the fixes; None: the height comes from the terrain."""
     height_above_ground: float = Field(1.6, ge=0)
     """Height in metres above the ground, if no altitude is available."""

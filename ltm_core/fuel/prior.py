@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import model_validator
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.strict_model import Expert, StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel, Written
 from ltm_core.base.types import Int16Array
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.life_form import NODATA
@@ -39,21 +39,21 @@ class PriorConfig(StrictModel):
     path: Path | None = None
     """Path of a landscape (LCP or GeoTIFF of 8 bands), of a single band of fuel codes, or of a folder of single bands
     named as by LANDFIRE, ELMFIRE or GridFire (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
-    fbfm40: Path | None = None
+    fbfm40: Written[Path | None] = None
     """Path of a raster of FBFM40 codes."""
-    fbfm13: Path | None = None
+    fbfm13: Written[Path | None] = None
     """Path of a raster of FBFM13 codes."""
-    cover: Path | None = None
+    cover: Written[Path | None] = None
     """Path of the canopy cover in %, as a fraction, in FARSITE's classes, or of LANDFIRE's EVC."""
-    height: Path | None = None
+    height: Written[Path | None] = None
     """Path of the canopy height in LANDFIRE's m x 10, or in the unit that the file states or its values show."""
-    base_height: Path | None = None
+    base_height: Written[Path | None] = None
     """Path of the canopy base height, likewise."""
-    bulk_density: Path | None = None
+    bulk_density: Written[Path | None] = None
     """Path of the canopy bulk density in LANDFIRE's kg/m3 x 100, or likewise."""
-    crs: str | None = None
+    crs: Written[str | None] = None
     """CRS of files that do not state one."""
-    unknown_codes: Literal["refuse", "nodata", "built", "keep"] = "refuse"
+    unknown_codes: Written[Literal["refuse", "nodata", "built", "keep"]] = "refuse"
     """Treatment of codes that no fuel system defines, such as 256 for buildings in ELMFIRE: reject the map, set the
     cells to unknown, read 256 as built (91) and reject others, or copy all of them into exports. Codes 14 to 89 are
     custom models in both systems and are always kept."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
+from ltm_core.base.types import Float32Array, Int32Array, Int64Array, UInt8Array
 from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap, Window
@@ -52,11 +52,6 @@ class LivingFuelMap(EvidenceMap):
     def change_kinds(self) -> UInt8Array:
         """Return (H, W) ChangeKind."""
         return (self.surface_changes // _CODES).astype(np.uint8)
-
-    @property
-    def already_shown(self) -> BoolArray:
-        """Return (H, W) whether a recorded change was in the cell's evidence already, so that its prior was kept."""
-        return np.asarray((self.surface_changes > 0) & (self.surface_changes % _CODES == 0), np.bool_)
 
     def recall(self, recorded: NDArray[np.integer]) -> None:
         """Put back what `surface_changes` was, (H, W)."""

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ltm_core.base.redaction import is_loopback, url_without_secrets
-from ltm_core.base.strict_model import Expert, StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel, Written
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.cameras.sensor_pose import SensorsConfig
 from ltm_core.fuel.life_form import GrowthLimits
@@ -32,7 +32,7 @@ from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 class DemConfig(StrictModel):
     path: Path
     """Path of the raster file, relative to the site file."""
-    crs: str | None = None
+    crs: Written[str | None] = None
     """CRS of a raster that does not state one."""
 
 
@@ -97,9 +97,9 @@ class TopicsConfig(StrictModel):
     """Topic in place of `camera_info` (CameraInfo)."""
     pose: TopicName | None = None
     """Topic in place of `pose`."""
-    fix: TopicName | None = None
+    fix: Expert[TopicName | None] = None
     """Topic in place of `fix` (NavSatFix)."""
-    imu: TopicName | None = None
+    imu: Expert[TopicName | None] = None
     """Topic in place of `imu` (Imu)."""
 
 
@@ -118,7 +118,7 @@ class CameraConfig(StrictModel):
     mask: MaskConfig | None = None
     """Parts of the image that never show the landscape: a PNG in the site file's folder, or polygons (see `ltm mask`).
     None: no mask."""
-    view_masks: tuple[ViewMask, ...] = Field((), max_length=MOST_VIEW_MASKS)
+    view_masks: Written[tuple[ViewMask, ...]] = Field((), max_length=MOST_VIEW_MASKS)
     """Additional masks of a turning camera, each for one viewing direction. An image that matches none of them has only
     `mask`."""
     label_head: str = SHIPPED_LABEL_HEAD
@@ -130,10 +130,10 @@ class CameraConfig(StrictModel):
     """Connection to the PTZ head and the presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Camera that the node `source` reads and publishes; None: a driver publishes the images."""
-    judge_pictures: bool = True
+    judge_pictures: Expert[bool] = True
     """Whether to classify images as usable, or as night, fog, glare, blank or blurred. Unusable images do not vote,
     change the terrain or fit the pose."""
-    judge_smoke: bool = True
+    judge_smoke: Expert[bool] = True
     """Whether to detect smoke in front of the land in judged images by comparison with earlier ones; smoke does not
     vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 
@@ -232,11 +232,11 @@ class AlertsConfig(LoginSettings):
     mqtt: str | None = None
     """URL of an MQTT 5 broker, `mqtts://HOST:PORT`; messages go to the topic `ltm/SITE/alerts`. `mqtt://` is without
     TLS, and only for a broker on this computer."""
-    ca: Path | None = None
+    ca: Expert[Path | None] = None
     """Certificate of the broker's authority (PEM), relative to the site file; None: the system's authorities."""
-    certificate: Path | None = None
+    certificate: Expert[Path | None] = None
     """Certificate for the broker (PEM), relative to the site file; None: none is sent."""
-    key: Path | None = None
+    key: Expert[Path | None] = None
     """Private key (PEM) of `certificate`. A systemd credential with the file's name takes precedence."""
 
     @field_validator("webhook", "mqtt")

@@ -111,14 +111,14 @@ class Site(StrictModel):
     vocabulary: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """Prompts by label for a network that takes text; `other`: prompts whose pixels stay unlabelled. Empty: the
     network's own classes."""
-    label_heads: Path | None = None
+    label_heads: Expert[Path | None] = None
     """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
     comes second."""
     depth_model: str = ""
     """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: Cameras = Field(default_factory=dict, validate_default=True)
     """Cameras of the site by name."""
-    processes: Literal["site", "node"] = "site"
+    processes: Expert[Literal["site", "node"]] = "site"
     """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
     node has its own process, for development and for several hosts."""
     workers: Expert[int | None] = Field(None, ge=1)

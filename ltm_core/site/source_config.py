@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PositiveInt, field_validator, model_validator
 
 from ltm_core.base.redaction import url_without_secrets
-from ltm_core.base.strict_model import Expert, StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel, Written
 
 
 class SecretConfig(StrictModel):
@@ -65,18 +65,15 @@ class HttpLogin(LoginSettings):
 
     authentication: Expert[Literal["auto", "basic", "digest"]] = "auto"
     """HTTP authentication; `auto`: digest if the device offers it, else basic."""
-    ca: Path | None = None
+    ca: Written[Path | None] = None
     """PEM file with the certificate of the device or of its CA, used instead of the system's certificates."""
-    check_name: bool = True
+    check_name: Written[bool] = True
     """Whether the certificate must match the host of the URL; certificates of cameras often do not."""
 
 
 class SourceSettings(StrictModel):
     """Settings of all kinds of sources. Times in seconds."""
 
-    unsynchronised: Expert[Literal["hold", "mark", "ignore"]] = "mark"
-    """What to do while this computer's clock is not synchronised. `hold`: publish no frame; `mark`: publish and report
-    it on `source/info`; `ignore`: publish as usual."""
     night: Expert[Literal["hold", "publish"]] = "hold"
     """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
     stalled_after: Expert[float | None] = Field(None, gt=0)
@@ -124,7 +121,7 @@ class SnapshotConfig(HttpSettings):
     """Way in which images arrive."""
     every: float = Field(10.0, gt=0)
     """Seconds between two images."""
-    oldest: float = Field(1.0, ge=0)
+    oldest: Written[float] = Field(1.0, ge=0)
     """Maximum age of an image in seconds at the time of the request; some cameras take one image per second."""
 
 
@@ -144,7 +141,7 @@ class RtspConfig(NetworkSettings):
     """Minimum seconds between two frames; 0: all of `frames`."""
     transport: Expert[Literal["tcp", "udp"]] = "tcp"
     """Transport of the stream."""
-    clock: Literal["measured", "trusted"] = "measured"
+    clock: Expert[Literal["measured", "trusted"]] = "measured"
     """How to date frames. `trusted`: the camera keeps its clock by NTP, so its sender reports are used; `measured`: the
     offset of its clock is measured."""
     least_delay: Expert[float] = Field(0.02, ge=0, le=5)
@@ -192,21 +189,21 @@ class FolderConfig(SourceSettings):
     """Shell pattern of the files; `**` matches subfolders. Files outside the folder are not read."""
     every: float = Field(2.0, gt=0)
     """Seconds between two scans of the folder."""
-    name_time: str | None = None
+    name_time: Expert[str | None] = None
     """Format of the time in a file name, as for strptime: `north_%Y%m%d-%H%M%S.jpg`."""
-    zone: str = "UTC"
+    zone: Expert[str] = "UTC"
     """Time zone of file names, and of EXIF times without a zone."""
-    oldest: float = Field(600.0, gt=0)
+    oldest: Written[float] = Field(600.0, gt=0)
     """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
     """
     complete_within: Expert[float] = Field(60.0, gt=0)
     """Maximum time in seconds for a file to be complete."""
     upload: Expert[float] = Field(10.0, ge=0)
     """Maximum time in seconds from exposure to the file."""
-    clock: Literal["measured", "trusted"] = "measured"
+    clock: Expert[Literal["measured", "trusted"]] = "measured"
     """How to date images. `trusted`: the camera keeps its clock by NTP, so file names and EXIF are used; `measured`:
     the offset of its clock is measured."""
-    delete: bool = False
+    delete: Expert[bool] = False
     """Whether to delete files after they are published or rejected."""
 
     @field_validator("pattern")
@@ -222,9 +219,9 @@ class CameraListConfig(HttpSettings):
     publishes it; `url` is the list's."""
 
     kind: Literal["camera_list"]
-    id: str
+    id: Written[str]
     """Identifier of the camera in the list."""
-    image: str
+    image: Written[str]
     """URL of the image; `{id}` is replaced by the camera's identifier."""
     every: float = Field(30.0, gt=0)
     """Seconds between two requests of the list."""
@@ -238,7 +235,7 @@ class CameraListConfig(HttpSettings):
     """Key of the tilt in degrees."""
     zoom_key: Expert[str] = "zoom_current"
     """Key of the zoom."""
-    oldest: float = Field(120.0, ge=0)
+    oldest: Written[float] = Field(120.0, ge=0)
     """Maximum age of an image in seconds."""
 
     @field_validator("image")
@@ -269,8 +266,12 @@ class PtzSettings(HttpLogin):
     """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
     `source`."""
 
-    url: str | None = None
+    url: Expert[str | None] = None
     """Address `http://HOST` or `https://HOST`, with the port."""
+    user: Expert[str | None] = None
+    """User name for the PTZ head."""
+    password: Expert[SecretConfig | None] = None
+    """Place of the password for the PTZ head."""
     timeout: Expert[float] = Field(5.0, gt=0, le=60)
     """Timeout in seconds for each request."""
     tolerance_deg: Expert[float | None] = Field(None, gt=0)
@@ -289,7 +290,7 @@ class VapixConfig(PtzSettings):
 
     kind: Literal["vapix"]
     """Protocol of the PTZ head."""
-    camera: int = Field(1, ge=1)
+    camera: Expert[int] = Field(1, ge=1)
     """Number of the camera on a device with several."""
 
 
@@ -297,10 +298,10 @@ class IsapiConfig(PtzSettings):
     """Hikvision and compatible cameras."""
 
     kind: Literal["isapi"]
-    units: Literal["tenths", "degrees"]
+    units: Written[Literal["tenths", "degrees"]]
     """Units of the PTZ head. `tenths`: tenths of a degree from `status`, which all have, and zoom as ten times the
     magnification; `degrees`: decimals from `absoluteEx`, which newer ones have, and zoom as the magnification."""
-    channel: int = Field(1, ge=1)
+    channel: Expert[int] = Field(1, ge=1)
     """Number of the channel on a device with several."""
 
 
@@ -312,9 +313,9 @@ class OnvifConfig(PtzSettings):
     """Path of the device service."""
     profile: Expert[str | None] = None
     """Token of the media profile; None: the first profile with PTZ."""
-    pan_range_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
+    pan_range_deg: Written[tuple[Degrees, Degrees]] = (-180.0, 180.0)
     """Pan in degrees at the normalised values -1 and 1."""
-    tilt_range_deg: tuple[Degrees, Degrees] = (-90.0, 90.0)
+    tilt_range_deg: Written[tuple[Degrees, Degrees]] = (-90.0, 90.0)
     """Tilt in degrees at the normalised values -1 and 1."""
 
     @model_validator(mode="after")

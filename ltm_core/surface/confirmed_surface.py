@@ -149,11 +149,10 @@ class SurfaceVersion(StrictModel):
 
 
 class SurfaceManifest(StrictModel):
-    """List of `versions` in the order in which they came into use, without reverted ones; one that returns is listed
-    again. `held`: the last one was reverted, and none follows automatically. `forgotten`: earlier ones were dropped."""
+    """List of `versions` in the order in which they came into use; one that returns is listed
+    again. `forgotten`: earlier ones were dropped."""
 
     site: str
-    held: bool = False
     versions: tuple[SurfaceVersion, ...] = ()
     forgotten: bool = False
 

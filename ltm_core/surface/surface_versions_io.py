@@ -104,7 +104,7 @@ class SurfaceVersions:
         return surface
 
     def add(self, surface: ConfirmedSurface, as_of_ns: int, seen: int) -> SurfaceVersion:
-        """Write a version and make it the current one; it ends that one was taken back. Raises StoreError."""
+        """Write a version and make it the current one. Raises StoreError."""
         before, content = self.manifest(), _to_bytes(surface)
         digest = hashlib.sha256(content).hexdigest()
         version, cells = digest[:16], self.geometry.width * self.geometry.height
@@ -132,15 +132,6 @@ class SurfaceVersions:
             if path not in kept:
                 with contextlib.suppress(OSError):
                     path.unlink()
-
-    def take_back(self) -> SurfaceManifest:
-        """Make the version before the current one count, and hold it. Raises StoreError where none is current."""
-        before = self.manifest()
-        if not before.versions:
-            raise StoreError(f"{self.folder}: no confirmed surface is in use; nothing to revert")
-        after = before.model_copy(update={"held": True, "versions": before.versions[:-1]})
-        self._replace(after)
-        return after
 
     def _replace(self, manifest: SurfaceManifest) -> None:
         self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, Written
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
 
 MOST_POLYGONS = 200
@@ -31,11 +31,11 @@ class MaskPolygon(StrictModel):
         extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
     )
 
-    kind: str = Field("", alias="class", max_length=80)
+    kind: Written[str] = Field("", alias="class", max_length=80)
     """Kind of area: mast, lens, bar, caption, roof."""
-    reason: str = Field("", max_length=400)
+    reason: Written[str] = Field("", max_length=400)
     """Reason for the mask, in words."""
-    polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
+    polygon: Written[tuple[Point, ...]] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels, (0, 0) the centre of the top left pixel."""
 
 

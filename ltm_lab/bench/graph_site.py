@@ -70,7 +70,7 @@ def write_site(folder: Path, demo: Path, load: Load) -> Traffic:
         "depth_model": original.depth_model if load.fusion else "",
         "cameras": {name: {} for name in names},
     }
-    content |= {} if load.processes is None else {"processes": load.processes}
+    content |= {} if load.processes is None else {"expert": {"processes": load.processes}}
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     towers = _frames_of(original, BagReader(demo / "recording"))

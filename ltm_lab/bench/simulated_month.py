@@ -191,7 +191,7 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
         place = {"x": float(x + ORIGIN[0]), "y": float(y + ORIGIN[1]), "z": float(z)}
         angles = {"azimuth_deg": float(azimuth), "pitch_deg": float(pitch)}
         # Smoke is detected with earlier images, which an archive's tasks do not have.
-        cameras[name] = {"calibration": calibration, "pose": place | angles, "judge_smoke": False}
+        cameras[name] = {"calibration": calibration, "pose": place | angles}
     site = {
         "name": NAME,
         "crs": CRS,
@@ -200,7 +200,7 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
         "possible_ground": {"highest": 0.0},
         "model": NETWORK,
         "fuel": {"prior": {"path": "prior.tif"}},
-        "expert": {"fuel": {"max_range": 3000.0}},
+        "expert": {"fuel": {"max_range": 3000.0}, "cameras": {name: {"judge_smoke": False} for name in cameras}},
         "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}, "capture": {"drop_repeated": True}},
         "cameras": cameras,
     }

@@ -79,6 +79,7 @@ def write_update_site(folder: Path, scene: HillsideScene, looks: int, seed: int,
     conditions = SceneConditions(looks=looks, seed=seed)
     for name, dem in (("dem", scene.bare), ("surface", scene.given)):
         Dem(dem.elevation, dem.geometry.translated(*_ORIGIN, crs=_CRS)).save(folder / f"{name}.tif")
+    tuning = {"repeated_error_share": conditions.noise.repeats, "alone": 3.0}
     content = {
         "name": NAME,
         "crs": _CRS,
@@ -87,8 +88,7 @@ def write_update_site(folder: Path, scene: HillsideScene, looks: int, seed: int,
         "surface": {"path": "surface.tif"},
         # The noise is normal, and mostly new in each frame: see `hillside_scenes.Noise`.
         "terrain": {"trace_confirmed": True},
-        "processes": processes,
-        "expert": {"terrain": {"repeated_error_share": conditions.noise.repeats, "alone": 3.0}},
+        "expert": {"processes": processes, "terrain": tuning},
         "nodes": {"terrain": {"folder": "kept", "depth_from_elsewhere": True, "max_behind": _MAX_BEHIND_S}},
         "cameras": {name: {} for name in TOWERS},
     }

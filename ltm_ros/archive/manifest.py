@@ -25,7 +25,7 @@ from ltm_ros.recordings.inputs import decoded_input
 from ltm_ros.runtime.admission import RepeatCheck
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.stamp_join import StampCheck
+from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
 

@@ -56,8 +56,7 @@ def camera_backoff(jitter: random.Random | None = None) -> Backoff:
 class Frame:
     """A usable image. Either `jpeg` or `rgb` is given.
 
-    `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: unknown, or not
-    required."""
+    `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: unknown."""
 
     stamp_ns: int
     uncertainty: float
@@ -261,14 +260,9 @@ class CameraSource:
     def _publish(
         self, picture: CameraImage, exposure: Exposure, wall_less_monotonic: float, reading: PtzReading | None
     ) -> None:
-        synchronised = None if self._settings.unsynchronised == "ignore" else self._clock.synchronised()
+        synchronised = self._clock.synchronised()
         self._health.gauge("clock_synchronised", {None: "unknown", True: "yes", False: "no"}[synchronised])
         if synchronised is False:
-            if self._settings.unsynchronised == "hold":
-                self._refuse(
-                    "unsynchronised", "the system clock is not synchronised; connect this computer to a time server"
-                )
-                return
             self._health.note("unsynchronised")
         pose, covariance, camera = self._gaze.pose, self._gaze.covariance, self._calibration
         if reading is not None and self._gaze.model is not None:

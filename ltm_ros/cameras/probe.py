@@ -26,7 +26,7 @@ from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, host_of, with_configured_host
+from ltm_ros.cameras.ptz.head import PtzHead, host_of, with_configured_host
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
@@ -55,7 +55,6 @@ PTZ_KINDS: tuple[dict[str, Any], ...] = (
 class PtzFound:
     config: dict[str, Any]
     reading: PtzReading
-    limits: PtzLimits
     presets: tuple[str, ...]
 
 
@@ -114,6 +113,9 @@ def probe(
     for stated in found.stated:
         if found.source is None:
             _try(found, redacted(stated), lambda stated=stated: _stated(found, base, stated, web))  # type: ignore[misc]
+    if found.source is not None and str(found.source["url"]).startswith("https"):
+        found.source |= {} if ca is None else {"ca": str(ca.resolve())}
+        found.source |= {} if check_name else {"check_name": False}
     return found
 
 
@@ -221,14 +223,14 @@ def _try_ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
             found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
             found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
-        limits, presets = PtzLimits(), tuple[str, ...]()
+        presets: tuple[str, ...] = ()
         try:
-            limits, presets = ptz.limits(), tuple(ptz.presets())
+            presets = tuple(ptz.presets())
         except UnauthorisedError:
             raise
         except SourceError as error:
-            found.tried.append((f"limits and presets by {given['kind']}", str(error)))
-        found.ptz = PtzFound(given, reading, limits, presets)
+            found.tried.append((f"presets by {given['kind']}", str(error)))
+        found.ptz = PtzFound(given, reading, presets)
     finally:
         ptz.close()
     return f"pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}, zoom {reading.zoom:g}"

@@ -1,4 +1,4 @@
-"""`ltm cameras`: discover, probe and watch cameras, and take a snapshot with its pose."""
+"""`ltm cameras`: probe and watch cameras, and take a snapshot with its pose."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROMPTED = "LTM_CAMERA_PASSWORD"
 CREDENTIALS = Path("/etc/ltm/credentials")
 """Folder whose files systemd passes to an installed tower; a site file names them as credentials."""
 
-cameras = typer.Typer(no_args_is_help=True, help="Discover, probe and watch the cameras of a site, and take snapshots.")
+cameras = typer.Typer(no_args_is_help=True, help="Probe and watch the cameras of a site, and take snapshots.")
 
 
 @cameras.command()
@@ -97,28 +97,6 @@ def probe(
         raise ConfigError(f"{site} was not changed: camera {camera} lacks {'; '.join(missing)}")
     write_camera(site, camera, entry, replace)
     typer.echo(f"wrote camera {camera} into {site}\nnext: ltm check {site}")
-
-
-@cameras.command()
-def discover(
-    interface: Annotated[str, typer.Option(help="IPv4 address of this computer on the cameras' network.")],
-    seconds: Annotated[float, typer.Option(min=0.1, max=30, help="Time to wait for answers in seconds.")] = 4.0,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of WS-Discovery.")] = 3702,
-) -> None:
-    """Discover cameras on one network by WS-Discovery (ONVIF)."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    from ltm_ros.cameras.discovery import discover as ask
-
-    found, wrong = ask(interface, seconds, port=port)
-    console = Console()
-    rows = (tuple(map(escape, (one.host, one.name, one.hardware, one.address))) for one in found)
-    print_table(console, f"{len(found)} cameras answered", ("host", "name", "hardware", "address"), rows)
-    if wrong:
-        console.print(f"[yellow]{wrong} answers could not be read", highlight=False)
-    if found:
-        console.print(f"next: ltm cameras probe http://{escape(found[0].host)} --user NAME", highlight=False)
 
 
 @cameras.command()
@@ -230,15 +208,11 @@ def _print_found(console: Console, found: Found) -> None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
     if found.ptz is not None:
-        reading, limits = found.ptz.reading, found.ptz.limits
-
-        def ends(span: tuple[float, float] | None, unit: str) -> str:
-            return "limits not reported" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
-
+        reading = found.ptz.reading
         row("PTZ protocol", " ".join(str(value) for value in found.ptz.config.values()))
-        rows.append(("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}"))
-        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}"))
-        rows.append(("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}"))
+        rows.append(("pan", f"{reading.pan_deg:.2f} deg"))
+        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
+        rows.append(("zoom", f"{reading.zoom:g}"))
         row("presets", ", ".join(found.ptz.presets) or "none")
     for what, told in found.tried:
         rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))

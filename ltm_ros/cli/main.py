@@ -70,7 +70,6 @@ EXAMPLES = {
     "check": ("ltm check site.yaml", "ltm check site.yaml --out check.png"),
     "run": ("ltm run site.yaml --state map", "ltm run site.yaml --state map --view --record today"),
     "view": ("ltm view --site site.yaml", "ltm view --rrd out/demo/demo.rrd"),
-    "cameras discover": ("ltm cameras discover --interface 192.168.1.3",),
     "cameras probe": (
         "ltm cameras probe http://192.168.1.20 --user viewer",
         "ltm cameras probe http://192.168.1.20 --site site.yaml --camera north --lonlat -118.06,34.22 --height 20 "

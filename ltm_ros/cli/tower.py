@@ -100,13 +100,12 @@ def _print_status(said: Mapping[str, Any]) -> None:
             highlight=False,
         )
     kept = "; ".join(f"{d['folder']} {d['free'] / 1e9:.1f} of {d['total'] / 1e9:.0f} GB free" for d in said["disks"])
-    used = ", ".join(f"{name} {size / 1e6:.0f} MB" for name, size in said["process_memory"].items())
     sync = {True: "synchronised", False: "not synchronised (no NTP)", None: "synchronisation unknown"}[
         said["clock"]["synchronised"]
     ]
-    console.print(escape(f"clock {sync}, stepped {said['clock_steps']} times; {kept}"), highlight=False)
+    console.print(escape(f"clock {sync}; {kept}"), highlight=False)
     console.print(
-        escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available; {used}"),
+        escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available"),
         highlight=False,
     )
     console.print(escape(", ".join(f"{name} {version}" for name, version in said["versions"].items())), highlight=False)

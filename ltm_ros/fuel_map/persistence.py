@@ -78,9 +78,6 @@ class FuelMapPersistence:
         self._initial = self.shown.copies()
         self._batch: list[CountedFrame] = []
         self._in_batch: set[tuple[str, int]] = set()
-        self._unseen: tuple[str, int] | None = None
-        """The last frame that `seen` found neither in the batch nor in the store, so that `count` need not query the
-        disk again."""
         self._batch_bytes = 0
         self._unshown: list[Window] = []
         self._aged_ns = 0
@@ -106,7 +103,6 @@ class FuelMapPersistence:
             return Counting.DUPLICATE
         if self.store is not None and self.store.counted(source, stamp_ns):
             return Counting.TOO_OLD if self.store.forgotten(source, stamp_ns) else Counting.DUPLICATE
-        self._unseen = source, stamp_ns
         return None
 
     def stored(self, source: str, stamp_ns: int) -> bool:
@@ -116,8 +112,7 @@ class FuelMapPersistence:
 
     def count(self, votes: CellVotes, model: str = "") -> Counting:
         """Count a frame, once. Raises LtmError if it is rejected; then nothing of it is counted."""
-        asked = self._unseen == (votes.source, votes.stamp_ns)
-        if not asked and (before := self.seen(votes.source, votes.stamp_ns)) is not None:
+        if (before := self.seen(votes.source, votes.stamp_ns)) is not None:
             return before
         if len(self._batch) >= UNSAVED_FRAMES or self._batch_bytes > UNSAVED_BYTES:
             raise StoreError(
@@ -265,7 +260,6 @@ class FuelMapPersistence:
 
     def _take(self, counted: CountedFrame) -> None:
         record = counted.record
-        self._unseen = None
         self._batch.append(counted)
         self._in_batch.add((record.source, record.stamp_ns))
         self._batch_bytes += len(record.payload)
@@ -275,7 +269,7 @@ class FuelMapPersistence:
 
     def _open(self) -> None:
         """Load the store; frames that were counted without it are counted into its map."""
-        store, self._unseen = None, None
+        store = None
         try:
             store = self._open_store()
             evidence = self._make_map()  # the last attempt may have filled one in part

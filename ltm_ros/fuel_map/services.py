@@ -1,5 +1,5 @@
 """What the node `fuel_map` offers: its parameters, its topics, and its services (query a point, mark a region burned,
-clear a region, write landscapes)."""
+write landscapes)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from ltm_core.base.errors import ImageError, MessageError
 from ltm_core.base.types import BoolArray, Int16Array
@@ -35,9 +34,9 @@ from ltm_msgs_py.cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
-from ltm_ros.runtime.handler import NodeConfig, Outlet
+from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S
+from ltm_ros.runtime.stamp_check import StampLimits
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
 
 MAP_CELLS_PER_S = 1_000_000
@@ -103,21 +102,14 @@ class FuelPublisher:
         self._outlet.publish(FUEL_MAP_CELLS, message)
 
 
-class FuelMapConfig(NodeConfig):
+class FuelMapConfig(StampLimits):
     folder: str = ""
     """Folder in which the map is kept between runs and written on request, relative to the site file. Empty: not kept.
     Never set by a message."""
     export_path: str = ""
     """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
-    accept_unknown_cameras: bool = False
-    """Whether to count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
-    allow_clear_and_burn: bool = False
-    """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
-    map's evidence."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a frame may be late."""
+    allow_burn: bool = False
+    """Whether to serve `fuel_map/burn`, with which any node in the graph can mark regions of the map as burned."""
 
 
 MOST_CORNERS = 1000
@@ -213,20 +205,6 @@ def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, 
 
 def _tiles_of(cells: BoolArray) -> list[Key]:
     return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
-
-
-def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
-    """Return the state of the tiles of these cells without evidence."""
-    tiles = {}
-    for row, col in _tiles_of(cells):
-        state = evidence.tile_state((row, col))
-        inside = np.zeros((TILE, TILE), np.bool_)
-        part = cells[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]
-        inside[: part.shape[0], : part.shape[1]] = part
-        for array in state.values():
-            array[inside] = 0
-        tiles[row, col] = state
-    return tiles
 
 
 def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:

@@ -145,19 +145,6 @@ class Confirmation:
         """Make a last version of everything known, for later runs."""
         self._try()
 
-    def confirm(self) -> str:
-        """Make a version of the current map, even after one was taken back. Raises StoreError."""
-        found, seen = confirmed_surface(self._map)
-        self._add(found, seen)
-        return f"surface {self._manifest.current} is in use: {len(found)} of {seen} cells seen have changed"
-
-    def take_back(self) -> str:
-        """Return to the previous version and keep it until `confirm`. Raises StoreError."""
-        self._manifest, self._current = self._versions.take_back(), None
-        self._tell()
-        now = f"surface {self._manifest.current}" if self._manifest.current else "the original terrain"
-        return f"{now} is in use again, until terrain/confirm is called"
-
     def _read(self) -> None:
         """Read the version in use from the folder; if that fails, none is in use until one is made."""
         try:
@@ -187,9 +174,7 @@ class Confirmation:
             self._tell()
 
     def _renew(self) -> None:
-        """Make a version if there is anything new; none while one is held."""
-        if self._manifest.held:
-            return
+        """Make a version if there is anything new."""
         found, seen = confirmed_surface(self._map)
         before = self._counting()
         if len(found) > 0 if before is None else found.differs_from(before, self._least):

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.stored_fuel import SURFACE_LAYER, SurfaceMoves, take_news
-from ltm_core.storage.tile_store_schema import CellChanges
+from ltm_core.pipeline.stored_fuel import SurfaceMoves, take_news
 from ltm_core.surface.change import ChangeKind
 from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes, tile_window
@@ -53,7 +52,6 @@ class SurfaceListener:
         self._moves = SurfaceMoves(grid)
         self._newest = 0
         self._waiting: _Heard | None = None
-        self._last: _Heard | None = None
 
     def on_update(self, message: Any) -> None:
         """Record how far cells have moved whose change is new. Raises MessageError and takes nothing of it."""
@@ -111,7 +109,7 @@ class SurfaceListener:
                 f"terrain change: invalid kind {kinds[row, col]} at row {row}, col {col}; valid are 0 to 3"
             )
         self._newest = stamp
-        self._waiting = self._last = _Heard(stamp, kinds, place)
+        self._waiting = _Heard(stamp, kinds, place)
         return self.retry()
 
     def retry(self) -> int:
@@ -124,24 +122,6 @@ class SurfaceListener:
         if len(news):
             self._record(news, change.stamp_ns)
         return len(news)
-
-    def forget(self, cells: BoolArray) -> None:
-        """Handle the deletion of these fuel cells' evidence, (H, W): a change that the evidence had shown before the
-        terrain is recorded again, now or with the terrain's next message."""
-        evidence = self._persistence.map
-        again = cells & evidence.already_shown
-        if not again.any():
-            return
-        before, whole = evidence.surface_changes[again], evidence.surface_changes.copy()
-        whole[again] = 0
-        rows, cols = np.nonzero(again)
-        stamp = max(self._newest, evidence.newest_ns)
-        evidence.recall(whole)
-        self._persistence.replace_tiles(
-            {}, changes=[CellChanges(SURFACE_LAYER, stamp, rows, cols, before, np.zeros_like(before))]
-        )
-        self._waiting = self._last
-        self.retry()
 
     def _record(self, news: SurfaceNews, stamp_ns: int) -> None:
         taken = take_news(self._persistence.map, news, stamp_ns)

@@ -243,7 +243,7 @@ class Runner:
 
     def _remove_shared_memory(self) -> None:
         """Remove the shared memory of killed nodes, after waiting until young objects cannot be theirs."""
-        if shared_memory.remove_stale().young:
+        if shared_memory.remove_stale():
             time.sleep(shared_memory.MIN_AGE_S)
             shared_memory.remove_stale()
 

@@ -6,8 +6,8 @@ import importlib
 import queue
 import sys
 import time
-from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -24,11 +24,13 @@ from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node_process import EX_IOERR
 from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
 from ltm_ros.runtime.pipeline import Job, absolute
-from ltm_ros.runtime.retry import LateStart, cannot_start
+from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.ros_environment import available_cores
 
 CLOSE_S = 5.0
 """Time in seconds for frames in flight to finish after a stop request."""
+LONGEST_PAUSE_S = 120.0
+"""Longest pause in seconds between two attempts to create a camera's nodes, which read everything again."""
 
 
 DESCRIBED = 8
@@ -54,14 +56,10 @@ class JobNode(OutletNode):
         )
         self.spec = spec
         self._camera, self._pipeline = camera, camera.pipeline
-        self._heard_here: Set[Topic] = frozenset()
-        """Acknowledgements that a job of this pipeline also receives over DDS, because nodes elsewhere send them, too.
-        """
-        make: Callable[[], Any] = partial(node_type.handler, self.config, self, self.health)
-        self.job = Job(spec.full_name, spec.namespace, self.health, make)
-        handler = self.job.handler
-        if handler.services or handler.discoverable:
-            raise ConfigError(f"{spec.label}: a node with services or topics by pattern needs a process of its own")
+        handler = node_type.handler(self.config, self, self.health)
+        self.job = Job(spec.full_name, spec.namespace, self.health, handler)
+        if handler.services:
+            raise ConfigError(f"{spec.label}: a node with services needs a process of its own")
         for topic in handler.publications:
             self.open(topic)
         self._pipeline.add(self.job)
@@ -70,11 +68,7 @@ class JobNode(OutletNode):
         """Subscribe over DDS to topics that no job of the pipeline publishes; call it after all jobs are added."""
         for topic in self.job.callbacks:
             if not self._pipeline.made_here(self.job.topic(topic)):
-                self.listen(topic, topic.name, partial(self._offer, wake, topic))
-        # Last: a node that is known to acknowledge frames must also receive them.
-        for topic in self.job.handler.acknowledgements:
-            self.open(topic)
-        self._heard_here = {t for t in self.job.handler.acknowledgements if self._pipeline.listened(self.job.topic(t))}
+                self.listen(topic, partial(self._offer, wake, topic))
 
     def publish(self, topic: Topic, message: Any) -> None:
         """Implement Outlet."""
@@ -94,29 +88,9 @@ class JobNode(OutletNode):
         """Implement Outlet."""
         return self._camera.more_waits
 
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Implement Outlet."""
-        message = self.acknowledgement(stamp_ns)
-        self._hand_over(topic, message)
-        if self._publishers_by_topic[topic].get_subscription_count() > (topic in self._heard_here):
-            self.send(topic, message)
-
-    def workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        return super().workers(topic) | self.prompt_workers(topic)
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        name = self.job.topic(topic)
-        return {
-            job.name
-            for job in self._pipeline.jobs.values()
-            if name in {job.topic(own) for own in job.handler.acknowledgements}
-        }
-
     def _hand_over(self, topic: Topic, message: Any) -> None:
         if self._pipeline.listened(name := absolute(self.spec.namespace, topic)):
-            self._pipeline.publish(name, message, topic.latched)
+            self._pipeline.publish(name, message)
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
         if topic.counted:
@@ -130,19 +104,18 @@ class JobNode(OutletNode):
         wake()
 
 
-@dataclass(frozen=True)
-class _CameraNodes:
-    nodes: list[JobNode]
-    pipeline: CameraPipeline
+@dataclass
+class _MissingCamera:
+    """A camera whose nodes could not be created, and why."""
 
-    def destroy(self) -> None:
-        for node in self.nodes:
-            node.destroy_node()
+    specs: Sequence[NodeSpec]
+    pace: Backoff = field(default_factory=lambda: Backoff(longest_s=LONGEST_PAUSE_S))
+    error: Exception | None = None
 
 
 class SiteProcess:
     """All nodes of `specs`; the nodes of one namespace belong to one camera. A camera whose nodes cannot be created is
-    reported, and tried again later (`LateStart`). Raises the first LtmError if no camera works."""
+    reported, and tried again later. Raises the first error if no camera works."""
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
         self._members: list[JobNode] = []
@@ -150,24 +123,14 @@ class SiteProcess:
         self._diagnostics: list[DiagnosticsPublisher] = []
         workers = load_site(str(specs[0].parameters["site"])).workers or available_cores()
         self._scheduler = FrameScheduler(workers, HEARTBEAT)
-        faults: list[LtmError] = []
-        left_out: dict[str, Callable[[], _CameraNodes]] = {}
-        reasons: dict[str, str] = {}
+        self._missing: dict[str, _MissingCamera] = {}
         for namespace in dict.fromkeys(spec.namespace for spec in specs):
-            make = partial(self._make_camera, [spec for spec in specs if spec.namespace == namespace])
-            try:
-                self._add_camera(make())
-            except LtmError as error:
-                faults.append(error)
-                left_out[namespace], reasons[namespace] = make, str(error)
-            except Exception as error:
-                sys.excepthook(*sys.exc_info())
-                left_out[namespace], reasons[namespace] = make, repr(error)
-        for namespace, why in reasons.items():
-            _say(cannot_start(namespace, why) if self._cameras else f"{namespace}: cannot start: {why}")
-        self._late = LateStart(left_out, reasons, _say)
+            missing = _MissingCamera([spec for spec in specs if spec.namespace == namespace])
+            if not self._try(namespace, missing):
+                self._missing[namespace] = missing
         if not self._cameras:
-            raise faults[0] if faults else RuntimeError("no camera's nodes can be started; see the messages above")
+            faults = [missing.error for missing in self._missing.values() if missing.error is not None]
+            raise next((fault for fault in faults if isinstance(fault, LtmError)), faults[0])
         self._ticked = time.monotonic()
         first = self._members[0]
         first.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
@@ -181,8 +144,6 @@ class SiteProcess:
 
     def close(self) -> int:
         """Finish frames in flight and close the handlers; return the process's exit status."""
-        for late in self._late.close(CLOSE_S):
-            late.destroy()
         for camera in self._cameras:
             camera.stop_admitting()
         finished = self._scheduler.close(CLOSE_S)
@@ -193,38 +154,61 @@ class SiteProcess:
             diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _make_camera(self, specs: Sequence[NodeSpec]) -> _CameraNodes:
+    def _try(self, namespace: str, missing: _MissingCamera) -> bool:
+        """Create a camera's nodes; return whether it worked. A new reason why not is reported."""
+        before = str(missing.error)
+        try:
+            self._add_camera(self._make_camera(missing.specs))
+        except Exception as error:
+            missing.error = error
+            missing.pace.failed()
+            if str(error) != before:
+                if not isinstance(error, LtmError):
+                    sys.excepthook(*sys.exc_info())
+                print(
+                    f"{namespace}: cannot start: {str(error) or repr(error)}; retrying later",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            return False
+        return True
+
+    def _make_camera(self, specs: Sequence[NodeSpec]) -> tuple[list[JobNode], CameraPipeline]:
         nodes: list[JobNode] = []
 
         def say(name: str, text: str) -> None:
             next(node for node in nodes if node.spec.full_name == name).warn(text)
 
-        made = _CameraNodes(nodes, CameraPipeline(say))
+        camera = CameraPipeline(say)
         try:
             for spec in specs:
-                nodes.append(JobNode(spec, made.pipeline, len(self._cameras) < DESCRIBED))
-            made.pipeline.pipeline.start()
+                nodes.append(JobNode(spec, camera, len(self._cameras) < DESCRIBED))
+            camera.pipeline.start()
             for node in nodes:
-                node.subscribe(partial(self._scheduler.wake, made.pipeline))
+                node.subscribe(partial(self._scheduler.wake, camera))
         except BaseException:
-            made.destroy()
+            for node in nodes:
+                node.destroy_node()
             raise
-        return made
+        return nodes, camera
 
-    def _add_camera(self, made: _CameraNodes) -> None:
-        healths = {node.spec.full_name: node.health for node in made.nodes}
-        self._diagnostics.append(DiagnosticsPublisher(made.nodes[0], healths, made.nodes[0].config.camera))
-        self._members += made.nodes
-        self._cameras.append(made.pipeline)
+    def _add_camera(self, made: tuple[list[JobNode], CameraPipeline]) -> None:
+        nodes, camera = made
+        healths = {node.spec.full_name: node.health for node in nodes}
+        self._diagnostics.append(DiagnosticsPublisher(nodes[0], healths, nodes[0].config.camera))
+        self._members += nodes
+        self._cameras.append(camera)
 
     def _tick(self) -> None:
         now = time.monotonic()
         waited, self._ticked = now - self._ticked, now
-        for late in self._late.tick(waited):
-            self._add_camera(late)
+        for namespace, missing in list(self._missing.items()):
+            missing.pace.passed(waited)
+            if missing.pace.due and self._try(namespace, missing):
+                del self._missing[namespace]
+                print(f"{namespace}: started", file=sys.stderr, flush=True)
         for node in self._members:
             node.state_listeners()
-        self._members[0].look_at_clock()
         for camera in self._cameras:
             next(iter(camera.pipeline.jobs.values())).health.gauge("queue", camera.waiting)
             camera.tick(waited)
@@ -233,7 +217,3 @@ class SiteProcess:
     def _look_at_wiring(self) -> None:
         for node in self._members:
             node.look_at_wiring()
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -130,10 +130,6 @@ class NodeProcess:
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
 
     @property
-    def restarts(self) -> int:
-        return max(0, self.starts - 1)
-
-    @property
     def running(self) -> bool:
         return self.state is ProcessState.RUNNING
 

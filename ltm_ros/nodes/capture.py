@@ -4,13 +4,10 @@ stamp, as many as these can process."""
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
-
-from pydantic import Field
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
@@ -20,50 +17,25 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
-from ltm_msgs_py.stamp import stamp_of, time_to_ns
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.admission import Admission, RepeatCheck
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampCheck, data_bytes
-from ltm_ros.runtime.topics import (
-    CAMERA_INFO,
-    FINISHED,
-    POSE,
-    POSE_CORRECTION,
-    POSE_INFO,
-    POSED_CAMERA_INFO,
-    POSED_FIX,
-    POSED_IMAGE,
-    POSED_POSE,
-    STATED_POSE,
-    TF,
-    TF_STATIC,
-    transform_topics,
-)
+from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_join import data_bytes
+from ltm_ros.runtime.topics import TF, TF_STATIC, transform_topics
 
 AHEAD_NS = 10**10
 """Nanoseconds by which a camera's clock may be ahead; nodes that store frames reject others."""
 
 
 class CaptureConfig(NodeConfig, FrameJoinConfig):
-    in_flight: int = Field(2, ge=1)
-    """Maximum number of frames in flight in the camera's nodes: one is labelled while another is fused."""
-    finish_within: float = Field(10.0, gt=0)
-    """Seconds without a finished frame after which a node with frames is no longer waited for, until it
-    finishes one."""
     shed: bool = True
-    """Whether older queued frames are dropped while the maximum is in flight, so that only the newest waits. False, as
-    in a replay: all wait in order, up to `waiting_bytes` of the site's limits."""
-
-
-def _view_of(frame: JoinedFrame) -> Hashable:
-    """Return the viewing direction of a frame, in steps of a quarter of the field of view."""
-    camera, axis = frame.camera, frame.pose.rotation[:, 2]
-    step = math.atan2(camera.width, 2 * camera.fx) / 2
-    azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
-    return round(azimuth / step), round(pitch / step)
+    """Whether older queued frames are dropped, so that only the newest waits. False, as in a replay: all wait in order,
+    up to `waiting_bytes` of the site's limits."""
 
 
 def _is_raw(image: Any) -> bool:
@@ -72,9 +44,9 @@ def _is_raw(image: Any) -> bool:
 
 class CaptureHandler(Handler[CaptureConfig]):
     """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
-    room for it (`Admission`)."""
+    finished the previous one (`Admission`)."""
 
-    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, POSED_FIX)
+    publications: Sequence[Topic] = (topics.POSED_IMAGE, topics.POSED_CAMERA_INFO, topics.POSED_POSE, topics.POSED_FIX)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -83,7 +55,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._limits, self._frame = site.limits, site.frame
         self._refines = site.refine_poses is not None
         if self._refines:
-            self.publications = (*self.publications, STATED_POSE)
+            self.publications = (*self.publications, topics.STATED_POSE)
         if TF is not None and TF_STATIC is not None:
             self.publications = (*self.publications, TF, TF_STATIC)
         self._own_inputs = site.camera(config.camera)
@@ -95,27 +67,22 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
             self._send,
-            lambda: outlet.workers(FINISHED),
             health,
-            config.in_flight,
-            config.finish_within,
             config.shed,
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
             outlet.more_waits,
-            _view_of,
         )
         self._newest = -1
         self._takes_raw = False
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        topics: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
-        topics[FINISHED] = self.on_finished
+        found: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
         if self._refines:
-            topics |= {topic: partial(self.on_correction, topic) for topic in (POSE_CORRECTION, POSE_INFO)}
+            found |= {topic: partial(self.on_correction, topic) for topic in (topics.POSE_CORRECTION, topics.POSE_INFO)}
         others = dict(self._join.others)
-        poses = [topic for topic in others if topic.counted_name == POSE.name]
+        poses = [topic for topic in others if topic.counted_name == topics.POSE.name]
         if poses and self._own_inputs.topics.pose is not None:
             others |= dict.fromkeys(poses, lambda message: self._join_poses(self._poses.of_pose(message)))
             moving, static = transform_topics(self._own_inputs)
@@ -123,8 +90,8 @@ class CaptureHandler(Handler[CaptureConfig]):
                 others[replace(TF_STATIC, name=static)] = partial(self._on_transforms, static=True)
                 if moving:
                     others[replace(TF, name=moving)] = partial(self._on_transforms, static=False)
-        infos = (topic for topic in others if topic.counted_name == CAMERA_INFO.name)
-        return {**others, **topics, **dict.fromkeys(infos, self.on_camera_info)}
+        infos = (topic for topic in others if topic.counted_name == topics.CAMERA_INFO.name)
+        return {**others, **found, **dict.fromkeys(infos, self.on_camera_info)}
 
     def on_image(self, message: Any) -> None:
         stamp = stamp_of(message)
@@ -142,15 +109,10 @@ class CaptureHandler(Handler[CaptureConfig]):
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
-        if (
-            self.config.drop_repeated
-            and not known
-            and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest())
-        ):
-            self.health.drop(
-                "repeated",
-                f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen",
-            )
+        drops = self.config.drop_repeated and not known
+        if drops and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest()):
+            why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
+            self.health.drop("repeated", why)
             return
         self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
         self._join.add_image(stamp, message)
@@ -169,17 +131,13 @@ class CaptureHandler(Handler[CaptureConfig]):
     def on_correction(self, topic: Topic, message: Any) -> None:
         parts = self._correction_parts = self._correction_parts | {topic: message}
         if len(parts) == 2 and len({stamp_of(part) for part in parts.values()}) == 1:
-            self._correction = msgs_to_correction(parts[POSE_CORRECTION], parts[POSE_INFO])
-
-    def on_finished(self, message: Any) -> None:
-        self._admission.finished(message.frame_id, time_to_ns(message.stamp))
+            self._correction = msgs_to_correction(parts[topics.POSE_CORRECTION], parts[topics.POSE_INFO])
 
     def idle(self) -> None:
-        self._admission.idle(self.outlet.prompt_workers(FINISHED))
+        self._admission.idle()
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
-        self._admission.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()
@@ -210,17 +168,17 @@ class CaptureHandler(Handler[CaptureConfig]):
         photo = msg_to_rgb(frame.image) if _is_raw(frame.image) else compressed_to_rgb(frame.image)
         pose, covariance = frame.pose, frame.covariance
         if self._refines:
-            self.outlet.publish(STATED_POSE, pose_to_msg(pose, stamp, "map", covariance))
+            self.outlet.publish(topics.STATED_POSE, pose_to_msg(pose, stamp, "map", covariance))
         if self._correction is not None:
             pose, covariance = self._correction.applied(pose, self._join.assumed if covariance is None else covariance)
             self.health.note("pose_corrected" if self._correction.known else "pose_suspected")
         posed = PosedImage(photo, frame.camera, pose, stamp, self.config.camera)
-        self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
+        self.outlet.publish(topics.POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
         sent = pose_to_msg(posed.pose, stamp, "map", covariance)
-        self.outlet.publish(POSED_POSE, sent)
+        self.outlet.publish(topics.POSED_POSE, sent)
         self._publish_frames(sent)
-        self.outlet.provide(POSED_FIX, stamp, partial(self._fix, posed, covariance))
-        self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+        self.outlet.provide(topics.POSED_FIX, stamp, partial(self._fix, posed, covariance))
+        self.outlet.provide(topics.POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _fix(self, posed: PosedImage, covariance: Float64Array | None) -> Any:
         """Return a frame's place for maps."""

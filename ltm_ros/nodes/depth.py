@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -16,22 +16,12 @@ from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import SurfaceFollower
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
-from ltm_ros.runtime.topics import (
-    ALIGNMENT,
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    DEPTH_INFO,
-    FINISHED,
-    GROUND_DEPTH,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
-    TERRAIN_SURFACE,
-    site_topic,
-)
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
+from ltm_ros.runtime.topics import of_site
 
 
 class DepthConfig(JoinConfig, TracingConfig):
@@ -41,23 +31,27 @@ class DepthConfig(JoinConfig, TracingConfig):
     """Folder of the confirmed surfaces to trace to; empty: the site's rasters are used. The graph sets it."""
 
 
-class DepthHandler(Handler[DepthConfig]):
+class DepthHandler(JoiningHandler[DepthConfig]):
     """Traces the terrain for each calibration and pose; uses no image."""
 
-    publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
-    acknowledgements = (FINISHED,)
+    publications: Sequence[Topic] = (
+        topics.DEPTH_IMAGE,
+        topics.DEPTH_CAMERA_INFO,
+        topics.GROUND_DEPTH,
+        topics.ALIGNMENT,
+    )
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._step = TracingStep(site, config.camera, config)
-        self._surface = replace(TERRAIN_SURFACE, name=site_topic(site.name, TERRAIN_SURFACE))
+        self._surface = of_site(site.name, topics.TERRAIN_SURFACE)
         self._follower = SurfaceFollower(site, config.surfaces, self._step.trace_to, health)
         if config.surfaces:
-            self.publications = (*self.publications, DEPTH_INFO)
+            self.publications = (*self.publications, topics.DEPTH_INFO)
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
-        parts = {"info": POSED_CAMERA_INFO, "pose": POSED_POSE}
+        parts = {"info": topics.POSED_CAMERA_INFO, "pose": topics.POSED_POSE}
         self._join = StampJoin(parts, self._trace, health, max_wait=config.max_wait)
         compile_kernels("depth", site)
 
@@ -68,15 +62,9 @@ class DepthHandler(Handler[DepthConfig]):
             found[self._surface] = self._follower.on_message
         return found
 
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
     def tick(self, waited: float) -> None:
-        self._join.tick(waited)
+        super().tick(waited)
         self._follower.tick()
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _trace(self, info: Any, pose: Any) -> None:
         camera, where, stamp = msg_to_camera(info), msg_to_pose(pose, "map"), stamp_of(info)
@@ -92,20 +80,19 @@ class DepthHandler(Handler[DepthConfig]):
         ranges, version = traced.ranges, traced.version
         if version != self._step.version:
             self.health.note("below_confirmed_surface")
-        self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
+        self.outlet.publish(topics.DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.provide(
-            DEPTH_IMAGE, stamp, lambda: depth_to_msg(seen(ranges.depth(), hidden), stamp, self._frame_id)
+            topics.DEPTH_IMAGE, stamp, lambda: depth_to_msg(seen(ranges.depth(), hidden), stamp, self._frame_id)
         )
-        if self.outlet.wanted(GROUND_DEPTH):
+        if self.outlet.wanted(topics.GROUND_DEPTH):
             bare = traced.bare_earth().depth()
-            self.outlet.publish(GROUND_DEPTH, depth_to_msg(seen(bare, hidden), stamp, self._frame_id))
-        if self.outlet.wanted(ALIGNMENT):
-            self.outlet.publish(ALIGNMENT, image_to_msg(seen(ranges.points(), hidden), "32FC3", stamp, "map"))
+            self.outlet.publish(topics.GROUND_DEPTH, depth_to_msg(seen(bare, hidden), stamp, self._frame_id))
+        if self.outlet.wanted(topics.ALIGNMENT):
+            self.outlet.publish(topics.ALIGNMENT, image_to_msg(seen(ranges.points(), hidden), "32FC3", stamp, "map"))
         if self.config.surfaces:
-            self.outlet.provide(DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
+            self.outlet.provide(topics.DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
         for name, count in asdict(self._step.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
-        self.outlet.acknowledge(FINISHED, stamp)
 
 
 NODE = NodeType("depth", DepthConfig, DepthHandler)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
 from ltm_core.site.networks import labels_state, with_live_record
-from ltm_core.site.site import SITE_NAMES
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.tile_store import TileStore
@@ -34,27 +32,17 @@ from ltm_ros.fuel_map.services import (
     FuelPublisher,
     answer,
     burned,
-    forgotten,
     region_of,
     write_landscapes,
 )
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.stamp_join import StampCheck
-from ltm_ros.runtime.topics import (
-    FUEL_MAP_ANSWER,
-    FUEL_MAP_INFO,
-    FUEL_MAP_QUERY,
-    FUEL_MAP_REGION,
-    FUEL_VOTES,
-    LABELS_INFO,
-    TERRAIN_CHANGE,
-    TERRAIN_UPDATE,
-    camera_topic,
-)
+from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.topics import of_camera
 
 BURN_SOURCE = "fuel_map/burn"
 """Source name of burns in the store; no camera can have this name."""
@@ -65,7 +53,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     Live, at each `tick`, twice a second; in an offline replay, after each frame."""
 
-    publications = (*FuelPublisher.publications, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
+    publications = (*FuelPublisher.publications, topics.FUEL_MAP_INFO, topics.FUEL_MAP_ANSWER)
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -96,34 +84,22 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        cameras = {
-            Topic(camera_topic(self._site.name, camera, FUEL_VOTES), FUEL_VOTES.type): partial(self.on_votes, camera)
-            for camera in self._site.cameras
+        found: dict[Topic, Callable[[Any], None]] = {
+            topics.FUEL_MAP_QUERY: self.on_query,
+            topics.FUEL_MAP_REGION: self.on_region,
         }
-        models = {
-            Topic(camera_topic(self._site.name, camera, LABELS_INFO), LABELS_INFO.type, latched=True): partial(
-                self.on_label_info, camera
-            )
-            for camera in self._site.cameras
-        }
-        asked = {FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
-        if self._surface is None:
-            return {**cameras, **models, **asked}
-        surface = {TERRAIN_UPDATE: self._surface.on_update, TERRAIN_CHANGE: self.on_surface_change}
-        return {**cameras, **models, **asked, **surface}
-
-    @property
-    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
-        if not self.config.accept_unknown_cameras:
-            return {}
-        return {Topic(camera_topic(self._site.name, "*", FUEL_VOTES), FUEL_VOTES.type): self.on_unknown_votes}
+        for camera in self._site.cameras:
+            votes, labels = (of_camera(self._site.name, camera, t) for t in (topics.FUEL_VOTES, topics.LABELS_INFO))
+            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
+        if self._surface is not None:
+            found |= {topics.TERRAIN_UPDATE: self._surface.on_update, topics.TERRAIN_CHANGE: self.on_surface_change}
+        return found
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
         return {
             "fuel_map/save": self.save,
             "fuel_map/export": self.export,
-            "fuel_map/clear": self.clear,
             "fuel_map/burn": self.burn,
         }
 
@@ -149,7 +125,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             labels_measured=state,
         )
         self.health.gauge("labels", state)
-        self.outlet.publish(FUEL_MAP_INFO, info.to_msg())
+        self.outlet.publish(topics.FUEL_MAP_INFO, info.to_msg())
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
@@ -159,7 +135,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         if counting is None:
             votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
             counting = self.persistence.count(votes, self._models.get(camera, ""))
-            if counting is Counting.COUNTED and camera in self._site.cameras:
+            if counting is Counting.COUNTED:
                 self._measuring.take(votes)
                 self._drift.take(votes, self._models.get(camera, ""), self.persistence.shown)
         if counting is Counting.DUPLICATE:
@@ -172,12 +148,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         elif counting is Counting.EMPTY:
             self.health.note("empty_votes")
 
-    def on_unknown_votes(self, topic: str, message: Any) -> None:
-        camera = topic.split("/")[2]
-        if not re.fullmatch("[a-z][a-z0-9_]*", camera) or camera in SITE_NAMES:
-            raise MessageError(f"votes on {topic}: {camera!r} is not a camera name")
-        self.on_votes(camera, message)
-
     def on_label_info(self, camera: str, message: Any) -> None:
         """Store which network labels a camera's images, with its frames."""
         self._models[camera] = msg_to_model(message)
@@ -188,7 +158,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         point = message.point
         found = answer(self.persistence.map, self.persistence.store, self._classes, float(point.x), float(point.y))
         asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
-        self.outlet.publish(FUEL_MAP_ANSWER, FuelMapAnswer.model_validate(asked | found).to_msg())
+        self.outlet.publish(topics.FUEL_MAP_ANSWER, FuelMapAnswer.model_validate(asked | found).to_msg())
 
     def on_region(self, message: Any) -> None:
         self._region = region_of(message, self._geometry)
@@ -243,20 +213,13 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         paths = write_landscapes(self.persistence.map, self._site, self._folder, self._folder)
         return f"{' and '.join(path.name for path in paths)} written, as of stamp {self.persistence.map.newest_ns} ns"
 
-    def clear(self) -> str:
-        """Delete all evidence in the last region of `fuel_map/region`, which is used once."""
-        self._check_allowed("clear")
-        cells = self._take_region().cells
-        self.persistence.replace_tiles(forgotten(self.persistence.map, cells))
-        if self._surface is not None:
-            self._surface.forget(cells)
-        self._settle(write_tiles=True)
-        self._publisher.send_map()
-        return f"deleted the evidence of {int(cells.sum())} cells"
-
     def burn(self) -> str:
         """Mark the last region of `fuel_map/region` as burned at its stamp, or now; it is used once."""
-        self._check_allowed("burn")
+        if not self.config.allow_burn:
+            raise ConfigError(
+                "fuel_map/burn is disabled: set `allow_burn: true` under `nodes: fuel_map:` in the site file, and "
+                "restart the node"
+            )
         region = self._take_region()
         stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.ahead("the burned region", stamp):
@@ -266,13 +229,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
-
-    def _check_allowed(self, service: str) -> None:
-        if not self.config.allow_clear_and_burn:
-            raise ConfigError(
-                f"fuel_map/{service} is disabled: set `allow_clear_and_burn: true` under `nodes: fuel_map:` in "
-                "the site file, and restart the node"
-            )
 
     def _take_region(self) -> DrawnRegion:
         if self._region is None:
@@ -311,10 +267,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
 def _folder(config: FuelMapConfig) -> Path | None:
     """Return the node's folder; created only if its parent exists, so that a missing disk is noticed."""
-    if not config.folder:
-        return None
-    folder = Path(config.site).parent / Path(config.folder).expanduser()
-    make_folder(folder)
+    if (folder := config.beside_site(config.folder)) is not None:
+        make_folder(folder)
     return folder
 
 

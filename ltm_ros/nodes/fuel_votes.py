@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,24 +17,15 @@ from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
-from ltm_ros.runtime.topics import (
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FINISHED,
-    FUEL_VOTES,
-    LABELS_CONFIDENCE,
-    LABELS_IMAGE,
-    POSED_POSE,
-)
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 
 
-class FuelVotesHandler(Handler[JoinConfig]):
-    publications = (FUEL_VOTES,)
-    acknowledgements = (FINISHED,)
+class FuelVotesHandler(JoiningHandler[JoinConfig]):
+    publications = (topics.FUEL_VOTES,)
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -43,30 +33,17 @@ class FuelVotesHandler(Handler[JoinConfig]):
         self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
         self._withdrawn = np.zeros(2, np.int64)
         parts = {
-            "depth": DEPTH_IMAGE,
-            "info": DEPTH_CAMERA_INFO,
-            "labels": LABELS_IMAGE,
-            "confidence": LABELS_CONFIDENCE,
-            "pose": POSED_POSE,
+            "depth": topics.DEPTH_IMAGE,
+            "info": topics.DEPTH_CAMERA_INFO,
+            "labels": topics.LABELS_IMAGE,
+            "confidence": topics.LABELS_CONFIDENCE,
+            "pose": topics.POSED_POSE,
         }
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
-
-    @property
-    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return self._join.subscriptions
 
     def start(self) -> None:
         """Compile the kernels, so that the first frame is not delayed."""
         compile_kernels("fuel_votes", self._site)
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _vote(self, depth: Any, info: Any, labels: Any, confidence: Any, pose: Any) -> None:
         stamp, camera, posed = stamp_of(depth), msg_to_camera(info), msg_to_pose(pose, "map")
@@ -82,8 +59,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
         for name, pixels in zip(("too_steep", "above_tree_line"), self._withdrawn.tolist(), strict=True):
             if pixels:
                 self.health.gauge(f"withdrawn.{name}", pixels)
-        self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
-        self.outlet.acknowledge(FINISHED, stamp_of(depth))
+        self.outlet.publish(topics.FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)

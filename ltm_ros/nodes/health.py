@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -54,7 +53,6 @@ class HealthNode(Node):  # type: ignore[misc]
         self._watch = TowerWatch(site.name, config.expected, site.health.frame_age)
         self._site, self._lock = site.name, threading.Lock()
         self._folders = config.folders
-        self._memory = machine.ProcessMemory(os.getppid())
         self._health = Health()
         cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
         self._pictures = LastPictures(self, site, cameras, self._health)
@@ -97,7 +95,7 @@ class HealthNode(Node):  # type: ignore[misc]
         return 0
 
     def _send_alerts(self) -> None:
-        status = self.status(with_memory=False)
+        status = self.status()
         if self._alerts is not None:
             self._alerts.look(status.conditions, time.monotonic(), status.time_s)
 
@@ -113,9 +111,9 @@ class HealthNode(Node):  # type: ignore[misc]
     def _map_png(self) -> bytes | None:
         return self._pictures.map_png([] if self._marks is None else self._marks.on_map())
 
-    def status(self, with_memory: bool = True) -> TowerStatus:
-        """Return the current status; thread-safe. Without the memory of processes, it costs next to nothing."""
-        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic()) if with_memory else {}
+    def status(self) -> TowerStatus:
+        """Return the current status; thread-safe."""
+        disks = machine.disks(self._folders)
         with self._lock:
             return self._watch.status(
                 time.monotonic(),
@@ -124,7 +122,6 @@ class HealthNode(Node):  # type: ignore[misc]
                 clock=kernel_clock(),
                 disks=disks,
                 memory=machine.memory(),
-                process_memory=used,
             )
 
     def _camera_states(self) -> list[DiagnosticStatus]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -37,25 +36,15 @@ from ltm_msgs_py.pose import (
 )
 from ltm_msgs_py.sensors import msg_to_camera, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
-from ltm_ros.runtime.topics import (
-    LOCATE_AREA,
-    LOCATE_ESTIMATE,
-    LOCATE_FIX,
-    LOCATE_FUSED,
-    LOCATE_POINT,
-    LOCATE_REGION,
-    LOCATE_TRACKS,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
-    camera_topic,
-)
+from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
+from ltm_ros.runtime.topics import of_camera
 
 
-class LocateConfig(NodeConfig):
+class LocateConfig(StampLimits):
     smoke: bool = True
     """Whether the marks are smoke, whose base may be hidden; otherwise the object stands on the marked ground."""
     pose_age: float = Field(120.0, gt=0)
@@ -64,10 +53,6 @@ class LocateConfig(NodeConfig):
     """Seconds without a new sighting after which a track ends."""
     max_tracks: int = Field(16, ge=1, le=100)
     """Maximum number of tracks; the one seen longest ago is dropped first."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a region's stamp may be ahead."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a region may be late."""
 
 
 class LocateHandler(Handler[LocateConfig]):
@@ -94,21 +79,21 @@ class LocateHandler(Handler[LocateConfig]):
         self._scenes = {name: site_scene_filter(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._poses = {name: KnownPoses() for name in site.cameras}
-        per_camera = (LOCATE_ESTIMATE, LOCATE_FIX, LOCATE_AREA)
+        per_camera = (topics.LOCATE_ESTIMATE, topics.LOCATE_FIX, topics.LOCATE_AREA)
         self.publications = (
-            *(self._of(name, topic) for name in site.cameras for topic in per_camera),
-            LOCATE_FUSED,
-            LOCATE_TRACKS,
+            *(of_camera(self._site.name, name, topic) for name in site.cameras for topic in per_camera),
+            topics.LOCATE_FUSED,
+            topics.LOCATE_TRACKS,
         )
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         found: dict[Topic, Callable[[Any], None]] = {}
         for name in self._site.cameras:
-            found[self._of(name, POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
-            found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
-            found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
-            found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
+            found[of_camera(self._site.name, name, topics.POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
+            found[of_camera(self._site.name, name, topics.POSED_POSE)] = partial(self.on_pose, name)
+            found[of_camera(self._site.name, name, topics.LOCATE_REGION)] = partial(self.on_region, name, "detector")
+            found[of_camera(self._site.name, name, topics.LOCATE_POINT)] = partial(self.on_region, name, "person")
         return found
 
     def start(self) -> None:
@@ -141,7 +126,9 @@ class LocateHandler(Handler[LocateConfig]):
             return
         camera = self._cameras.get(name)
         if camera is None:
-            raise MessageError(f"a region of {name}, whose calibration has not been received: {POSED_CAMERA_INFO.name}")
+            raise MessageError(
+                f"a region of {name}, whose calibration has not been received: {topics.POSED_CAMERA_INFO.name}"
+            )
         config = self._locator.config
         hidden = self._scenes[name].hidden(camera.width, camera.height, Looking.of(camera, pose))
         if len(outline) == 1:
@@ -157,15 +144,12 @@ class LocateHandler(Handler[LocateConfig]):
         self._publish_fused(track, stamp)
         self._publish_tracks(stamp)
 
-    def _of(self, name: str, topic: Topic) -> Topic:
-        return replace(topic, name=camera_topic(self._site.name, name, topic))
-
     def _pose_at(self, name: str, stamp: int) -> tuple[Pose, Float64Array, int]:
         """Return the pose of a stamp, or the last before it; for stamp 0, the newest. Raises MessageError
         without one."""
         poses = self._poses[name]
         if not poses:
-            raise MessageError(f"a region of {name}, whose pose has not been received: {POSED_POSE.name}")
+            raise MessageError(f"a region of {name}, whose pose has not been received: {topics.POSED_POSE.name}")
         if stamp == 0:
             return poses.newest
         known = poses.at(stamp, round(self.config.pose_age * 1e9))
@@ -186,13 +170,15 @@ class LocateHandler(Handler[LocateConfig]):
 
     def _publish_estimate(self, name: str, alone: Location, stamp: int) -> None:
         said = self._said(alone)
-        self.outlet.publish(self._of(name, LOCATE_ESTIMATE), _place_msg(said, stamp))
+        self.outlet.publish(of_camera(self._site.name, name, topics.LOCATE_ESTIMATE), _place_msg(said, stamp))
         fix = place_to_fix(said.name.lon, said.name.lat, alone.posterior.covariance, stamp, "map")
-        self.outlet.publish(self._of(name, LOCATE_FIX), fix)
-        self.outlet.publish(self._of(name, LOCATE_AREA), outline_to_msg(said.ellipses[-1].outline(), stamp))
+        self.outlet.publish(of_camera(self._site.name, name, topics.LOCATE_FIX), fix)
+        self.outlet.publish(
+            of_camera(self._site.name, name, topics.LOCATE_AREA), outline_to_msg(said.ellipses[-1].outline(), stamp)
+        )
 
     def _publish_fused(self, track: Track, stamp: int) -> None:
-        self.outlet.publish(LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
+        self.outlet.publish(topics.LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
 
     def _publish_tracks(self, stamp: int) -> None:
         features: list[Any] = []
@@ -208,7 +194,7 @@ class LocateHandler(Handler[LocateConfig]):
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
         collection = {"stamp_ns": stamp, "features": features}
-        self.outlet.publish(LOCATE_TRACKS, LocateTracks.model_validate(collection).to_msg())
+        self.outlet.publish(topics.LOCATE_TRACKS, LocateTracks.model_validate(collection).to_msg())
 
 
 def _mark_data(sighting: Sighting) -> dict[str, Any]:

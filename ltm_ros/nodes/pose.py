@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,18 +21,11 @@ from ltm_msgs_py.pose import correction_to_msg, correction_values, msg_to_covari
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import status_to_msg
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
-from ltm_ros.runtime.topics import (
-    LABELS_IMAGE,
-    POSE_CORRECTION,
-    POSE_INFO,
-    POSED_CAMERA_INFO,
-    POSED_IMAGE,
-    STATED_POSE,
-)
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 
 
 class PoseKeepingConfig(JoinConfig):
@@ -42,10 +33,10 @@ class PoseKeepingConfig(JoinConfig):
     """Folder that keeps the mount's correction across restarts, relative to the site file. Empty: not kept."""
 
 
-class PoseHandler(Handler[PoseKeepingConfig]):
+class PoseHandler(JoiningHandler[PoseKeepingConfig]):
     """Checks an image from time to time, at the cost of a few frames per minute."""
 
-    publications = (POSE_CORRECTION, POSE_INFO)
+    publications = (topics.POSE_CORRECTION, topics.POSE_INFO)
 
     def __init__(self, config: PoseKeepingConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -59,30 +50,22 @@ class PoseHandler(Handler[PoseKeepingConfig]):
         self._watch = MountWatch(terrain, site.refine_poses, self._search, tilt_zero_sigma)
         self._assumed = site.assumed_pose_error.covariance()
         self._site, self._terms = site, ""
-        folder = Path(config.site).parent / Path(config.folder).expanduser()
-        self._file = memory_file(folder, config.camera) if config.folder else None
+        folder = config.beside_site(config.folder)
+        self._file = None if folder is None else memory_file(folder, config.camera)
         self._every_ns = round(site.refine_poses.every * 1e9)
         self._last_ns = -self._every_ns
-        parts = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": STATED_POSE, "labels": LABELS_IMAGE}
+        parts = {
+            "image": topics.POSED_IMAGE,
+            "info": topics.POSED_CAMERA_INFO,
+            "pose": topics.STATED_POSE,
+            "labels": topics.LABELS_IMAGE,
+        }
         self._join = StampJoin(parts, self._look, health, max_wait=config.max_wait)
-
-    @property
-    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return self._join.subscriptions
 
     def start(self) -> None:
         camera = self._site.camera(self.config.camera)
         if camera.calibration is not None or (camera.mount is not None and camera.mount.lens is not None):
             self._recall(None)
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _look(self, image: Any, info: Any, pose: Any, labels: Any) -> None:
         stamp = stamp_of(image)
@@ -114,8 +97,8 @@ class PoseHandler(Handler[PoseKeepingConfig]):
     def _tell(self, stamp: int) -> None:
         watch = self._watch
         name, wrong = f"{self.config.camera}/pose", not watch.correction.known
-        self.outlet.publish(POSE_INFO, status_to_msg(name, stamp, self._info(), watch.reason, wrong))
-        self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
+        self.outlet.publish(topics.POSE_INFO, status_to_msg(name, stamp, self._info(), watch.reason, wrong))
+        self.outlet.publish(topics.POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
 
     def _recall(self, seen: Camera | None) -> None:
         """Load the stored correction. `seen`: calibration of the images, if the site has none."""

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -24,38 +22,28 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import Confirmation, TerrainPublisher
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
-from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, JoinConfig, Part, StampCheck, StampJoin
-from ltm_ros.runtime.topics import (
-    FINISHED,
-    LABELS_IMAGE,
-    MEASURED_DEPTH,
-    MEASURED_SIGMA,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
-    TERRAIN_CHANGE,
-    TERRAIN_INFO,
-    TERRAIN_SURFACE,
-    TERRAIN_UPDATE,
-    camera_topic,
-)
+from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
+from ltm_ros.runtime.topics import of_camera
 
 GRID_CELLS_PER_S = 1_000_000
 """Cells per second of the latched grid of changes: a large grid is published less often."""
 _PARTS: Mapping[str, Topic] = {
-    "depth": MEASURED_DEPTH,
-    "sigma": MEASURED_SIGMA,
-    "info": POSED_CAMERA_INFO,
-    "pose": POSED_POSE,
+    "depth": topics.MEASURED_DEPTH,
+    "sigma": topics.MEASURED_SIGMA,
+    "info": topics.POSED_CAMERA_INFO,
+    "pose": topics.POSED_POSE,
 }
 _WAITING = 6
 """Maximum number of frames per camera that wait for their parts, and of labels that wait for their frame."""
 
 
-class TerrainNodeConfig(JoinConfig):
+class TerrainNodeConfig(JoinConfig, StampLimits):
     max_wait: float = Field(120.0, gt=0)
     """Seconds for which a frame's pose waits for its measured depth, which may have waited in `topodepth` before."""
     folder: str = ""
@@ -63,10 +51,6 @@ class TerrainNodeConfig(JoinConfig):
     kept. Never set by a message."""
     commit_every: float = Field(10.0, gt=0)
     """Seconds of frames that a power cut may lose."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Maximum seconds by which a camera's clock may be ahead."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Maximum seconds by which a frame may be late."""
     surfaces: str = ""
     """Folder for the confirmed surfaces that depth is traced to; empty: none. The graph sets it."""
     depth_from_elsewhere: bool = False
@@ -77,7 +61,7 @@ class TerrainNodeConfig(JoinConfig):
 class TerrainHandler(Handler[TerrainNodeConfig]):
     """Publishes changed cells after they are confirmed and stored, and the whole grid of changes (latched)."""
 
-    publications: Sequence[Topic] = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
+    publications: Sequence[Topic] = (topics.TERRAIN_UPDATE, topics.TERRAIN_CHANGE, topics.TERRAIN_INFO)
 
     def __init__(self, config: TerrainNodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -89,24 +73,23 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
                 f"{config.site}: terrain needs measured depth, because traced depth agrees with the DEM by "
                 "construction: set `depth_model` to a depth network, or set the node's depth_from_elsewhere"
             )
-        self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
+        self._folder = config.beside_site(config.folder)
         self._terrain = SiteTerrain(site, self._open_store)
         self._store, self._map = self._terrain.store, self._terrain.map
         self._publisher = TerrainPublisher(site, self._map, outlet, health)
         self._confirmation: Confirmation | None = None
         if config.surfaces:
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
-            self.publications = (*self.publications, TERRAIN_SURFACE)
+            self.publications = (*self.publications, topics.TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         required = [Part(name, topic=topic) for name, topic in _PARTS.items()]
-        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=LABELS_IMAGE)]
+        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=topics.LABELS_IMAGE)]
         self._joins = {
             camera: StampJoin(
                 labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera
             )
             for camera in site.cameras
         }
-        self.acknowledgements = tuple(self._of(camera, FINISHED) for camera in site.cameras)
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
@@ -119,16 +102,13 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         found: dict[Topic, Callable[[Any], None]] = {}
         for camera in self._site.cameras:
             for name, topic in _PARTS.items():
-                found[self._of(camera, topic)] = partial(self._part, camera, name)
-            found[self._of(camera, LABELS_IMAGE)] = partial(self._part, camera, "labels")
+                found[of_camera(self._site.name, camera, topic)] = partial(self._part, camera, name)
+            found[of_camera(self._site.name, camera, topics.LABELS_IMAGE)] = partial(self._part, camera, "labels")
         return found
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        found: dict[str, Callable[[], str]] = {"terrain/save": self.save}
-        if self._confirmation is not None:
-            found |= {"terrain/confirm": self._confirm, "terrain/take_back": self._confirmation.take_back}
-        return found
+        return {"terrain/save": self.save}
 
     def start(self) -> None:
         self._publisher.info()
@@ -186,14 +166,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             write_export(path, self._map, what, self._site.in_crs(self._map.reference.geometry))
         return f"written: {', '.join(f'terrain_{what}.tif' for what in BANDS)}"
 
-    def _confirm(self) -> str:
-        assert self._confirmation is not None  # nosec B101 # tells the type checker what holds
-        self._settle()
-        return self._confirmation.confirm()
-
-    def _of(self, camera: str, topic: Topic) -> Topic:
-        return replace(topic, name=camera_topic(self._site.name, camera, topic))
-
     def _part(self, camera: str, name: str, message: Any) -> None:
         self._joins[camera].add(name, stamp_of(message), message)
 
@@ -223,7 +195,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self.health.note("tiles_left_out")
         if added.registration is not None:
             self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
-        self.outlet.acknowledge(self._of(camera, FINISHED), stamp)
 
     def _store_what_is_due(self) -> None:
         """Store due frames. Without the disk, they stay in memory and are tried again."""

@@ -23,26 +23,11 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import status_to_msg
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime import topics
+from ltm_ros.runtime.handler import NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
-from ltm_ros.runtime.topics import (
-    DEPTH_IMAGE,
-    DEPTH_INFO,
-    FINISHED,
-    FUSED_DEPTH,
-    FUSED_INFO,
-    FUSED_SIGMA,
-    FUSED_SOURCE,
-    LABELS_IMAGE,
-    MEASURED_DEPTH,
-    MEASURED_SIGMA,
-    NETWORK_DEPTH,
-    POSED_CAMERA_INFO,
-    POSED_IMAGE,
-    POSED_POSE,
-)
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, Part, StampJoin
 
 STATED_EVERY_NS = 60 * 10**9
 """Maximum age of the network's verdict in the status, in the time of the frames."""
@@ -61,13 +46,13 @@ class TopoDepthConfig(JoinConfig, FusingConfig):
     it."""
 
 
-class TopoDepthHandler(Handler[TopoDepthConfig]):
+class TopoDepthHandler(JoiningHandler[TopoDepthConfig]):
     """Joins image, calibration, pose and traced depth, and labels if they come in time."""
 
     publications = (
-        FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
-    )  # fmt: skip
-    acknowledgements = (FINISHED,)
+        *(topics.FUSED_DEPTH, topics.FUSED_SIGMA, topics.FUSED_SOURCE, topics.FUSED_INFO),
+        *(topics.MEASURED_DEPTH, topics.MEASURED_SIGMA, topics.NETWORK_DEPTH),
+    )
 
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -79,9 +64,14 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         self._site = site
         self._versions = surface_versions(site, Path(config.surfaces)) if config.surfaces else None
         self._version = AS_GIVEN
-        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting, topic=LABELS_IMAGE)
-        topics = {"image": POSED_IMAGE, "info": POSED_CAMERA_INFO, "pose": POSED_POSE, "depth": DEPTH_IMAGE}
-        required = [Part(name, topic=topic) for name, topic in topics.items()]
+        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting, topic=topics.LABELS_IMAGE)
+        needed = {
+            "image": topics.POSED_IMAGE,
+            "info": topics.POSED_CAMERA_INFO,
+            "pose": topics.POSED_POSE,
+            "depth": topics.DEPTH_IMAGE,
+        }
+        required = [Part(name, topic=topic) for name, topic in needed.items()]
         parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
@@ -92,17 +82,8 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         found: dict[Any, Callable[[Any], None]] = {**self._join.subscriptions}
         if self.config.surfaces:
-            found[DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
+            found[topics.DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
         return found
-
-    def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
         """Fuse a frame. `traced`: the version of the surface that it was traced to."""
@@ -132,21 +113,20 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
             outcome = found().fusion.outcome
             self._state(outcome)
             self._stated_ns = stamp if outcome.verdict is FusionVerdict.OK else -STATED_EVERY_NS
-        self.outlet.acknowledge(FINISHED, stamp)
 
     def _publish(self, found: Callable[[], FusedFrame], stamp: int) -> None:
         """Publish what has subscribers. A frame without any is fused only for the status, from time to time."""
         frame = self._frame_id
         measured = cache(lambda: found().fusion.outcome.measured(found().view.doubtful))
         fused = cache(lambda: found().fusion.fused)
-        self.outlet.provide(FUSED_INFO, stamp, lambda: self._info(fused(), stamp))
-        if self.outlet.wanted(NETWORK_DEPTH) and (metres := found().fusion.outcome.network_depth()) is not None:
-            self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
-        self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
-        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused().sigma, stamp, frame))
-        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fused().source, "mono8", stamp, frame))
-        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused().depth, stamp, frame))
+        self.outlet.provide(topics.FUSED_INFO, stamp, lambda: self._info(fused(), stamp))
+        if self.outlet.wanted(topics.NETWORK_DEPTH) and (metres := found().fusion.outcome.network_depth()) is not None:
+            self.outlet.publish(topics.NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
+        self.outlet.provide(topics.MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
+        self.outlet.provide(topics.MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
+        self.outlet.provide(topics.FUSED_SIGMA, stamp, lambda: depth_to_msg(fused().sigma, stamp, frame))
+        self.outlet.provide(topics.FUSED_SOURCE, stamp, lambda: image_to_msg(fused().source, "mono8", stamp, frame))
+        self.outlet.provide(topics.FUSED_DEPTH, stamp, lambda: depth_to_msg(fused().depth, stamp, frame))
 
     def _info(self, fused: FusedDepth, stamp: int) -> Any:
         wrong = fused.verdict is not FusionVerdict.OK

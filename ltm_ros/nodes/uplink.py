@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -28,7 +27,7 @@ from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
+from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, of_camera
 
 OUTBOX_FILE: Final = "outbox.sqlite"
 SECTORS: Final = 24
@@ -48,24 +47,21 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
         site = load_site(config.site)
         if site.region is None:
             raise ConfigError(f"{config.site}: has no section `region`")
-        if not config.folder:
+        if (folder := config.beside_site(config.folder)) is None:
             raise ConfigError(
                 "the outbox of the section `region` needs a disk: start with `ltm run --state FOLDER`, or set "
                 "`nodes: {uplink: {folder: ...}}` in the site file"
             )
         self._site = site
         self._models: dict[str, str] = {}
-        folder = Path(config.site).parent / Path(config.folder).expanduser()
         self._link = TowerLink(site.region, _grid(site), folder / OUTBOX_FILE, health, _age_clock)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         found: dict[Topic, Callable[[Any], None]] = {}
         for camera in self._site.cameras:
-            votes = camera_topic(self._site.name, camera, FUEL_VOTES)
-            labels = camera_topic(self._site.name, camera, LABELS_INFO)
-            found[Topic(votes, FUEL_VOTES.type)] = partial(self.on_votes, camera)
-            found[Topic(labels, LABELS_INFO.type, latched=True)] = partial(self.on_label_info, camera)
+            votes, labels = (of_camera(self._site.name, camera, topic) for topic in (FUEL_VOTES, LABELS_INFO))
+            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
         return found
 
     def start(self) -> None:

@@ -21,25 +21,12 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import StampJoin
-from ltm_ros.runtime.topics import (
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FUEL_MAP,
-    FUSED_DEPTH,
-    LABELS_HEAT,
-    LABELS_IMAGE,
-    NETWORK_DEPTH,
-    POSED_IMAGE,
-    POSED_POSE,
-    TERRAIN_CHANGE,
-    TERRAIN_UPDATE,
-    camera_topic,
-    site_topic,
-)
+from ltm_ros.runtime.topics import of_camera, of_site
 from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 
@@ -99,30 +86,28 @@ class ViewerHandler(Handler[ViewerConfig]):
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         parts = {
-            "image": POSED_IMAGE,
-            "depth": DEPTH_IMAGE,
-            "info": DEPTH_CAMERA_INFO,
-            "labels": LABELS_IMAGE,
-            "pose": POSED_POSE,
+            "image": topics.POSED_IMAGE,
+            "depth": topics.DEPTH_IMAGE,
+            "info": topics.DEPTH_CAMERA_INFO,
+            "labels": topics.LABELS_IMAGE,
+            "pose": topics.POSED_POSE,
         }
         taken: dict[Topic, Callable[[Any], None]] = {
-            Topic(camera_topic(self._site.name, camera, topic), topic.type): partial(self._join, camera, part)
+            of_camera(self._site.name, camera, topic): partial(self._join, camera, part)
             for camera in self._site.cameras
             for part, topic in parts.items()
         }
         for camera in self._fusions:
-            fused, network = (
-                Topic(camera_topic(self._site.name, camera, t), t.type) for t in (FUSED_DEPTH, NETWORK_DEPTH)
-            )
+            both = topics.FUSED_DEPTH, topics.NETWORK_DEPTH
+            fused, network = (of_camera(self._site.name, camera, topic) for topic in both)
             taken[fused] = partial(self._join_fusion, camera, "fused")
             taken[network] = partial(self._network.__setitem__, camera)
         for camera in self._site.cameras:
-            heat = camera_topic(self._site.name, camera, LABELS_HEAT)
-            taken[Topic(heat, LABELS_HEAT.type)] = partial(self.on_heat, camera)
-        taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
+            taken[of_camera(self._site.name, camera, topics.LABELS_HEAT)] = partial(self.on_heat, camera)
+        whole = {topics.FUEL_MAP: self.on_fuel_map}
         if self._site.terrain is not None:
-            for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
-                taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
+            whole |= {topics.TERRAIN_CHANGE: self.on_change, topics.TERRAIN_UPDATE: self.on_changed_cells}
+        taken |= {of_site(self._site.name, topic): take for topic, take in whole.items()}
         return taken
 
     def on_heat(self, camera: str, message: Any) -> None:

@@ -46,7 +46,7 @@ from ltm_ros.fuel_map.persistence import CountedFrame, Counting, FuelMapPersiste
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.stamp_join import StampCheck
+from ltm_ros.runtime.stamp_check import StampCheck
 
 FrameId = tuple[str, str, int]
 """(tower, camera, stamp in nanoseconds)."""

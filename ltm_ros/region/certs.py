@@ -69,7 +69,9 @@ class TrialAuthority:
     def _make_certificates(self, names: Sequence[str], hosts: Sequence[str], new: list[Path]) -> None:
         authority_key, authority = self._authority(new)
         for name in names:
-            key = self._key(name)
+            if (self.folder / f"{name}.key").exists():
+                raise ConfigError(f"{self.folder / name}.key has no certificate; move it away to make both anew")
+            key = ec.generate_private_key(ec.SECP256R1())
             usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
             builder = (
                 self._builder(name)
@@ -103,7 +105,7 @@ class TrialAuthority:
             if not isinstance(key, ec.EllipticCurvePrivateKey):
                 raise ConfigError(f"{key_file}: not made by `ltm certs`; give another folder")
             return key, certificate
-        made = self._key(AUTHORITY)
+        made = ec.generate_private_key(ec.SECP256R1())
         certificate = (
             self._builder("ltm trial authority")
             .issuer_name(_subject("ltm trial authority"))
@@ -114,21 +116,6 @@ class TrialAuthority:
         )
         self._write(AUTHORITY, made, certificate, new)
         return made, certificate
-
-    def _key(self, name: str) -> ec.EllipticCurvePrivateKey:
-        """Return a new key, or an existing one without a certificate, left by an interruption or made elsewhere."""
-        path = self.folder / f"{name}.key"
-        if not path.exists():
-            return ec.generate_private_key(ec.SECP256R1())
-        try:
-            key = serialization.load_pem_private_key(path.read_bytes(), password=None)
-        except (ValueError, TypeError):
-            key = None
-        if not isinstance(key, ec.EllipticCurvePrivateKey):
-            raise ConfigError(
-                f"{path}: not an elliptic curve key in PEM, and without a certificate; it was not changed: move it away"
-            )
-        return key
 
     def _builder(self, name: str) -> x509.CertificateBuilder:
         now = datetime.now(UTC)

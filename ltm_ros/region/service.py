@@ -30,11 +30,7 @@ from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 SETTLE_S: Final = 0.25
 """Seconds for which frames are counted before they are stored together and acknowledged."""
 SHOWN_SHARE: Final = 0.1
-"""Share of the time for recomputing the map; with many frames it is done in batches;"""
-SHOWN_SHARE_LATE: Final = 0.02
-"""the same if more frames come than can be counted, as after an outage,"""
-LATE_S: Final = 2.0
-"""until no frame has waited for this many seconds."""
+"""Share of the time for recomputing the map; with many frames it is done in batches."""
 
 
 class RegionService:
@@ -66,7 +62,7 @@ class RegionService:
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
         self._last = 0.0
-        self._shown_at, self._showing_s, self._late_at = 0.0, 0.0, -LATE_S
+        self._shown_at, self._showing_s = 0.0, 0.0
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, acknowledge and send until stopped; then store the rest."""
@@ -99,8 +95,7 @@ class RegionService:
 
     def _show(self, now_s: float) -> bool:
         """Recompute the map; return whether parts changed."""
-        share = SHOWN_SHARE_LATE if now_s - self._late_at < LATE_S else SHOWN_SHARE
-        if now_s < self._shown_at + self._showing_s * (1 / share - 1):
+        if now_s < self._shown_at + self._showing_s * (1 / SHOWN_SHARE - 1):
             return False
         changed = bool(self.aggregator.show())
         self._shown_at = time.monotonic()
@@ -114,8 +109,6 @@ class RegionService:
                 break
             self.aggregator.take(*came)
         self._health.gauge("waiting_bytes", self._inbox.bytes)
-        if self._inbox.bytes:
-            self._late_at = time.monotonic()
 
     def _greet(self) -> None:
         """Publish the aggregator's presence on each new connection, because the broker may have lost it."""
@@ -203,7 +196,6 @@ class RegionWatch:
                 clock=kernel_clock(),
                 disks=machine.disks([str(self._config.folder)]),
                 memory=machine.memory(),
-                process_memory={},
             )
 
     def run(self, stopping: threading.Event) -> None:

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from ltm_core.base.errors import LtmError
 from ltm_msgs_py.stamp import stamp_of
@@ -17,31 +17,21 @@ from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import Activity, Heartbeat
 from ltm_ros.runtime.pipeline import Job, Pipeline
-from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.stamp_join import data_bytes
 
 
-class TurnTaker(Protocol):
-    """A camera or another object that is processed turn by turn, by one thread at a time."""
-
-    def turn(self, activity: Activity) -> bool:
-        """Process one frame at most; return whether there may be more. `activity`: the thread's activity, for the
-        heartbeat."""
-        ...
-
-
 class FrameScheduler:
-    """Gives turns to woken takers, in that order, on `workers` threads.
+    """Gives turns to woken cameras, in that order, on `workers` threads.
 
-    A taker that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
+    A camera that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
     equally many turns. An exception from a turn is a bug and ends the process with its traceback."""
 
     def __init__(self, workers: int, heartbeat: Heartbeat) -> None:
         self._changed = threading.Condition()
-        self._queue: deque[TurnTaker] = deque()
-        self._queued: set[TurnTaker] = set()
-        self._at_work: dict[TurnTaker, bool] = {}
-        """Takers that have a turn now, and whether they were woken meanwhile."""
+        self._queue: deque[CameraPipeline] = deque()
+        self._queued: set[CameraPipeline] = set()
+        self._at_work: dict[CameraPipeline, bool] = {}
+        """Cameras that have a turn now, and whether they were woken meanwhile."""
         self._closing = False
         self._threads = [
             threading.Thread(
@@ -54,13 +44,13 @@ class FrameScheduler:
         for thread in self._threads:
             thread.start()
 
-    def wake(self, taker: TurnTaker) -> None:
-        """Schedule `taker`; thread-safe."""
+    def wake(self, camera: CameraPipeline) -> None:
+        """Schedule `camera`; thread-safe."""
         with self._changed:
-            if taker in self._at_work:
-                self._at_work[taker] = True
+            if camera in self._at_work:
+                self._at_work[camera] = True
             else:
-                self._enqueue(taker)
+                self._enqueue(camera)
 
     def close(self, patience_s: float) -> bool:
         """Let the threads end when the queue is empty; return whether they have within the time limit."""
@@ -72,33 +62,33 @@ class FrameScheduler:
             thread.join(max(0.0, deadline - time.monotonic()))
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _enqueue(self, taker: TurnTaker) -> None:
-        if taker not in self._queued:
-            self._queued.add(taker)
-            self._queue.append(taker)
+    def _enqueue(self, camera: CameraPipeline) -> None:
+        if camera not in self._queued:
+            self._queued.add(camera)
+            self._queue.append(camera)
             self._changed.notify()
 
-    def _next(self) -> TurnTaker | None:
+    def _next(self) -> CameraPipeline | None:
         with self._changed:
             while not self._queue:
                 if self._closing:
                     return None
                 self._changed.wait()
-            taker = self._queue.popleft()
-            self._queued.discard(taker)
-            self._at_work[taker] = False
-            return taker
+            camera = self._queue.popleft()
+            self._queued.discard(camera)
+            self._at_work[camera] = False
+            return camera
 
     def _work(self, activity: Activity) -> None:
-        while (taker := self._next()) is not None:
+        while (camera := self._next()) is not None:
             try:
-                more = taker.turn(activity)
+                more = camera.turn(activity)
             except BaseException:
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             with self._changed:
-                if self._at_work.pop(taker) or more:
-                    self._enqueue(taker)
+                if self._at_work.pop(camera) or more:
+                    self._enqueue(camera)
 
 
 INBOX = 1000
@@ -113,8 +103,8 @@ class CameraPipeline:
     """Messages from other processes wait for the camera's turn (`FrameScheduler`). A turn first handles all of them, so
     that the newest frame is known; then one frame is admitted and runs through all jobs.
 
-    The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`), and
-    the job's handler is recreated; if that fails, the job is skipped and tried again later.
+    The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`); the
+    other frames and cameras continue.
 
     Args: say: takes a job's name and a line for its log."""
 
@@ -128,8 +118,6 @@ class CameraPipeline:
         """Whether handlers get further messages before `idle`."""
         self._closing = False
         self._activity = Activity("start")
-        self._broken: dict[str, Backoff] = {}
-        """Jobs whose handlers could not be recreated."""
         self._waited = 0.0
         """Seconds not yet passed on to the handlers."""
 
@@ -139,8 +127,8 @@ class CameraPipeline:
 
     @property
     def waiting(self) -> int:
-        """Return the number of messages in the inbox."""
-        return len(self._inbox)
+        """Return the number of messages in the inbox and in work."""
+        return len(self._inbox) + (not self._taking)
 
     def offer(self, job: Job, topic: Topic, message: Any) -> None:
         """Queue a message for the next turn; thread-safe. Raises queue.Full without room."""
@@ -158,7 +146,7 @@ class CameraPipeline:
             self._waited += waited
 
     def turn(self, activity: Activity) -> bool:
-        """Implement `TurnTaker`."""
+        """Process one frame at most; return whether there may be more. `activity`: of the thread, for the heartbeat."""
         self._activity = activity
         self._take_inbox()
         self._tell_time()
@@ -166,9 +154,9 @@ class CameraPipeline:
             return False
         self._taking = False
         self.pipeline.idle()
-        self._taking = True
         let_in = not self.pipeline.empty
         self.pipeline.drain()
+        self._taking = True
         return let_in
 
     def stop_admitting(self) -> None:
@@ -193,20 +181,11 @@ class CameraPipeline:
             waited, self._waited = self._waited, 0.0
         if not waited:
             return
-        for name, pace in list(self._broken.items()):
-            pace.passed(waited)
-            if pace.due:
-                self._renew(self.pipeline.jobs[name], pace)
         for job in self.pipeline.jobs.values():
             self._run(job, lambda j=job: j.handler.tick(waited), "", None)  # type: ignore[misc]
             self.pipeline.drain()
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
-        if job.name in self._broken:
-            if message is not None:
-                job.health.drop("down", f"{job.name} could not be restarted after an internal error; see the log")
-                self._drop_frame(job, message)
-            return
         began, used, results = time.perf_counter(), time.thread_time(), job.health.results
         self._activity.begin(f"{job.name}: {type(message).__name__ if topic else 'tick'}")
         try:
@@ -225,29 +204,8 @@ class CameraPipeline:
 
     def _crashed(self, job: Job, message: Any, error: Exception) -> None:
         sys.excepthook(*sys.exc_info())
-        job.health.drop(
-            CRASHED, f"{error!r}: internal error; the frame is dropped and {job.name} is restarted; see the log"
-        )
-        self._drop_frame(job, message)
-        self._renew(job, Backoff())
-
-    def _drop_frame(self, job: Job, message: Any) -> None:
-        """Drop a frame everywhere, so that no job waits for the results of `job`."""
+        job.health.drop(CRASHED, f"{error!r}: internal error; the frame is dropped; see the log")
         self.pipeline.clear()
         if hasattr(message, "header"):
-            stamp = stamp_of(message)
-            for other in self.pipeline.jobs.values():
-                if other is not job and other.name not in self._broken:
-                    other.handler.discard(stamp)
-
-    def _renew(self, job: Job, pace: Backoff) -> None:
-        try:
-            job.renew()
-            job.handler.start()
-        except Exception:
-            sys.excepthook(*sys.exc_info())
-            pace.failed()
-            self._broken[job.name] = pace
-        else:
-            self._broken.pop(job.name, None)
-            self.pipeline.remind(job)
+            for other in self.pipeline.jobs.values():  # so that none waits for the results of `job`
+                other.handler.discard(stamp_of(message))

@@ -1,10 +1,9 @@
-"""Read this machine's clocks, and detect whether they are synchronised and when they are set."""
+"""Read this machine's clocks, and whether they are synchronised."""
 
 from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -38,40 +37,6 @@ def kernel_clock() -> KernelClock:
         return KernelClock(None, None)
     synchronised = state != _TIME_ERROR
     return KernelClock(synchronised, asked.esterror / 1e6 if synchronised else None)
-
-
-LEAST_STEP_S = 1.0
-"""Smallest clock step in seconds; gradual corrections by a time service stay far below it."""
-_INTERRUPTED_NS = 100_000_000
-
-
-def _elapsed_ns() -> int:
-    """Return the nanoseconds since the machine started, including suspend, so that waking up is no step."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-
-
-class ClockWatch:
-    """Compares the system clock with a monotonic one. Tests pass their own clocks."""
-
-    def __init__(self, wall_ns: Callable[[], int] = time.time_ns, elapsed_ns: Callable[[], int] = _elapsed_ns) -> None:
-        self._wall_ns, self._elapsed_ns = wall_ns, elapsed_ns
-        self._offset: int | None = None
-        self.step_s()
-
-    def step_s(self) -> float:
-        """Return the seconds by which the clock was set since the last call, negative if set back; 0.0
-        without a step."""
-        before = self._elapsed_ns()
-        wall = self._wall_ns()
-        if self._elapsed_ns() - before > _INTERRUPTED_NS:
-            return 0.0  # the process was paused between the two: the next call decides
-        former, offset = self._offset, wall - before
-        step = 0.0 if former is None else (offset - former) / 1e9
-        if former is None or abs(step) < LEAST_STEP_S:
-            self._offset = offset if former is None else former
-            return 0.0
-        self._offset = offset
-        return step
 
 
 class Clock(Protocol):

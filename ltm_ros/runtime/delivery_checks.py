@@ -17,7 +17,6 @@ from rclpy.node import Node
 from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import HEARTBEAT, TRAFFIC
-from ltm_ros.runtime.process_memory import memory_in_use
 
 
 def with_info(take: Callable[[Any, Any], None]) -> Callable[..., None]:
@@ -125,8 +124,7 @@ def unheard(node: Node) -> dict[str, str]:
 class DiagnosticsPublisher:
     """Publishes on a steady clock, because diagnostics must continue when a replay's ROS time stops.
 
-    `healths`: by full name, of the nodes that `node` reports for, in one message; the first includes the process's
-    memory (`heap_bytes`, `python_blocks`). `others`: returns further statuses."""
+    `healths`: of the nodes that `node` reports for, by full name. `others`: returns further statuses."""
 
     def __init__(
         self,
@@ -145,10 +143,6 @@ class DiagnosticsPublisher:
         return Clock(clock_type=ClockType.STEADY_TIME)
 
     def publish(self) -> None:
-        first, in_use = next(iter(self._healths.values())), memory_in_use()
-        first.gauge("python_blocks", in_use.python_blocks)
-        if in_use.heap_bytes is not None:
-            first.gauge("heap_bytes", in_use.heap_bytes)
         array = DiagnosticArray(status=[self._status(name, health) for name, health in self._healths.items()])
         array.status.extend(self._others())
         array.header.stamp = self._node.get_clock().now().to_msg()

@@ -5,8 +5,9 @@ so that a recording gives the tower's results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from ltm_core.base.strict_model import StrictModel
@@ -40,6 +41,10 @@ class NodeConfig(StrictModel):
     camera: str = ""
     """Name of the node's camera in the site; empty for nodes of the whole site."""
 
+    def beside_site(self, folder: str) -> Path | None:
+        """Return a folder that is relative to the site file; None if it is empty."""
+        return Path(self.site).parent / Path(folder).expanduser() if folder else None
+
 
 class Outlet(Protocol):
     """Transport of a handler's messages."""
@@ -63,19 +68,6 @@ class Outlet(Protocol):
         """Return the graph's time for checking stamps: ROS time, or the recording's; 0 before it begins."""
         ...
 
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Report that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
-        ...
-
-    def workers(self, topic: Topic) -> Set[str]:
-        """Return the full names of the nodes that acknowledge frames on a topic, as known now; none if frames are fed
-        one by one."""
-        ...
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Return those of `workers` that are done with earlier frames by the next `idle`: nodes in this process."""
-        ...
-
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)
 
@@ -87,8 +79,6 @@ class Handler(Generic[ConfigT]):
     counted by cause, and the node continues."""
 
     publications: Sequence[Topic] = ()
-    acknowledgements: Sequence[Topic] = ()
-    """Topic on which this node reports finished frames, so that no more are admitted than it can process; live only."""
 
     def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
         self.config = config
@@ -98,13 +88,6 @@ class Handler(Generic[ConfigT]):
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         """Return the topics to subscribe to, with their callbacks."""
-        return {}
-
-    @property
-    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
-        """Return topics to subscribe to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
-
-        `*` matches one part of the name; the callback gets the whole name."""
         return {}
 
     @property

@@ -9,14 +9,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from fnmatch import fnmatchcase
-from functools import partial
 from typing import Any
 
 from std_srvs.srv import Trigger
 
 from ltm_core.base.errors import LtmError
-from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import cause_of
@@ -31,8 +28,6 @@ QUEUE_PER_TOPIC = 10
 because a frame has a message on each topic."""
 QUEUE_BYTES = 512 << 20
 """Maximum bytes of queued image data, so that the viewer of twenty towers cannot fill the memory."""
-DISCOVERED = 10_000
-"""Maximum number of topics found by pattern, so that names cannot fill the memory."""
 
 _Item = tuple[Callable[[Any], None], Any]
 
@@ -70,20 +65,15 @@ class HandlerNode(OutletNode):
         super().__init__(node_type)
         self._last_tick = time.monotonic()
         self.handler = node_type.handler(self.config, self, self.health)
-        self._taken: set[str] = set()
-        self._inbox = _Inbox(QUEUE, QUEUE_BYTES)
+        subscriptions = self.handler.subscriptions
+        self._inbox = _Inbox(max(QUEUE, QUEUE_PER_TOPIC * len(subscriptions)), QUEUE_BYTES)
         for topic in self.handler.publications:
             self.open(topic)
         self.handler.start()
-        for topic, callback in self.handler.subscriptions.items():
-            self._listen(topic, topic.name, callback)
-        if self.handler.discoverable:
-            self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
+        for topic, callback in subscriptions.items():
+            self._listen(topic, callback)
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
-        # After the subscriptions: a node that is known to acknowledge frames must also receive them.
-        for topic in self.handler.acknowledgements:
-            self.open(topic)
         self._diagnostics = DiagnosticsPublisher(
             self, {self.get_fully_qualified_name(): self.health}, self.config.camera
         )
@@ -102,27 +92,13 @@ class HandlerNode(OutletNode):
         self._diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
-        self._taken.add(self.resolve_topic_name(name))
-        self._inbox.maxsize = max(QUEUE, QUEUE_PER_TOPIC * len(self._taken))
-
+    def _listen(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         def enqueue(message: Any) -> None:
             if topic.counted:
-                self.health.received(topic.usual_name or name)
+                self.health.received(topic.counted_name)
             self._offer(callback, message)
 
-        self.listen(topic, name, enqueue)
-
-    def _discover(self) -> None:
-        """Subscribe to new topics that match a pattern of the handler."""
-        for name, types in self.get_topic_names_and_types():
-            if name in self._taken or len(self._taken) >= DISCOVERED:
-                continue
-            for topic, callback in self.handler.discoverable.items():
-                if name.count("/") == topic.name.count("/") and fnmatchcase(name, topic.name):
-                    if types == [type_name_of(topic.type())]:
-                        self._listen(topic, name, partial(callback, name))
-                    break
+        self.listen(topic, enqueue)
 
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         try:
@@ -137,7 +113,6 @@ class HandlerNode(OutletNode):
 
     def _tick(self) -> None:
         self.state_listeners()
-        self.look_at_clock()
         if self._inbox.full():
             return
         now = time.monotonic()

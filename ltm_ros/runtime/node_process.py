@@ -23,26 +23,11 @@ EX_IOERR = 74
 """Exit status of a stopped node that could not write its remaining data (sysexits.h)."""
 
 
-class ClosableNode(Protocol):
-    """A node with work to finish before it ends."""
+class Closable(Protocol):
+    """A node, or several as `members`, to which more may be added at the end, with work to finish before they end."""
 
     def close(self) -> int:
         """Finish, and return the exit status of the process."""
-        ...
-
-    def destroy_node(self) -> None: ...
-
-
-class NodeGroup(Protocol):
-    """Several nodes that start and end together."""
-
-    @property
-    def members(self) -> Sequence[Any]:
-        """Return the rclpy nodes; more may be added at the end."""
-        ...
-
-    def close(self) -> int:
-        """Implement `ClosableNode`."""
         ...
 
 
@@ -58,7 +43,7 @@ def _unless_stopped_early(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
 
 
-def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -> None:
+def run_until_stopped(name: str, make: Callable[[], Closable]) -> None:
     """Spin what `make` creates until SIGINT or SIGTERM, then `close` it while it can still publish.
 
     This is the last action of a process: after it returns, only moments are left to exit (`limit_shutdown`). Exits with
@@ -103,7 +88,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
         limit_shutdown()
         rclpy.try_shutdown()
         return
-    nodes = node.members if hasattr(node, "members") else [node]
+    nodes: Sequence[Any] = getattr(node, "members", [node])
     # It waits for events; other executors rebuild a list of everything for each event.
     executor = EventsExecutor()
     added = 0

@@ -7,7 +7,7 @@ import inspect
 import itertools
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,8 +22,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import POSE_TYPES
-from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_ros.runtime.clocks import ClockWatch
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
@@ -60,7 +59,6 @@ class OutletNode(Node):  # type: ignore[misc]
         self._heard: list[TopicCount] = []
         self._reliable: dict[str, tuple[Any, Topic, Callable[..., None]]] = {}
         """Subscriptions by absolute topic, with the function that takes messages."""
-        self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
         self._undecided: dict[str, Callable[[type], None]] = {}
         """Functions that subscribe to a topic once its type is known, by the topic's name."""
@@ -89,23 +87,6 @@ class OutletNode(Node):  # type: ignore[misc]
         """Implement Outlet."""
         return int(self.get_clock().now().nanoseconds)
 
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Implement Outlet."""
-        self.send(topic, self.acknowledgement(stamp_ns))
-
-    def workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        ends = self.get_publishers_info_by_topic(topic.name)
-        # DDS does not know the name of a new endpoint yet.
-        return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Implement Outlet."""
-        return frozenset()
-
-    def acknowledgement(self, stamp_ns: int) -> Any:
-        return make_header(stamp_ns, self.get_fully_qualified_name())
-
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""
         publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
@@ -118,8 +99,9 @@ class OutletNode(Node):  # type: ignore[misc]
         if (said := self._said.get(topic)) is not None:
             said.messages += 1
 
-    def listen(self, topic: Topic, name: str, offer: Callable[[Any], None]) -> None:
-        """Pass messages of the named topic to `offer`; lost messages are counted."""
+    def listen(self, topic: Topic, offer: Callable[[Any], None]) -> None:
+        """Pass messages of a topic to `offer`; lost messages are counted."""
+        name = topic.name
         losses = LossCounter(writers_of(self, name))
         heard = TRAFFIC.listener(self.resolve_topic_name(name))
         self._heard.append(heard)
@@ -162,16 +144,6 @@ class OutletNode(Node):  # type: ignore[misc]
         self._settle_types()
         for topic, publisher in self._publishers_by_topic.items():
             self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
-
-    def look_at_clock(self) -> None:
-        """Report if the system clock was set."""
-        step = self._clock_watch.step_s()
-        if step and not self.get_parameter("use_sim_time").value:
-            self.health.note("clock_step")
-            self.health.trouble(
-                "clock_step",
-                f"the system clock was set by {step:+.1f} s; earlier frames may appear early or late",
-            )
 
     def look_at_wiring(self) -> None:
         """Report published topics that do not reach this node, if that persists and is not for best effort."""

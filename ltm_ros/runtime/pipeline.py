@@ -12,20 +12,11 @@ from ltm_ros.runtime.health import Health
 
 
 class Job:
-    """One handler of a pipeline. `make` creates it, and recreates it after a bug.
+    """One handler of a pipeline. `name`: the node's full name; `namespace`: absolute."""
 
-    `name`: the node's full name; `namespace`: absolute."""
-
-    def __init__(self, name: str, namespace: str, health: Health, make: Callable[[], Handler[Any]]) -> None:
-        self.name, self.namespace, self.health = name, namespace, health
-        self._make = make
-        self.renew()
-
-    def renew(self) -> None:
-        """Recreate the handler. Raises its constructor's errors; the previous handler is then gone."""
-        self.callbacks: dict[Topic, Callable[[Any], None]] = {}
-        self.handler = self._make()
-        self.callbacks.update(self.handler.subscriptions)
+    def __init__(self, name: str, namespace: str, health: Health, handler: Handler[Any]) -> None:
+        self.name, self.namespace, self.health, self.handler = name, namespace, health, handler
+        self.callbacks = dict(handler.subscriptions)
 
     def topic(self, topic: Topic) -> str:
         """Return its absolute name."""
@@ -52,14 +43,12 @@ class Pipeline:
         self._waiting: deque[tuple[str, Any]] = deque()
         self._cleared = False
         """Whether the current message is withheld from further jobs."""
-        self._states: dict[str, Any] = {}
-        """The last message of each latched topic."""
 
     def add(self, job: Job) -> None:
         self.jobs[job.name] = job
         for topic in job.handler.publications:
             self._sources[job.topic(topic)].add(job.name)
-        for topic in job.handler.subscriptions:
+        for topic in job.callbacks:
             self._listeners[job.topic(topic)].append((job, topic))
 
     def start(self) -> None:
@@ -75,17 +64,9 @@ class Pipeline:
         """Return whether a job subscribes to it."""
         return topic in self._listeners
 
-    def publish(self, topic: str, message: Any, latched: bool = False) -> None:
+    def publish(self, topic: str, message: Any) -> None:
         """Queue a message for delivery by `drain`."""
         self._waiting.append((topic, message))
-        if latched:
-            self._states[topic] = message
-
-    def remind(self, job: Job) -> None:
-        """Give a recreated job the last messages of the latched topics that it subscribes to."""
-        for topic in job.callbacks:
-            if (name := job.topic(topic)) in self._states:
-                self.deliver(job, topic, self._states[name])
 
     @property
     def empty(self) -> bool:

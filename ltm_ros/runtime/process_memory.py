@@ -5,10 +5,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import sys
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
 
 ARENAS = 2
 """Number of arenas of glibc's malloc: the main one, and one for all other threads."""
@@ -72,41 +70,11 @@ def trim() -> None:
         malloc_trim(ctypes.c_size_t(0))
 
 
-class MemoryInUse(NamedTuple):
-    """Memory of this process in objects. The rest are free blocks of the heaps."""
-
-    heap_bytes: int | None
-    """Bytes of the C library's allocator, including mapped blocks; None if it does not report them (glibc
-    before 2.33)."""
-    python_blocks: int
-    """Blocks of Python's allocator for objects of up to 512 bytes."""
-
-
-def memory_in_use() -> MemoryInUse:
-    """Return the current values, within a tenth of a millisecond."""
-    blocks = sys.getallocatedblocks()
-    mallinfo = getattr(_libc(), "mallinfo2", None)
-    if mallinfo is None:
-        return MemoryInUse(None, blocks)
-    mallinfo.restype = _MallInfo
-    found = mallinfo()
-    return MemoryInUse(int(found.uordblks) + int(found.hblkhd), blocks)
-
-
 @cache
 def _libc() -> ctypes.CDLL:
     """Open the C library once: each `CDLL` creates a class of twenty blocks in a cycle, collected only
     minutes later."""
     return ctypes.CDLL(None)
-
-
-class _MallInfo(ctypes.Structure):
-    """`struct mallinfo2` of glibc's malloc.h."""
-
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks")
-    ] + [("keepcost", ctypes.c_size_t)]
 
 
 def tidy() -> None:

@@ -1,14 +1,8 @@
-"""Compute the pauses between failing attempts, and start later what cannot start yet."""
+"""Compute the pauses between failing attempts."""
 
 from __future__ import annotations
 
 import random
-import sys
-import threading
-from collections.abc import Callable, Mapping
-from typing import Generic, TypeVar
-
-from ltm_core.base.errors import LtmError
 
 FIRST_RETRY_S = 2.0
 """Default pause after the first failure."""
@@ -56,95 +50,3 @@ class Backoff:
 
     def succeeded(self) -> None:
         self._left_s, self.pause_s = 0.0, self._first_s
-
-
-LONGEST_PAUSE_S = 120.0
-"""Longest pause in seconds between two attempts, which read everything again."""
-
-MadeT = TypeVar("MadeT")
-
-
-def _on_thread(work: Callable[[], None]) -> threading.Thread:
-    thread = threading.Thread(target=work, name="late start", daemon=True)
-    thread.start()
-    return thread
-
-
-class LateStart(Generic[MadeT]):
-    """Tries each of `makes` repeatedly until it succeeds, one at a time, on a background thread.
-
-    Args: makes: by name. Errors are reported once for each new reason, and the attempt is repeated. said: why each
-    could not be created before, by name. say: takes a line. start: runs an attempt; an argument for tests."""
-
-    def __init__(
-        self,
-        makes: Mapping[str, Callable[[], MadeT]],
-        said: Mapping[str, str],
-        say: Callable[[str], None],
-        start: Callable[[Callable[[], None]], threading.Thread | None] = _on_thread,
-    ) -> None:
-        self._makes, self._say, self._start = dict(makes), say, start
-        self._said = dict(said)
-        self._paces = {name: Backoff(longest_s=LONGEST_PAUSE_S) for name in makes}
-        for pace in self._paces.values():
-            pace.failed()
-        self._attempt: threading.Thread | None = None
-        self._made: dict[str, MadeT] = {}
-        self._lock = threading.Lock()
-        self._closed = False
-
-    def tick(self, waited: float) -> list[MadeT]:
-        """Advance time; return what was created since the last call."""
-        made = self._take()
-        for pace in self._paces.values():
-            pace.passed(waited)
-        due = next((name for name in self._makes if self._paces[name].due), None)
-        if due is not None and not self._busy and not self._closed:
-            # New ones wait behind those that are tried less often by now.
-            self._makes[due] = self._makes.pop(due)
-            self._paces[due].failed()
-            self._attempt = self._start(lambda: self._try(due))
-        return made + self._take()
-
-    def close(self, patience_s: float) -> list[MadeT]:
-        """Start no further attempt and wait for the current one; return results that were not taken."""
-        self._closed = True
-        if self._attempt is not None:
-            self._attempt.join(patience_s)
-        return self._take()
-
-    @property
-    def _busy(self) -> bool:
-        return self._attempt is not None and self._attempt.is_alive()
-
-    def _take(self) -> list[MadeT]:
-        with self._lock:
-            taken, self._made = self._made, {}
-        for name in taken:
-            del self._makes[name], self._paces[name]
-        return list(taken.values())
-
-    def _try(self, name: str) -> None:
-        try:
-            made = self._makes[name]()
-        except LtmError as error:
-            self._tell(name, str(error))
-        except Exception as error:
-            if self._tell(name, repr(error)):
-                sys.excepthook(*sys.exc_info())
-        else:
-            with self._lock:
-                self._made[name] = made
-            self._say(f"{name}: started")
-
-    def _tell(self, name: str, why: str) -> bool:
-        """Return whether this is a new reason."""
-        new = self._said.get(name) != why
-        self._said[name] = why
-        if new:
-            self._say(cannot_start(name, why))
-        return new
-
-
-def cannot_start(name: str, why: str) -> str:
-    return f"{name}: cannot start: {why}; retrying later"

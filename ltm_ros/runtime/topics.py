@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 
 from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.schemas import message_class
@@ -73,9 +73,6 @@ PROMPT = Topic("prompt", String)
 """Prompt of an operator, for all cameras of the site; empty: none."""
 
 FUEL_VOTES = Topic("fuel/votes", PointCloud2)
-
-FINISHED = Topic("finished", Header, depth=50, counted=False)
-"""Acknowledgement that a node has finished the camera's frame of this stamp; `frame_id`: the node's full name."""
 
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
 FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid, depth=200)  # they come in bursts, twice a second
@@ -185,3 +182,13 @@ def other_inputs(camera: CameraConfig) -> tuple[Topic, ...]:
 def site_topic(site: str, topic: Topic) -> str:
     """Return a site topic's absolute name."""
     return f"/{site}/{topic.name}"
+
+
+def of_camera(site: str, camera: str, topic: Topic) -> Topic:
+    """Return a camera topic under its absolute name, for nodes of the whole site."""
+    return replace(topic, name=camera_topic(site, camera, topic))
+
+
+def of_site(site: str, topic: Topic) -> Topic:
+    """Return a site topic under its absolute name, for nodes of a camera."""
+    return replace(topic, name=site_topic(site, topic))

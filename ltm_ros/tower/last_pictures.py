@@ -44,20 +44,11 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.stamp_join import StampJoin
-from ltm_ros.runtime.topics import (
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FUEL_MAP,
-    FUSED_DEPTH,
-    LABELS_IMAGE,
-    POSED_IMAGE,
-    POSED_POSE,
-    camera_topic,
-    site_topic,
-)
+from ltm_ros.runtime.topics import camera_topic, site_topic
 from ltm_ros.tower.live_stream import KINDS
 
 WIDTH = 800
@@ -193,7 +184,10 @@ class LastPictures:
         self._looked_s = -float("inf")
         self._lock = threading.Lock()
         node.create_subscription(
-            FUEL_MAP.type, site_topic(site.name, FUEL_MAP), self._keep_map, stream_qos(FUEL_MAP.latched, FUEL_MAP.depth)
+            topics.FUEL_MAP.type,
+            site_topic(site.name, topics.FUEL_MAP),
+            self._keep_map,
+            stream_qos(topics.FUEL_MAP.latched, topics.FUEL_MAP.depth),
         )
 
     def look(self) -> None:
@@ -266,13 +260,13 @@ class _CameraFrames:
         self, node: Node, site: Site, name: str, health: Health, keep: Callable[[CameraPicture], None]
     ) -> None:
         self._node, self._site, self._name, self._health, self._keep = node, site, name, health, keep
-        depth = FUSED_DEPTH if site.depth_model else DEPTH_IMAGE
+        depth = topics.FUSED_DEPTH if site.depth_model else topics.DEPTH_IMAGE
         self._topics = {
-            "image": POSED_IMAGE,
-            "labels": LABELS_IMAGE,
+            "image": topics.POSED_IMAGE,
+            "labels": topics.LABELS_IMAGE,
             "depth": depth,
-            "info": DEPTH_CAMERA_INFO,
-            "pose": POSED_POSE,
+            "info": topics.DEPTH_CAMERA_INFO,
+            "pose": topics.POSED_POSE,
         }
         self._join: StampJoin | None = None
         self._subscriptions: list[Any] = []

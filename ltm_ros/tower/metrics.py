@@ -71,7 +71,7 @@ class TowerCollector(Collector):
         yield _gauge(since, "Start of a camera's state", [((one.name,), one.since_s) for one in cameras], ("camera",))
         ages = [((one.name,), one.frame_age_s) for one in cameras if one.frame_age_s is not None]
         yield _gauge("ltm_frame_age_seconds", "Age of the newest frame", ages, ("camera",))
-        finished = CounterMetricFamily("ltm_frames_finished", "Frames processed by all nodes", labels=("camera",))
+        finished = CounterMetricFamily("ltm_frames_finished", "Frames given to the camera's nodes", labels=("camera",))
         for camera in cameras:
             finished.add_metric((camera.name,), camera.finished)
         yield finished
@@ -135,9 +135,6 @@ class TowerCollector(Collector):
                 "Clock error as the kernel estimates it",
                 value=status.clock.estimated_error_s,
             )
-        yield CounterMetricFamily(
-            "ltm_clock_steps", "Number of clock steps of a second or more", value=status.clock_steps
-        )
         disks = [disk for disk in status.disks if disk.total >= 0]
         free = [((disk.folder,), disk.free) for disk in disks]
         yield _gauge("ltm_disk_free_bytes", "Free space of a storage folder", free, ("folder",))
@@ -147,8 +144,6 @@ class TowerCollector(Collector):
         yield GaugeMetricFamily(
             "ltm_memory_available_bytes", "Available memory of the machine", value=status.memory_available
         )
-        used = [((name,), size) for name, size in status.process_memory.items()]
-        yield _gauge("ltm_process_memory_bytes", "Memory of a process (PSS)", used, ("process",))
 
 
 def _gauge(

@@ -191,7 +191,7 @@ class PackageFile:
         partial = releases.root / ".unpacked"
         shutil.rmtree(partial, ignore_errors=True)
         try:
-            _run("dpkg-deb", "--extract", str(self.path), str(partial))
+            _output("dpkg-deb", "--extract", str(self.path), str(partial))
             found = partial / "opt/ltm/releases" / self.version
             if not (found / "bin/ltm").is_file():
                 raise PackageError(f"{self.path}: contains no release {self.version}")
@@ -208,10 +208,6 @@ class PackageFile:
 
 def _field(path: Path, name: str) -> tuple[str, str]:
     return name, _output("dpkg-deb", "--field", str(path), name)
-
-
-def _run(*command: str) -> None:
-    _output(*command)
 
 
 def _output(*command: str) -> str:

@@ -117,11 +117,9 @@ class TowerStatus:
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraStatus]
     clock: KernelClock
-    clock_steps: int
     disks: Sequence[Disk]
     memory_total: int
     memory_available: int
-    process_memory: Mapping[str, int]
     frame_limit_s: float
     outbox: OutboxState | None = None
     """None: the site belongs to no region, or its node `uplink` has not reported."""
@@ -160,10 +158,6 @@ class TowerWatch:
         self._states: dict[str, tuple[CameraState, float]] = {}
         """State of each camera, and its start by the system clock."""
 
-    @property
-    def reports(self) -> Mapping[str, NodeReport]:
-        return dict(self._reports)
-
     def hear(self, name: str, troubled: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
         if name in self._expected:
             kept = {key[:LENGTH]: value[:LENGTH] for key, value in list(values.items())[:KEYS]}
@@ -178,13 +172,11 @@ class TowerWatch:
         clock: KernelClock,
         disks: Sequence[Disk],
         memory: tuple[int, int],
-        process_memory: Mapping[str, int],
     ) -> TowerStatus:
         """Return the status. `now_s`: by the clock of `hear`; `time_s`: by the clock that stamps frames."""
         nodes = [self._node(name, now_s) for name in self._expected]
         cameras = self.cameras(now_s, time_s)
         outbox = self._outbox()
-        steps = max((r.counts("noted.").get("clock_step", 0) for r in self._reports.values()), default=0)
         return TowerStatus(
             site=self._site,
             time_s=time_s,
@@ -192,11 +184,9 @@ class TowerWatch:
             nodes=nodes,
             cameras=cameras,
             clock=clock,
-            clock_steps=steps,
             disks=list(disks),
             memory_total=memory[0],
             memory_available=memory[1],
-            process_memory=process_memory,
             frame_limit_s=self._frame_limit_s,
             outbox=outbox,
             conditions=tuple(_conditions(nodes, cameras, clock, disks, outbox)),
@@ -245,7 +235,7 @@ class TowerWatch:
             why=why,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
-            finished=int(capture.number("finished") or 0) if capture else 0,
+            finished=int(capture.number("frames_out") or 0) if capture else 0,
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,

@@ -6,8 +6,6 @@ import contextlib
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +13,6 @@ from pathlib import Path
 
 from chaos.cameras import CAMERAS, Cameras
 from chaos.running_site import RunningSite
-from chaos.stranger import ATTACKS, FLOODS
 from ltm_ros.launching.graph import CAMERAS_PROCESS
 
 ORPHANS_S = 15.0
@@ -168,25 +165,15 @@ def flood_frames(arena: Arena, rng: random.Random) -> Fault:
     return Fault(f"{camera} sends {rate:.0f} frames/s for {seconds:.0f} s", act)
 
 
-def flood(arena: Arena, rng: random.Random) -> Fault:
-    """A stranger sends small messages as fast as it can."""
-    return _strange(arena, rng, rng.choice(sorted(FLOODS)), rng.uniform(2.0, 6.0))
-
-
-def attack(arena: Arena, rng: random.Random) -> Fault:
-    """A stranger sends what is too large, impossible or hostile to every topic of a camera."""
-    return _strange(arena, rng, rng.choice(sorted(ATTACKS)), 0.0)
-
-
 FAULTS: dict[Draw, int] = {
     **{kill: 4, terminate: 1, hang: 3, hesitate: 1, kill_runner: 1, fill_disk: 2, step_clock: 1},
-    **{unknown_covariance: 1, repeat_frames: 1, flood_frames: 1, flood: 1, attack: 4},
+    **{unknown_covariance: 1, repeat_frames: 1, flood_frames: 1},
 }
 """How often each is drawn."""
 
 
 def draw_fault(arena: Arena, rng: random.Random) -> Fault:
-    """One by chance; kills, hangs and attacks, of which there are many, oftener."""
+    """One by chance; kills and hangs oftener."""
     kinds = {draw: weight for draw, weight in FAULTS.items() if arena.disks or draw is not fill_disk}
     (draw,) = rng.choices([*kinds], [*kinds.values()])
     return draw(arena, rng)
@@ -216,15 +203,3 @@ def _signal(arena: Arena, label: str, number: int) -> list[str]:
 def _signalled(arena: Arena, rng: random.Random, number: int, verb: str) -> Fault:
     label = _node(arena, rng)
     return Fault(f"{verb} {label}", lambda: _signal(arena, label, number), _touched(label), (label,))
-
-
-def _strange(arena: Arena, rng: random.Random, name: str, seconds: float) -> Fault:
-    camera, seed = rng.choice(CAMERAS), rng.randrange(10**6)
-
-    def act() -> list[str]:
-        command = [sys.executable, "-m", "chaos.stranger", name, camera, str(seconds), str(seed)]
-        done = subprocess.run(command, env=arena.site.environment, capture_output=True, text=True, timeout=120)
-        return [] if done.returncode in (0, -signal.SIGPROF) else [f"the stranger itself failed: {done.stderr[-500:]}"]
-
-    how = f"flood of {name} {seconds:.0f} s at" if seconds else f"{name} at"
-    return Fault(f"{how} {camera}", act, (camera,))

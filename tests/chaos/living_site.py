@@ -29,7 +29,7 @@ def write_living_site(folder: Path, processes: str = "site") -> SmallSite:
     content = yaml.safe_load(small.path.read_text())
     del content["nodes"]
     content["fuel"] = {"prior": "prior.tif"}
-    content["processes"] = processes
+    content["expert"]["processes"] = processes
     content["expert"]["terrain"]["threshold"] = NO_CHANGE
     content["expert"]["watchdog"] = {"silent": SILENT_S}
     small.path.write_text(yaml.safe_dump(content), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What PTZ heads of pan-tilt-zoom cameras answer, and cameras that are looked for on a network."""
+"""What PTZ heads of pan-tilt-zoom cameras answer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pydantic import TypeAdapter
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
 from ltm_core.site.source_config import HttpSettings, PtzConfig
-from ltm_ros.cameras.discovery import camera_in
 from ltm_ros.cameras.protocols.http_client import HttpResponse
 from ltm_ros.cameras.ptz.makers import open_ptz
 
@@ -30,9 +29,6 @@ _ONVIF = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope" xmlns
 <t:Position><t:PanTilt x="0.25" y="-0.5"/><t:Zoom x="0.1"/></t:Position>
 <t:MoveStatus><t:PanTilt>IDLE</t:PanTilt></t:MoveStatus>
 </s:Body></s:Envelope>"""
-_DISCOVERED = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"><s:Header><RelatesTo>urn:1</RelatesTo></s:Header>
-<s:Body><Scopes>onvif://www.onvif.org/name/North onvif://www.onvif.org/hardware/Q6</Scopes>
-<XAddrs>http://127.0.0.1/onvif/device_service http://[::1]/x</XAddrs></s:Body></s:Envelope>"""
 
 
 class _Answering:
@@ -57,7 +53,6 @@ def _head(name: str, seed: bytes, **config: object) -> Target:
         answering: Any = _Answering((folder / "answer").read_bytes())
         head = open_ptz(adapter.validate_python(config), None, answering)
         head.read()
-        head.limits()
         head.presets()
 
     return Target(name, "answer", lambda folder: [seed], read, spoil_text)
@@ -67,11 +62,4 @@ HEAD_ANSWERS = (
     _head("head_vapix", _VAPIX, kind="vapix", url="http://127.0.0.1"),
     _head("head_isapi", _ISAPI, kind="isapi", units="tenths", url="http://127.0.0.1"),
     _head("head_onvif", _ONVIF, kind="onvif", url="http://127.0.0.1"),
-    Target(
-        "discovered",
-        "answer",
-        lambda folder: [_DISCOVERED],
-        lambda folder: camera_in((folder / "answer").read_bytes(), "127.0.0.1", "urn:1"),
-        spoil_text,
-    ),
 )

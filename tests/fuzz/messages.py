@@ -12,6 +12,7 @@ import random
 import re
 from array import array
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -263,7 +264,8 @@ def _capture(small: SmallSite, folder: Path) -> Handler[Any]:
 
 def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
     document = yaml.safe_load(small.path.read_text())
-    document["cameras"]["tower"]["sensors"] = {"geoid_undulation": -35.0}
+    document["cameras"]["tower"]["sensors"] = {}
+    document["expert"] = {"cameras": {"tower": {"sensors": {"geoid_undulation": -35.0}}}}
     path = small.path.with_name("sensors.yaml")
     path.write_text(yaml.safe_dump(document))
     return CaptureHandler(CaptureConfig(site=str(path), camera="tower"), _outlet(), Health())
@@ -305,7 +307,7 @@ def _fuel_map(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str,
     query.point.x, query.point.y = 500.0, 400.0
     region = PolygonStamped(header=parts["pose"].header)
     region.polygon.points = [Point32(x=x, y=y) for x, y in ((200.0, 200.0), (700.0, 250.0), (400.0, 600.0))]
-    config = FuelMapConfig(site=str(small.path), allow_clear_and_burn=True, max_behind=1e9)
+    config = FuelMapConfig(site=str(small.path), allow_burn=True, max_behind=1e9)
     messages = [
         (f"/{NAME}/tower/fuel/votes", parts["votes"]),
         (f"/{NAME}/tower/labels/info", label_set_to_msg(LabelSet.load(), "a network")),
@@ -315,14 +317,11 @@ def _fuel_map(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str,
     ]
 
     class Served(FuelMapHandler):
-        """Its services are called too, whatever region there is."""
+        """Its service is called too, whatever region there is."""
 
         def finish(self) -> None:
-            for serve in (self.burn, self.clear):
-                try:
-                    serve()
-                except LtmError:
-                    continue
+            with suppress(LtmError):
+                self.burn()
             super().finish()
 
     return lambda: Served(config, _outlet(), Health()), messages

@@ -29,10 +29,9 @@ def processes_of_domain(domain: int) -> list[str]:
 
 def ports_of_domain(domain: int) -> list[str]:
     """Shared-memory ports of a domain's participants; DDS numbers them 250 a domain from 7400 on."""
-    seen = shared_memory.survey(min_age_s=0.0)
-    first = 7400 + 250 * domain
-    names = [name for name in (*seen.in_use, *seen.stale, *seen.young) if name.startswith("fastrtps_port")]
-    return [name for name in names if first <= int(name.removeprefix("fastrtps_port")) < first + 250]
+    first, names = 7400 + 250 * domain, [path.name for path in shared_memory.SHM_FOLDER.glob("fastrtps_port*")]
+    numbers = {name: name.removeprefix("fastrtps_port") for name in names}
+    return [name for name, number in numbers.items() if number.isdecimal() and first <= int(number) < first + 250]
 
 
 def owned_by_process(pid: int) -> set[str]:

@@ -117,8 +117,6 @@ def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_di
     said = json.loads(tower.get("/status.json")[1])
     (camera,) = said["cameras"]
     assert (camera["name"], camera["frames_in"], camera["finished"], camera["wrong"]) == ("tower", 3, 3, "")
-    assert {"cameras", "fuel_map"} <= set(said["process_memory"])
-    assert min(said["process_memory"].values()) > 10e6
 
 
 def browse(tower: Tower, folder: Path, *options: str) -> str:

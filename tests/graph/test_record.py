@@ -61,9 +61,6 @@ def test_records_what_it_is_asked_for(
                 f"{COUNT} poses",
                 lambda: bystander.summaries,
             )
-            memory = bystander.summaries[f"/{NAME}/recorder"]
-            assert int(memory["heap_bytes"]) > 10 << 20
-            assert int(memory["python_blocks"]) > 100_000
             recorder.send_signal(signal.SIGINT)
             output, _ = recorder.communicate(timeout=60)
         finally:

@@ -15,7 +15,7 @@ from scenes.waiting import wait_for
 
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
-from ltm_ros.launching.runner import GraphError, Runner
+from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import Console, ProcessState, RestartPolicy
 
 pytestmark = pytest.mark.graph
@@ -68,23 +68,11 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started]) -> None:
     assert len({*pids.values()}) == 3
     graph.runner.stop()
     for label, process in graph.runner.processes.items():
-        assert (process.state, process.restarts) == (ProcessState.STOPPED, 0)
+        assert (process.state, process.starts) == (ProcessState.STOPPED, 1)
         # Each line bears its node's label.
         hello = f"hello from /ridge/{label} pid {pids[label]}"
         assert f"[{label}] {hello}" in graph.lines
         assert f"[{label}] goodbye" in graph.lines
-
-
-def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth", behaviour="config_error"), spec("capture"))
-    with pytest.raises(GraphError, match=r"not ready: north/depth\n.*given up.*2 starts.*78") as error:
-        graph.runner.wait_until_ready(30)
-    assert "the DEM moon.tif does not exist" in str(error.value)
-    assert graph.runner.given_up == ["north/depth"]
-    assert graph.runner.processes["north/capture"].running
-    verdicts = [line for line in graph.lines if "given up" in line]
-    assert len(verdicts) == 1
-    assert verdicts[0].endswith("the DEM moon.tif does not exist")
 
 
 def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
@@ -147,7 +135,7 @@ def test_killed_runner_leaves_no_process_and_the_next_one_removes_its_shared_mem
     runner.kill()
     runner.communicate()
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
-    wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
+    wait_for(lambda: not shared_memory.remove_stale(), "what is left to be old enough")
     assert [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)] == []
 
 

@@ -151,7 +151,8 @@ def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(
     taught = SmallSite(tmp_path / "taught")
     write_swapping_head(taught.folder / "heads" / "swap.yaml", write_classifier(taught.folder, maps=True))
     site = yaml.safe_load(taught.path.read_text())
-    site["label_heads"], site["cameras"]["mast"]["label_head"] = "heads", "swap"
+    site["expert"] = {"label_heads": "heads"}
+    site["cameras"]["mast"]["label_head"] = "swap"
     taught.path.write_text(yaml.safe_dump(site))
     replayed(taught, tmp_path / "headed")
     before, after = (

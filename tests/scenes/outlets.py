@@ -16,12 +16,6 @@ class Kept:
         self.sent: list[tuple[Topic, Any]] = []
         self.now = 0
         """Set it where the graph's time matters."""
-        self.acknowledged: list[tuple[Topic, int]] = []
-        """Frames that the handler said it had finished: topic and stamp."""
-        self.working: set[str] = set()
-        """Nodes that acknowledge frames."""
-        self.prompt: set[str] = set()
-        """Those of them that share the handler's process."""
         self.more = False
         """Whether the handler gets further messages before it is idle."""
         self._wants = wants
@@ -39,20 +33,11 @@ class Kept:
     def more_waits(self) -> bool:
         return self.more
 
-    def prompt_workers(self, _: Topic) -> set[str]:
-        return self.prompt
-
     def now_ns(self) -> int:
         return self.now
 
     def wanted(self, topic: Topic) -> bool:
         return topic in self._wants
-
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        self.acknowledged.append((topic, stamp_ns))
-
-    def workers(self, _: Topic) -> set[str]:
-        return self.working
 
     def on(self, topic: Topic) -> list[Any]:
         return [message for sent, message in self.sent if sent == topic]

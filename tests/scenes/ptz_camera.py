@@ -114,7 +114,6 @@ class FakeHead:
             f"{base}/status": self._isapi_status,
             f"{base}/absoluteEx": self._isapi_absolute,
             f"{base}/presets": self._isapi_presets,
-            f"{base}/capabilities": self._isapi_capabilities,
             "/onvif/device_service": self._onvif,
             "/onvif/media": self._onvif,
             "/onvif/ptz": self._onvif,
@@ -137,8 +136,6 @@ class FakeHead:
                 f"zoom={zoom:.0f}",
                 "autofocus=on",
             ]
-        elif kind == "limits":
-            lines = ["MinPan=-180", "MaxPan=180", "MinTilt=-90", "MaxTilt=20", "MinZoom=1", "MaxZoom=9999"]
         elif kind == "presetposall":
             lines = [f"presetposno{k}={name}" for k, name in enumerate(self.presets, 1)]
         elif "gotoserverpresetname" in query:
@@ -174,14 +171,6 @@ class FakeHead:
         )
         rows += "<PTZPreset><enabled>false</enabled><id>99</id><presetName>unused</presetName></PTZPreset>"
         self._xml(request, f"<PTZPresetList{_HIK}>{rows}</PTZPresetList>")
-
-    def _isapi_capabilities(self, request: Request) -> None:
-        def span(name: str, low: float, high: float) -> str:
-            return f"<{name}><Min>{low:g}</Min><Max>{high:g}</Max></{name}>"
-
-        inside = f"<AbsolutePanTiltPositionSpace>{span('XRange', 0, 3600)}{span('YRange', -150, 900)}"
-        inside += f"</AbsolutePanTiltPositionSpace><AbsoluteZoomPositionSpace>{span('ZRange', 10, 320)}"
-        self._xml(request, f"<PTZChanelCap{_HIK}>{inside}</AbsoluteZoomPositionSpace></PTZChanelCap>")
 
     def _isapi_goto(self, preset: str) -> Route:
         def answer(request: Request) -> None:
@@ -245,11 +234,6 @@ class FakeHead:
                 f'<tptz:Preset token="{k}"><tt:Name>{preset}</tt:Name></tptz:Preset>'
                 for k, preset in enumerate(self.presets, 1)
             )
-        elif name == "GetNodes":
-            span = "<tt:{0}><tt:Min>{1}</tt:Min><tt:Max>1</tt:Max></tt:{0}>"
-            inside = f"<tt:AbsolutePanTiltPositionSpace>{span.format('XRange', -1)}{span.format('YRange', -1)}"
-            inside += f"</tt:AbsolutePanTiltPositionSpace><tt:AbsoluteZoomPositionSpace>{span.format('XRange', 0)}"
-            inside += "</tt:AbsoluteZoomPositionSpace>"
         elif name == "GotoPreset":
             self.go_to(list(self.presets)[int(address["PresetToken"]) - 1])
             inside = ""

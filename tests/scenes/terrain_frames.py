@@ -46,8 +46,7 @@ def write_fusing_site(folder: Path, recording: bool = True, **content: Any) -> S
     fusing = {"depth_model": "depth.yaml", "surface": {"path": "dem.tif"}}
     small = write_terrain_site(folder, recording, **fusing, **content)
     whole = yaml.safe_load(small.path.read_text())
-    for camera in whole["cameras"].values():
-        camera["judge_pictures"] = False
+    whole["expert"]["cameras"] = {name: {"judge_pictures": False} for name in whole["cameras"]}
     small.path.write_text(yaml.safe_dump(whole))
     return SmallSite(small.folder)
 

@@ -30,11 +30,10 @@ def healths() -> dict[str, Health]:
     for camera, age_s, shed in (("north", 4.5, 3), ("east", 700.25, 11)):
         capture, judge = made[f"/ridge/{camera}/capture"], made[f"/ridge/{camera}/topodepth"]
         capture.gauge("newest_stamp", f"{NOW_S - age_s:.3f}")
-        capture.gauge("finished", 5 + shed)
         capture.gauge("waiting", 2)
         capture.drop("shed", "more come than can be done", shed)
         capture.drop("no_pose", "publish one", 2)
-        capture.note("clock_step")
+        capture.note("stamp_jump")
         judge.note("verdict.ok")
         judge.note("verdict.pose_suspected")
         judge.gauge("verdict", "ok" if camera == "north" else "pose_suspected")
@@ -61,5 +60,4 @@ def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
         clock=KernelClock(False, None),
         disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
         memory=(8_000_000_000, 3_000_000_000),
-        process_memory={"cameras": 400_000_000},
     )

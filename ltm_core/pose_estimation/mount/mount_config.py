@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.base.strict_model import Expert, StrictModel
+from ltm_core.base.strict_model import Expert, StrictModel, Written
 from ltm_core.cameras.camera_config import PoseConfig
 from ltm_core.cameras.plausibility import PitchDeg
 from ltm_core.geometry.geodesy import SiteFrame
@@ -25,25 +25,25 @@ class MountConfig(PoseConfig):
 
     The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
 
-    azimuth_sigma_deg: float | None = Field(1.5, gt=0)
-    pitch_sigma_deg: float | None = Field(0.5, gt=0)
-    roll_sigma_deg: float | None = Field(0.5, gt=0)
-    position_sigma: float | None = Field(0.5, gt=0)
-    height_sigma: float | None = Field(0.5, gt=0)
-    tilt_zero_deg: PitchDeg = 0.0
+    azimuth_sigma_deg: Written[float | None] = Field(1.5, gt=0)
+    pitch_sigma_deg: Written[float | None] = Field(0.5, gt=0)
+    roll_sigma_deg: Written[float | None] = Field(0.5, gt=0)
+    position_sigma: Written[float | None] = Field(0.5, gt=0)
+    height_sigma: Written[float | None] = Field(0.5, gt=0)
+    tilt_zero_deg: Written[PitchDeg] = 0.0
     """Angle in degrees added to each tilt, positive upwards."""
-    tilt_zero_sigma_deg: float = Field(0.3, gt=0)
+    tilt_zero_sigma_deg: Written[float] = Field(0.3, gt=0)
     """Standard deviation of `tilt_zero_deg` in degrees."""
-    pan_sign: Sign = 1
+    pan_sign: Written[Sign] = 1
     """Sign of pan: 1 if pan grows clockwise as seen from above, else -1."""
-    tilt_sign: Sign = 1
+    tilt_sign: Written[Sign] = 1
     """Sign of tilt: 1 if tilt grows upwards, else -1."""
-    encoder_sigma_deg: float = Field(0.03, gt=0)
+    encoder_sigma_deg: Written[float] = Field(0.03, gt=0)
     """Standard deviation of pan and of tilt in degrees when the PTZ head returns to a reading."""
-    covariance_deg2: tuple[tuple[float, ...], ...] | None = None
+    covariance_deg2: Written[tuple[tuple[float, ...], ...] | None] = None
     """Covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, from a calibration; instead of their
     sigmas."""
-    lens: LensConfig | None = None
+    lens: Written[LensConfig | None] = None
     """Zoom lens of the camera; None: the lens does not zoom, and `calibration` describes it."""
 
     @model_validator(mode="after")
@@ -131,7 +131,7 @@ class PoseRefinementConfig(StrictModel):
     """Settings for refining poses of mounted cameras by their images; a site with this section runs the node `pose` for
     each camera. Angles in degrees."""
 
-    every: float = Field(10.0, ge=0)
+    every: Expert[float] = Field(10.0, ge=0)
     """Minimum seconds between two images that are used."""
     gather: Expert[int] = Field(6, ge=2)
     """Number of clear images from which a mount's error is estimated jointly."""

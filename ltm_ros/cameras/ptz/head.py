@@ -6,7 +6,6 @@ import re
 import time
 import xml.etree.ElementTree as ElementTree  # nosec B405 # documents with a DTD are refused before they are parsed
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import SplitResult, urlsplit, urlunsplit
 
@@ -26,17 +25,8 @@ from ltm_ros.cameras.protocols.http_client import TAKEN, HttpClient, HttpRespons
 from ltm_ros.cameras.protocols.picture import PtzReading, Tolerance, at_rest
 
 
-@dataclass(frozen=True)
-class PtzLimits:
-    """Limits of a PTZ head in degrees and the camera's zoom unit; None: not reported."""
-
-    pan_deg: tuple[float, float] | None = None
-    tilt_deg: tuple[float, float] | None = None
-    zoom: tuple[float, float] | None = None
-
-
 class PtzHead(Protocol):
-    """A `Direction` with limits and presets. Only `go_to` moves the head.
+    """A `Direction` with presets. Only `go_to` moves the head.
 
     Every method raises SourceError without an answer, and UnauthorisedError if the password is rejected."""
 
@@ -44,8 +34,6 @@ class PtzHead(Protocol):
     """Seconds between two readings that detect a rotation of 1 deg/s."""
 
     def read(self) -> PtzReading: ...
-
-    def limits(self) -> PtzLimits: ...
 
     def presets(self) -> Mapping[str, str]:
         """Return the PTZ head's tokens of its presets, by name."""
@@ -313,13 +301,6 @@ def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
             return None
         here = next((e for e in here.iter() if e is not here and local(e) == name), None)
     return here
-
-
-def span(root: ElementTree.Element, *names: str) -> tuple[float, float] | None:
-    """Return the numbers Min and Max below an element; None: not reported. Raises SourceError."""
-    place = found(root, *names)
-    ends = [] if place is None else [e for e in (found(place, "Min"), found(place, "Max")) if e is not None]
-    return (number(ends[0].text, names[-1]), number(ends[1].text, names[-1])) if len(ends) == 2 else None
 
 
 def number(text: str | None, what: str) -> float:

@@ -22,14 +22,12 @@ from ltm_ros.cameras.protocols.picture import PtzReading
 from ltm_ros.cameras.ptz.head import (
     Connection,
     PtzHead,
-    PtzLimits,
     found,
     local,
     number,
     parsed_xml,
     settings_of,
     spacing_for,
-    span,
     token_of,
     tolerance_of,
 )
@@ -58,18 +56,6 @@ class IsapiPtzHead:
             values.append(number(element.text, name))
         scale = 0.1 if self._tenths else 1.0
         return PtzReading(values[0] * scale, values[1] * scale, values[2], None, at)
-
-    def limits(self) -> PtzLimits:
-        """Return the limits in the units of `status`, which cameras use here whatever the units of the readings are."""
-        root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
-
-        def both(scale: float, *names: str) -> tuple[float, float] | None:
-            ends = span(root, *names)
-            return None if ends is None else (ends[0] * scale, ends[1] * scale)
-
-        space = "AbsolutePanTiltPositionSpace"
-        zoom = both(1.0 if self._tenths else 0.1, "AbsoluteZoomPositionSpace", "ZRange")
-        return PtzLimits(both(0.1, space, "XRange"), both(0.1, space, "YRange"), zoom)
 
     def presets(self) -> Mapping[str, str]:
         root = parsed_xml(self._connection.ask(f"{self._base}/presets").body)
@@ -105,15 +91,6 @@ class VapixPtzHead:
         said = self._lines("query=position")
         pan, tilt = (number(said.get(axis), axis) for axis in ("pan", "tilt"))
         return PtzReading(pan, tilt, number(said.get("zoom", "1"), "zoom"), None, time.monotonic())
-
-    def limits(self) -> PtzLimits:
-        said = {name.lower(): value for name, value in self._lines("query=limits").items()}
-
-        def both(axis: str) -> tuple[float, float] | None:
-            ends = said.get(f"min{axis}"), said.get(f"max{axis}")
-            return None if None in ends else (number(ends[0], axis), number(ends[1], axis))
-
-        return PtzLimits(both("pan"), both("tilt"), both("zoom"))
 
     def presets(self) -> Mapping[str, str]:
         found = {}

@@ -22,14 +22,12 @@ from ltm_ros.cameras.protocols.credentials import Login, SourceError, Unauthoris
 from ltm_ros.cameras.protocols.picture import PtzReading
 from ltm_ros.cameras.ptz.head import (
     Connection,
-    PtzLimits,
     found,
     local,
     number,
     parsed_xml,
     settings_of,
     spacing_for,
-    span,
     token_of,
     tolerance_of,
     with_configured_host,
@@ -181,18 +179,6 @@ class OnvifPtzHead:
         moving = True if status is not None and (status.text or "").strip() == "MOVING" else None
         return PtzReading(x, y, 0.0 if zoom is None else number(zoom.get("x"), "zoom"), moving, at)
 
-    def limits(self) -> PtzLimits:
-        root = self._ask("GetNodes", with_profile=False)
-
-        def both(space: str, axis: str, scale: tuple[float, float] | None) -> tuple[float, float] | None:
-            ends = span(root, space, axis)
-            return ends if scale is None or ends is None else (_scaled(ends[0], scale), _scaled(ends[1], scale))
-
-        turn = "AbsolutePanTiltPositionSpace"
-        pan = both(turn, "XRange", self._config.pan_range_deg)
-        tilt = both(turn, "YRange", self._config.tilt_range_deg)
-        return PtzLimits(pan, tilt, both("AbsoluteZoomPositionSpace", "XRange", None))
-
     def presets(self) -> Mapping[str, str]:
         known = {}
         for element in self._ask("GetPresets").iter():
@@ -221,12 +207,8 @@ class OnvifPtzHead:
     def close(self) -> None:
         self._connection.close()
 
-    def _ask(
-        self, name: str, arguments: Mapping[str, str] | None = None, with_profile: bool = True
-    ) -> ElementTree.Element:
-        address = self._service("PTZ")
-        whole = {"ProfileToken": self._token()} if with_profile else {}
-        return self.soap.call(address, PTZ, name, {**whole, **(arguments or {})})
+    def _ask(self, name: str, arguments: Mapping[str, str] | None = None) -> ElementTree.Element:
+        return self.soap.call(self._service("PTZ"), PTZ, name, {"ProfileToken": self._token(), **(arguments or {})})
 
     def _service(self, name: str) -> str:
         """Return the address of a service, at the configured host. Raises SourceError if the camera lacks it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -207,8 +207,7 @@ class OfflineGraph:
         health = self.healths[spec.full_name] = Health()
         outlet = _Outlet(self, spec.namespace, health)
         config = checked(node.config, given, f"parameters of {spec.label}")
-        make = partial(node.handler, config, outlet, health)
-        self._pipeline.add(Job(spec.full_name, spec.namespace, health, make))
+        self._pipeline.add(Job(spec.full_name, spec.namespace, health, node.handler(config, outlet, health)))
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
         _guarded(job.health, work, partial(self._place, topic, message) if topic else None)
@@ -243,15 +242,6 @@ class _Outlet:
 
     def now_ns(self) -> int:
         return self._graph.now_ns
-
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Each frame is finished before the next is fed, so nothing waits for it."""
-
-    def workers(self, topic: Topic) -> Set[str]:
-        return frozenset()
-
-    def prompt_workers(self, topic: Topic) -> Set[str]:
-        return frozenset()
 
 
 def replay_offline(

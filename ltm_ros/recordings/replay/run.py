@@ -186,12 +186,13 @@ class LivePlayer:
         ends after `WARM_UP` seconds."""
         self._changed = time.monotonic()
         deadline = self._changed + WARM_UP
-        return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue", "in_flight"))
+        return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue",))
 
     def _behind(self) -> bool:
         recent = time.monotonic() - SILENT
         return any(
-            int(summary.get("waiting", "0")) > WAITING and self._heard[name] > recent
+            self._heard[name] > recent
+            and (int(summary.get("waiting", "0")) > WAITING or int(summary.get("queue", "0")) > 4 * WAITING)
             for name, summary in list(self.summaries.items())
         )
 
@@ -204,11 +205,8 @@ class LivePlayer:
                 return
             time.sleep(min(wait, 0.1))
 
-    def _idle(
-        self, summaries: Iterable[dict[str, str] | None], busy: Sequence[str] = ("queue", "waiting", "in_flight")
-    ) -> bool:
-        """Return whether nothing has changed for a while, and nothing is queued or in flight (a large frame may take
-        longer)."""
+    def _idle(self, summaries: Iterable[dict[str, str] | None], busy: Sequence[str] = ("queue", "waiting")) -> bool:
+        """Return whether nothing has changed for a while, and nothing is queued (a large frame may take longer)."""
         empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 

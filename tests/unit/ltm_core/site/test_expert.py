@@ -62,6 +62,10 @@ def test_keys_in_the_wrong_part(tmp_path: Path, changes: dict[str, Any], place: 
         load(tmp_path, **changes)
 
 
+def test_a_site_decides_few_keys() -> None:
+    assert len([key for key in keys() if not (key.expert or key.written)]) <= 90
+
+
 def test_every_key_has_a_sentence_and_one_part() -> None:
     """A key of several kinds of sources is expert in all of them or in none."""
     found = list(keys())

@@ -57,7 +57,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"alerts": {"webhook": "http://u:p@host/"}}, ["alerts.webhook", "password"]),
         ({"alerts": {"webhook": "ftp://host/"}}, ["alerts.webhook", "http"]),
         ({"alerts": {"webhook": "http://host/{token}"}}, ["alerts", "token: {credential"]),
-        ({"alerts": {"mqtt": "mqtts://b", "key": "k.pem"}}, ["alerts", "certificate and key"]),
+        ({"alerts": {"mqtt": "mqtts://b"}, "expert": {"alerts": {"key": "k.pem"}}}, ["alerts", "certificate and key"]),
         ({"alerts": {"mqtt": "mqtts://b", "password": {"file": "p"}}}, ["alerts", "user"]),
         ({"alerts": {"mqtt": "mqtts://u:p@b"}}, ["alerts.mqtt", "password"]),
         ({"alerts": {"mqtt": "mqtt://10.0.0.1"}}, ["alerts", "mqtts://10.0.0.1"]),
@@ -80,8 +80,9 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
 
 
 def test_alerts_run_the_health_node_and_name_files_beside_the_site_file(tmp_path: Path) -> None:
-    broker = {"mqtt": "mqtts://10.8.0.1", "ca": "ca.crt", "user": "ridge", "password": {"file": "mqtt"}}
-    site = load(tmp_path, alerts={"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker})
+    broker = {"mqtt": "mqtts://10.8.0.1", "user": "ridge", "password": {"file": "mqtt"}}
+    alerts = {"webhook": "https://host/{token}", "token": {"file": "hook"}, **broker}
+    site = load(tmp_path, alerts=alerts, expert={"alerts": {"ca": "ca.crt"}})
     assert site.health is not None
     assert site.health.address == "127.0.0.1"
     assert site.alerts is not None

@@ -141,13 +141,15 @@ CALIBRATION = {
 
 
 def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
-    check = checked(tmp_path, 890.0, label_heads="heads", cameras={"north": {"label_head": "chaparral"}, "south": {}})
+    check = checked(
+        tmp_path, 890.0, expert={"label_heads": "heads"}, cameras={"north": {"label_head": "chaparral"}, "south": {}}
+    )
     ((_, message),) = [found for found in said(check, SiteVerdict.WRONG) if found[0] == "label head chaparral"]
     assert str(tmp_path / "heads" / "chaparral.yaml") in message
     network = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
     cameras = {"north": {"label_head": "chaparral"}, "south": {}}
-    check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
+    check = checked(tmp_path, 890.0, expert={"label_heads": "heads"}, model="colors.yaml", cameras=cameras)
     ((_, message),) = [found for found in said(check, SiteVerdict.DOUBTFUL) if found[0] == "label errors"]
     assert "colors.yaml, label head chaparral: unmeasured" in message
 
@@ -159,7 +161,7 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
         ({"north": {"label_head": "mast"}, "south": {}}, SiteVerdict.OK),
         ({"north": {"label_head": "mast"}, "south": {"label_head": "mast"}}, SiteVerdict.DOUBTFUL),
     ):
-        check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
+        check = checked(tmp_path, 890.0, expert={"label_heads": "heads"}, model="colors.yaml", cameras=cameras)
         ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head mast"]
         assert message.endswith("train one for each") is (verdict is SiteVerdict.DOUBTFUL)
 
@@ -171,7 +173,14 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
         ({"model": "colors.yaml"}, "unmeasured"),
         ({"nodes": {"segmentation": {"model": "mosaic_r4_ade20k31"}}}, "unmeasured"),
         ({"cameras": {"north": {"label_head": "near"}, "east": {}}}, "measured on photos"),
-        ({"cameras": {"n": {"label_head": "chaparral"}}, "model": "colors.yaml", "label_heads": "heads"}, "unmeasured"),
+        (
+            {
+                "cameras": {"n": {"label_head": "chaparral"}},
+                "model": "colors.yaml",
+                "expert": {"label_heads": "heads"},
+            },
+            "unmeasured",
+        ),
     ],
 )
 def test_a_site_states_what_the_labels_that_vote_were_measured_on(

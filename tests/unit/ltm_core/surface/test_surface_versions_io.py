@@ -37,17 +37,9 @@ def test_what_was_written_is_read_again(versions: SurfaceVersions) -> None:
     assert other.add(felled(101.0), 7_000, 300).digest == entry.digest
 
 
-def test_versions_are_taken_back_one_by_one_and_the_former_return(versions: SurfaceVersions) -> None:
+def test_each_moment_has_its_version(versions: SurfaceVersions) -> None:
     first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
     assert [versions.manifest().at(moment) for moment in (None, 1_500, 500)] == [second, first, None]
-    after = versions.take_back()
-    assert (after.current, after.held) == (first.version, True)
-    assert versions.take_back().current == ""
-    with pytest.raises(StoreError, match="nothing to revert"):
-        versions.take_back()
-    again = versions.add(felled(99.0), 3_000, 9)
-    assert (again.version, again.as_of_ns) == (second.version, 3_000)
-    assert not versions.manifest().held
 
 
 def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: SurfaceVersions) -> None:

@@ -134,7 +134,7 @@ def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.M
     hidden = there & (labels() != Label.SKY)
     gone = {}
     for judged in (True, False):
-        content["cameras"]["mast"]["judge_smoke"] = judged
+        content["expert"] = {"cameras": {"mast": {"judge_smoke": judged}}}
         small.path.write_text(yaml.safe_dump(content))
         step = LabellingStep(load_site(small.path), "mast", LabellingConfig())
         monkeypatch.setattr(step._segmenter, "segment", lambda *_: Segmentation(labels(), np.full(SIZE, 200, np.uint8)))

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import socket
-import struct
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,7 +16,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_io import read_readings
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config
-from ltm_ros.cameras.discovery import discover
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 from ltm_ros.cli import cameras
 from ltm_ros.cli.main import cli
@@ -66,7 +62,7 @@ POSE = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48, "--pitch
         "",
         "cameras: {}\n",
         "cameras:\n  north: {}\n",
-        "cameras:\n  north:   # mine\n    judge_smoke: false\n",
+        "cameras:\n  north:   # mine\n    label_head: mine\n",
     ],
     ids=["another camera", "no section", "no camera", "README", "begun"],
 )
@@ -94,7 +90,7 @@ def test_probe_adds_a_camera_to_every_site_file_and_completes_it(small: SmallSit
     assert north.pose.azimuth_deg == 48.0
     assert north.calibration is not None
     assert (north.calibration.width, north.calibration.hfov_deg) == (320, 50.0)
-    assert north.judge_smoke is ("smoke" not in cameras)
+    assert north.label_head == ("mine" if "label_head" in cameras else "landscape")
     assert set(site.cameras) == {"north", *({"tower"} if "tower" in cameras else ())}
     written = small.path.read_text()
     assert PASSWORD not in written
@@ -167,69 +163,6 @@ def test_a_password_in_the_address_is_refused_without_repeating_it(url: str) -> 
     with pytest.raises(ConfigError, match="--password-env") as told:
         run("probe", url)
     assert "s3cret" not in str(told.value)
-
-
-ANSWER = """<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"
- xmlns:a="http://schemas.xmlsoap.org/ws/2004/08/addressing" xmlns:d="http://schemas.xmlsoap.org/ws/2005/04/discovery">
-<s:Header><a:RelatesTo>{relates}</a:RelatesTo></s:Header><s:Body><d:ProbeMatches><d:ProbeMatch>
-<d:Scopes>onvif://www.onvif.org/name/{name} onvif://www.onvif.org/hardware/Q6 onvif://www.onvif.org/type/ptz</d:Scopes>
-<d:XAddrs>http://10.0.0.9/onvif/device_service http://127.0.0.1:{port}/onvif/device_service</d:XAddrs>
-</d:ProbeMatch></d:ProbeMatches></s:Body></s:Envelope>"""
-
-
-@pytest.fixture
-def answering() -> Iterator[int]:
-    """The UDP port of a network on loopback, on which two cameras, a stranger and a liar answer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(("", 0))
-        group = struct.pack("=4s4s", socket.inet_aton("239.255.255.250"), socket.inet_aton("127.0.0.1"))
-        listening.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
-        port = int(listening.getsockname()[1])
-
-        def answer() -> None:
-            while True:
-                try:
-                    question, place = listening.recvfrom(65_000)
-                except OSError:
-                    return
-                if not question:
-                    return
-                asked = question.decode().split("MessageID>")[1].split("<")[0]
-                for relates, name, at in (
-                    (asked, "North%20Ridge%1b[2J%5B/%5D", 81),
-                    (asked, "South", 82),
-                    (asked, "South", 82),
-                    ("urn:uuid:another", "stranger", 83),
-                ):
-                    listening.sendto(ANSWER.format(relates=relates, name=name, port=at).encode(), place)
-                listening.sendto(b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>', place)
-                listening.sendto(b"\x00\xff" * 900, place)
-
-        thread = threading.Thread(target=answer, daemon=True)
-        thread.start()
-        yield port
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ending:
-            ending.sendto(b"", ("127.0.0.1", port))
-        thread.join(5)
-
-
-def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
-    found, wrong = discover("127.0.0.1", 1.0, port=answering)
-    assert [one.address for one in found] == [f"http://127.0.0.1:{port}/onvif/device_service" for port in (81, 82)]
-    assert [(one.name, one.hardware) for one in found] == [("North Ridge?[2J[/]", "Q6"), ("South", "Q6")]
-    assert wrong == 3
-    said = run("discover", "--interface", "127.0.0.1", "--port", answering, "--seconds", 1)
-    assert "2 cameras answered" in said
-    assert "North Ridge?[2J[/]" in said
-    assert "3 answers could not be read" in said
-    assert "\x1b[2J" not in said
-
-
-@pytest.mark.parametrize("interface", ["north", "10.255.255.254", "::1"])
-def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
-    with pytest.raises(ConfigError, match="this computer"):
-        run("discover", "--interface", interface, "--seconds", 0.2)
 
 
 MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}

@@ -17,13 +17,11 @@ from ltm_ros.launching import shared_memory
 from ltm_ros.tower import doctor
 from ltm_ros.tower.health_client import DoctorFinding, DoctorState
 
-ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
-
 
 @pytest.fixture(autouse=True)
 def _participant(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a real participant; tests/graph starts one."""
-    answer(monkeypatch, 0, ANSWER)
+    answer(monkeypatch, 0, "rmw_fastrtps_cpp\n")
 
 
 def answer(monkeypatch: pytest.MonkeyPatch, status: int, output: str, error: str = "") -> None:
@@ -78,21 +76,25 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
     assert [one.name for one in by_extra["view"]] == ["rerun-sdk"]
 
 
-def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
+@pytest.mark.parametrize(
+    ("status", "error", "state", "detail"),
+    [
+        (0, "", DoctorState.OK, "rmw_fastrtps_cpp"),
+        (1, "Traceback\nno such middleware", DoctorState.MISSING, "rmw_fastrtps_cpp: no such middleware"),
+    ],
+)
+def test_participant(monkeypatch: pytest.MonkeyPatch, status: int, error: str, state: DoctorState, detail: str) -> None:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    answer(monkeypatch, status, "" if error else "rmw_fastrtps_cpp\n", error)
     participant = found(list(doctor.check_transport()), "participant")
-    assert participant.state is DoctorState.WARNING
-    assert "0.5 MB: too small for images" in participant.detail
+    assert (participant.state, participant.detail) == (state, detail)
 
 
-def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_memory, "free_bytes", lambda: 64 << 20)
-    monkeypatch.setattr(shared_memory, "survey", lambda: shared_memory.SharedMemory(("a",), ("b", "c"), (), 140 << 20))
-    room, segments = doctor.check_shared_memory()
+    (room,) = doctor.check_shared_memory()
     assert (room.state, room.detail) == (DoctorState.WARNING, "64 MB free, enough for 0 nodes")
     assert "--shm-size" in room.remedy
-    assert segments.detail == "1 in use, 2 objects of dead processes (140 MB)"
-    assert segments.state is DoctorState.WARNING
 
 
 def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

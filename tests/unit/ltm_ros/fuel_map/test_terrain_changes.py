@@ -48,7 +48,7 @@ class Node:
         self.outlet, self.health = Kept(FUEL_MAP_CELLS), Health()
         self.outlet.now = now
         kept = "" if folder is None else str(folder)
-        config = FuelMapConfig(site=str(site), folder=kept, allow_clear_and_burn=True)
+        config = FuelMapConfig(site=str(site), folder=kept, allow_burn=True)
         self.handler = FuelMapHandler(config, self.outlet, self.health)
         self.handler.start()
         self.fuel = grid_of(site)
@@ -234,27 +234,3 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     grown = again.handler.persistence.map.layers()
     assert not (grown.life_form[mask] == LifeForm.BURNED).any()
     assert set(grown.code[mask].tolist()) == {101}
-
-
-@pytest.mark.parametrize("heard_before", [True, False])
-def test_a_cleared_region_is_told_again_what_its_evidence_had_shown_before(
-    kept: Callable[..., Node], heard_before: bool
-) -> None:
-    node = kept(now=BEGIN_NS)
-    kinds, mask = felled(node)
-    node.handler.on_region(region(node.fuel, (20, 22), (31, 34), BEGIN_NS - DAY))
-    node.handler.burn()
-    node.hear(kinds)
-    np.testing.assert_array_equal(node.life_form, np.where(mask, LifeForm.BURNED, LifeForm.TREE))
-    if not heard_before:
-        node.handler.finish()
-        node = kept(now=BEGIN_NS)
-    node.handler.on_region(region(node.fuel, (18, 30), (31, 40), BEGIN_NS))
-    node.handler.clear()
-    if not heard_before:
-        np.testing.assert_array_equal(node.life_form, np.full(mask.shape, LifeForm.TREE))
-        node.hear(kinds, BEGIN_NS)
-    expected = np.where(mask, LifeForm.GRASS, LifeForm.TREE)
-    np.testing.assert_array_equal(node.life_form, expected)
-    node.handler.finish()
-    np.testing.assert_array_equal(kept(now=BEGIN_NS).life_form, expected)

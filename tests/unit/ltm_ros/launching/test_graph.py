@@ -65,8 +65,8 @@ def test_a_recordings_frames_are_not_shed_unless_somebody_says_so() -> None:
     live, replayed = (describe(site(), "ridge.yaml", sim_time=sim_time) for sim_time in (False, True))
     assert "shed" not in live.node("north/capture").parameters
     assert replayed.node("north/capture").parameters["shed"] is False
-    told = describe(site(nodes={"capture": {"shed": True, "in_flight": 3}}), "ridge.yaml", sim_time=True)
-    assert {"shed": True, "in_flight": 3}.items() <= told.node("north/capture").parameters.items()
+    told = describe(site(nodes={"capture": {"shed": True, "drop_repeated": False}}), "ridge.yaml", sim_time=True)
+    assert {"shed": True, "drop_repeated": False}.items() <= told.node("north/capture").parameters.items()
 
 
 def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:

@@ -61,7 +61,7 @@ def test_restarts_whatever_way_it_dies() -> None:
     one = Supervised("import os; print('up'); os.abort()")
     one.wait_for(lambda: one.process.starts >= 3)
     one.end()
-    assert one.process.restarts >= 2
+    assert one.process.starts >= 3
     assert "[north/depth] -- killed by SIGABRT after " in "\n".join(one.lines)
     assert one.ends == one.process.starts
 

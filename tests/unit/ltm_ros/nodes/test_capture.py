@@ -29,13 +29,12 @@ from ltm_msgs_py.pose import (
     pose_to_msg,
 )
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
-from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
-    FINISHED,
     IMAGE_RAW,
     POSE,
     POSED_CAMERA_INFO,
@@ -253,7 +252,7 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
     calibration = {"width": 12, "height": 7, "fx": 9.0}
     where = {"x": 500_321.0, "y": 4_000_123.0, "height_above_ground": 8.0, "azimuth_deg": 70.0}
     capture, outlet, _ = capture_of({"image": "raw", "calibration": calibration, "pose": where})
-    assert {*capture.subscriptions} == {IMAGE_RAW, FINISHED}
+    assert {*capture.subscriptions} == {IMAGE_RAW}
     capture.on_image(image_to_msg(PHOTO[..., ::-1].copy(), "bgr8", S, "driver_frame"))
     np.testing.assert_array_equal(msg_to_rgb(outlet.on(POSED_IMAGE)[0]), PHOTO)
     sent = msg_to_pose(outlet.on(POSED_POSE)[0], "map")
@@ -265,7 +264,7 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
 def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of({"topics": {"image": "/rig/image_raw", "pose": "/odom"}})
     topics = {topic.name: topic for topic in capture.subscriptions}
-    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, "pose", FINISHED.name}
+    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, "pose"}
     assert (topics["/rig/image_raw"].type, topics["/odom"].counted_name) == (IMAGE_RAW.type, POSE.name)
     capture.on_camera_info(info(0))
     capture.subscriptions[topics["/odom"]](pose(S))
@@ -287,9 +286,6 @@ def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: Capture
     assert health.dropped == {}
 
 
-FUSE = "/ridge/eye/topodepth"
-
-
 def offered(capture: CaptureHandler, *stamps: int) -> None:
     capture.on_camera_info(info(0))
     for stamp in stamps:
@@ -297,27 +293,23 @@ def offered(capture: CaptureHandler, *stamps: int) -> None:
         capture.on_image(image(stamp))
 
 
-def test_as_many_leave_as_are_finished_and_the_newest_is_next(capture_of: CaptureOf) -> None:
+def test_the_newest_leaves_when_no_other_follows(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
-    outlet.working = {FUSE}
+    outlet.more = True
     offered(capture, *range(S, 7 * S, S))
-    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S]
-    assert health.dropped == {"shed": 3}
-    capture.on_finished(make_header(S, FUSE))
-    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S, 6 * S]
-    for topic in (POSED_CAMERA_INFO, POSED_POSE):
-        assert outlet.stamps(topic) == outlet.stamps(POSED_IMAGE)
-    capture.tick(10.1)
-    offered(capture, 7 * S)
-    assert outlet.stamps(POSED_IMAGE)[-1] == 7 * S, "nobody answers: a dead node holds no camera up for ever"
+    assert outlet.stamps(POSED_IMAGE) == []
+    capture.idle()
+    for topic in (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE):
+        assert outlet.stamps(topic) == [6 * S]
+    assert health.dropped == {"shed": 5}
 
 
 def test_a_recordings_frames_are_not_shed(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of(shed=False)
-    outlet.working = {FUSE}
+    outlet.more = True
     offered(capture, *range(S, 7 * S, S))
-    for stamp in range(S, 7 * S, S):
-        capture.on_finished(make_header(stamp, FUSE))
+    for _ in range(6):
+        capture.idle()
     assert outlet.stamps(POSED_IMAGE) == [*range(S, 7 * S, S)]
     assert health.dropped == {}
 

@@ -61,10 +61,13 @@ def info(portrait: bool = False) -> Any:
     return camera_to_msg(Camera(*size, 48.0, 48.0, (size[0] - 1) / 2, (size[1] - 1) / 2), STAMP, "phone")
 
 
-def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[CaptureHandler, Kept, Health]:
+def capture(
+    tmp_path: Path, sensors: dict[str, Any], expert: dict[str, Any] | None = None, **camera: Any
+) -> tuple[CaptureHandler, Kept, Health]:
     phone_site(tmp_path)
     document = yaml.safe_load((tmp_path / "site.yaml").read_text())
     document["cameras"] = {"phone": {"sensors": sensors, **camera}}
+    document["expert"] = {"cameras": {"phone": {"sensors": expert or {}}}}
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
     outlet, health = Kept(), Health()
     outlet.now = STAMP + S
@@ -107,7 +110,7 @@ def test_a_phones_image_is_posed_by_the_nearest_attitude_and_the_last_fix(
 
 
 def test_what_the_messages_state_of_their_errors_goes_on(tmp_path: Path) -> None:
-    node, outlet, _ = capture(tmp_path, TRUE | {"geoid_undulation": -35.4})
+    node, outlet, _ = capture(tmp_path, TRUE, {"geoid_undulation": -35.4})
     turn = imu(STAMP)
     turn.orientation_covariance = np.diag([0.0004, 0.0001, 0.01]).ravel()
     node.on_camera_info(info())

@@ -16,20 +16,17 @@ from scenes.fuel_frames import (
     BEGIN_NS,
     CAMERAS,
     LABELS,
-    NAME,
     message,
     write_site,
 )
 from scenes.fuel_map_node import Node, state
 
-from ltm_core.base.errors import ConfigError, LtmError, MessageError
-from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.storage.tile_store import TileStore
-from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
+from ltm_ros.runtime.topics import FUEL_MAP_ANSWER
 
 
 @pytest.fixture
@@ -86,11 +83,9 @@ def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPat
     assert node.gauge("frames") == "1"
 
 
-def test_clear_and_burn_are_off_unless_the_site_allows_them(site: Path) -> None:
-    node = Node(site)
-    for service, serve in (("clear", node.handler.clear), ("burn", node.handler.burn)):
-        with pytest.raises(ConfigError, match=f"fuel_map/{service} is disabled: set `allow_clear_and_burn: true`"):
-            serve()
+def test_burning_is_off_unless_the_site_allows_it(site: Path) -> None:
+    with pytest.raises(ConfigError, match="allow_burn: true"):
+        Node(site).handler.burn()
 
 
 def test_hostile_votes_leave_the_map_alone(site: Path) -> None:
@@ -108,20 +103,6 @@ def test_hostile_votes_leave_the_map_alone(site: Path) -> None:
         np.testing.assert_array_equal(state(node.map)[name], values)
     node.feed(1)
     assert node.gauge("frames") == "2", "a frame that was refused may come again, whole"
-
-
-def test_unknown_cameras_only_where_they_are_welcome(site: Path) -> None:
-    assert Node(site).handler.discoverable == {}
-    node = Node(site, accept_unknown_cameras=True)
-    ((topic, callback),) = node.handler.discoverable.items()
-    assert topic.name == f"/{NAME}/*/fuel/votes"
-    assert topic.type is FUEL_VOTES.type
-    callback(f"/{NAME}/west/fuel/votes", message(0, node.map.geometry))
-    node.handler.idle()
-    assert node.handler.persistence.store.sources() == {"west": 1}
-    for name in ("fuel_map", "West", "a__;"):
-        with pytest.raises(LtmError):
-            callback(f"/{NAME}/{name}/fuel/votes", message(1, node.map.geometry))
 
 
 def point(x: float, y: float, frame: str = "map") -> PointStamped:
@@ -153,42 +134,13 @@ def test_query_of_a_point(kept: Callable[..., Node]) -> None:
             node.handler.on_query(asked)
 
 
-def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
-    node = kept(allow_clear_and_burn=True)
-    node.feed(*range(60))
-    with pytest.raises(ConfigError, match="fuel_map/region"):
-        node.handler.clear()
-    grid = node.map.geometry
-    before = node.map.layers()
+def test_regions_that_are_none(kept: Callable[..., Node]) -> None:
+    node = kept(allow_burn=True)
     region = PolygonStamped()
-    region.header.frame_id = "map"
-    corners = [grid.to_map(row - 0.5, col - 0.5) for row, col in ((10, 20), (10, 45), (38, 45), (38, 20))]
-    region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
-    node.handler.on_region(region)
-    assert node.handler.clear() == "deleted the evidence of 700 cells"
-    with pytest.raises(ConfigError, match="fuel_map/region"):
-        node.handler.clear()
-    inside = np.zeros(grid.shape, bool)
-    inside[10:38, 20:45] = True
-    assert (before.last_seen[inside] > 0).sum() > 300
-
-    def check(evidence: EvidenceMap) -> None:
-        after = evidence.layers()
-        assert not after.last_seen[inside].any()
-        assert (after.life_form[inside] == 255).all()
-        np.testing.assert_array_equal(after.last_seen[~inside], before.last_seen[~inside])
-
-    check(node.map)
-    np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], node.map.layers().life_form)
-    node.handler.persistence.store.close()  # killed
-    again = kept()
-    check(again.map)
-    again.feed(*range(60))
-    assert again.health.dropped == {"duplicate": 60}
     region.header.frame_id = "odom"
     with pytest.raises(MessageError, match="odom"):
         node.handler.on_region(region)
-    region.header.frame_id, region.polygon.points = "map", region.polygon.points[:2]
+    region.header.frame_id, region.polygon.points = "map", [Point32(), Point32()]
     with pytest.raises(MessageError, match="2 corners"):
         node.handler.on_region(region)
 

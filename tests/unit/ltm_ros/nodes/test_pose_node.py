@@ -61,8 +61,7 @@ def write_site(folder: Path, **refine: Any) -> str:
         "cameras": {"mast": {"image": "raw"}},
     }
     path = folder / "site.yaml"
-    tuning = {name: refine.pop(name) for name in set(refine) - {"every"}}
-    more = {"refine_poses": refine, "expert": {"refine_poses": tuning}} if refine else {}
+    more = {"refine_poses": {}, "expert": {"refine_poses": refine}} if refine else {}
     path.write_text(yaml.safe_dump(content | more))
     return str(path)
 

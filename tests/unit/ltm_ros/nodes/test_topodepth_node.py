@@ -24,7 +24,6 @@ from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
-    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -122,7 +121,6 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert (info["verdict"], info["stamp_ns"]) == ("ok", STAMP)
     assert float(info["inlier_ratio"]) > 0.5
     assert node.health.summary()["verdict"] == "ok"
-    assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
 
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(

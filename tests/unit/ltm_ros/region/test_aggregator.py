@@ -187,7 +187,8 @@ def test_towers_of_another_origin_extent_and_crs_count_on_one_map(scene: RegionS
 
 
 def test_a_certificate_that_has_run_out_is_not_believed(scene: RegionScene, tmp_path: Path) -> None:
-    (scene.certs / "alta.crt").unlink()
+    for name in ("alta.crt", "alta.key"):
+        (scene.certs / name).unlink()
     TrialAuthority(scene.certs, days=0).make(REGION, ["alta"], [], "127.0.0.1", 8883)
     old = scene.identity("alta").sealed(b"{}")
     with pytest.raises(MessageError, match="renew it, or set the clock"):

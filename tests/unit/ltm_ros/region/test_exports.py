@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
 from ltm_ros.region.aggregator import Aggregator, RegionExports
-from ltm_ros.region.mqtt_link import votes_topic
 from ltm_ros.region.service import RegionService
 from ltm_ros.runtime.health import Health
 
@@ -110,33 +108,3 @@ def test_the_last_export_has_what_was_not_yet_shown(tmp_path: Path, monkeypatch:
     service.run(stopping)
     with rasterio.open(tmp_path / "out/life_form.tif") as raster:
         assert (raster.read(1) != raster.nodata).any()
-
-
-def test_the_map_is_decided_less_often_while_frames_are_left_to_wait_and_no_longer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in {"SHOWN_SHARE": 1.0, "SHOWN_SHARE_LATE": 1e-12, "LATE_S": 3600.0, "SETTLE_S": 0.0}.items():
-        monkeypatch.setattr(f"ltm_ros.region.service.{name}", value)
-    heard: list[Callable[[str, bytes], None]] = []
-
-    class Link(Unheard):
-        def __init__(self, *given: Any, will: object = None) -> None:
-            super().__init__()
-            heard.append(given[4])
-
-    scene = write_region_scene(tmp_path)
-    link: Any = Link
-    service = RegionService(scene.config, Health(), lambda: BEGIN_NS + 10**13, link)
-    persistence = service.aggregator.persistence
-    service.step(0.0)
-    for number in range(4):
-        heard[0](votes_topic(scene.config.name, "alta"), scene.sealed("alta", number))
-    service.step(0.0)  # without time to count any
-    monkeypatch.setattr("ltm_ros.region.service.SETTLE_S", 600.0)
-    service.step(0.0)
-    assert persistence.saved_frames == 4
-    assert persistence.shown.seen_cells == 0
-    monkeypatch.setattr("ltm_ros.region.service.LATE_S", 0.0)
-    service.step(0.0)
-    assert persistence.shown.seen_cells > 0
-    service.aggregator.close()

@@ -1,16 +1,14 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Mapping, Set
-from functools import partial
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 from sensor_msgs.msg import CompressedImage
-from std_msgs.msg import Header
 
 from ltm_core.base.errors import ImageError
-from ltm_msgs_py.stamp import make_header, stamp_of, time_to_ns
+from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.camera_pipeline import INBOX, INBOX_BYTES, CameraPipeline, FrameScheduler
 from ltm_ros.runtime.handler import Handler, NodeConfig, Topic
@@ -21,7 +19,6 @@ from ltm_ros.runtime.stamp_join import StampJoin
 
 PHOTO, POSED, LABELS, FUSED = (Topic(name, CompressedImage) for name in ("photo", "posed", "labels", "fused"))
 STATE = Topic("state", CompressedImage, latched=True)
-FINISHED = Topic("finished", Header, counted=False)
 BAD, BUG = 30, 40
 """Stamps of a photo that the labeller refuses, and of one that it is not able to do."""
 
@@ -29,13 +26,13 @@ BAD, BUG = 30, 40
 class Outlet:
     """Hands over within one pipeline, and keeps what was published."""
 
-    def __init__(self, camera: CameraPipeline, name: str, health: Health, sent: list[tuple[str, int]]) -> None:
-        self._camera, self._name, self._health, self._sent = camera, name, health, sent
+    def __init__(self, camera: CameraPipeline, health: Health, sent: list[tuple[str, int]]) -> None:
+        self._camera, self._health, self._sent = camera, health, sent
 
     def publish(self, topic: Topic, message: Any) -> None:
         self._sent.append((topic.name, stamp_of(message)))
         self._health.published(topic.name)
-        self._camera.pipeline.publish(f"/s/c/{topic.name}", message, topic.latched)
+        self._camera.pipeline.publish(f"/s/c/{topic.name}", message)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         self.publish(topic, make())
@@ -49,14 +46,6 @@ class Outlet:
     def now_ns(self) -> int:
         return 0
 
-    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        self._camera.pipeline.publish(f"/s/c/{topic.name}", make_header(stamp_ns, self._name))
-
-    def workers(self, topic: Topic) -> Set[str]:
-        return {"label", "fuse"}
-
-    prompt_workers = workers
-
 
 class Door(Handler[NodeConfig]):
     publications = (POSED,)
@@ -65,10 +54,7 @@ class Door(Handler[NodeConfig]):
         super().__init__(config, outlet, health)
         self._admission = Admission[Any](
             lambda photo: outlet.publish(POSED, photo),
-            lambda: outlet.workers(FINISHED),
             health,
-            2,
-            10.0,
             True,
             lambda photo: len(photo.data),
             1000,
@@ -77,13 +63,10 @@ class Door(Handler[NodeConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {
-            PHOTO: lambda m: self._admission.offer(stamp_of(m), m),
-            FINISHED: lambda m: self._admission.finished(m.frame_id, time_to_ns(m.stamp)),
-        }
+        return {PHOTO: lambda m: self._admission.offer(stamp_of(m), m)}
 
     def idle(self) -> None:
-        self._admission.idle(self.outlet.prompt_workers(FINISHED))
+        self._admission.idle()
 
     def finish(self) -> None:
         self._admission.finish()
@@ -91,7 +74,6 @@ class Door(Handler[NodeConfig]):
 
 class Label(Handler[NodeConfig]):
     publications = (LABELS,)
-    acknowledgements = (FINISHED,)
     state = 0
 
     @property
@@ -108,12 +90,10 @@ class Label(Handler[NodeConfig]):
         if stamp == BUG:
             raise IndexError("of nothing")
         self.outlet.publish(LABELS, photo)
-        self.outlet.acknowledge(FINISHED, stamp)
 
 
 class Fuse(Handler[NodeConfig]):
     publications = (FUSED, STATE)
-    acknowledgements = (FINISHED,)
 
     def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -135,18 +115,13 @@ class Fuse(Handler[NodeConfig]):
     def _fuse(self, photo: Any, labels: Any) -> None:
         self.outlet.publish(FUSED, photo)
         self.outlet.publish(STATE, photo)
-        self.outlet.acknowledge(FINISHED, stamp_of(photo))
 
 
 class Camera:
-    """`made`: how often each job's handler has been made; `unmakeable`: those that cannot be made now."""
-
     def __init__(self) -> None:
         self.said: list[tuple[str, str]] = []
         self.pipeline = CameraPipeline(lambda name, text: self.said.append((name, text)))
         self.sent: list[tuple[str, int]] = []
-        self.made = {"door": 0, "label": 0, "fuse": 0}
-        self.unmakeable: set[str] = set()
         self.jobs = {name: self._job(name, kind) for name, kind in (("door", Door), ("label", Label), ("fuse", Fuse))}
         for job in self.jobs.values():
             self.pipeline.pipeline.add(job)
@@ -169,14 +144,8 @@ class Camera:
 
     def _job(self, name: str, kind: type[Handler[NodeConfig]]) -> Job:
         health = Health()
-        outlet = Outlet(self.pipeline, name, health, self.sent)
-        return Job(name, "/s/c", health, partial(self._make, name, kind, outlet, health))
-
-    def _make(self, name: str, kind: Callable[..., Any], outlet: Outlet, health: Health) -> Any:
-        self.made[name] += 1
-        if name in self.unmakeable:
-            raise OSError(f"no {name}")
-        return kind(NodeConfig(site="s"), outlet, health)
+        outlet = Outlet(self.pipeline, health, self.sent)
+        return Job(name, "/s/c", health, kind(NodeConfig(site="s"), outlet, health))
 
 
 def test_of_what_waits_the_newest_runs_straight_through() -> None:
@@ -189,7 +158,6 @@ def test_of_what_waits_the_newest_runs_straight_through() -> None:
     camera.offer(15)
     camera.turn()
     assert camera.fused == [13, 15]
-    assert (camera.count("door", "finished"), camera.count("door", "in_flight", "noted.unfinished")) == (2, 0)
 
 
 def test_what_a_job_refuses_is_counted_and_the_next_frame_goes_through() -> None:
@@ -201,11 +169,9 @@ def test_what_a_job_refuses_is_counted_and_the_next_frame_goes_through() -> None
     assert camera.fused == [31]
     assert camera.jobs["label"].health.dropped == {"image": 1}
     assert camera.said == [("label", "too dark")]
-    assert camera.made["label"] == 1
-    assert (camera.count("door", "finished"), camera.count("door", "noted.unfinished")) == (1, 1)
 
 
-def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bug_costs_its_frame(capsys: pytest.CaptureFixture[str]) -> None:
     camera = Camera()
     camera.offer(BUG)
     camera.turn()
@@ -218,31 +184,9 @@ def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFi
     camera.turn()
     camera.turn()
     assert camera.fused == [41]
-    assert camera.made == {"door": 1, "label": 2, "fuse": 1}
-    assert (camera.count("door", "finished"), camera.count("door", "noted.unfinished")) == (1, 1)
     # Nothing of the lost frame waits anywhere for the rest of it.
     camera.pipeline.finish()
     assert camera.jobs["fuse"].health.dropped == {}
-
-
-def test_a_job_that_cannot_be_made_anew_is_left_out_and_tried_again() -> None:
-    camera = Camera()
-    camera.unmakeable = {"label"}
-    camera.offer(BUG)
-    camera.turn()
-    camera.offer(41)
-    camera.turn()
-    assert camera.jobs["label"].health.dropped == {"crash": 1, "down": 1}
-    camera.unmakeable = set()
-    camera.pipeline.tick(1.5)
-    camera.turn()
-    assert camera.made["label"] == 2, "too early"
-    camera.pipeline.tick(0.6)
-    camera.offer(42)
-    camera.turn()
-    assert camera.fused == [42]
-    camera.pipeline.finish()
-    assert camera.jobs["fuse"].health.dropped == {}, "nothing of the others waits for labels"
 
 
 def test_one_cameras_bugs_and_floods_cost_another_no_frame() -> None:
@@ -251,7 +195,7 @@ def test_one_cameras_bugs_and_floods_cost_another_no_frame() -> None:
     for stamp in range(100, 120):
         ill.offer(BUG, BUG, (stamp % 2 and BAD) or BUG)
         well.offer(stamp)
-        # One after the other, so that no frame of the camera that is well is shed.
+        # In turns, so that no frame of the second camera is shed.
         ill.turn()
         well.turn()
     scheduler.start()
@@ -259,7 +203,6 @@ def test_one_cameras_bugs_and_floods_cost_another_no_frame() -> None:
         scheduler.wake(camera.pipeline)
     assert scheduler.close(30.0)
     assert well.fused == list(range(100, 120))
-    assert well.count("door", "finished") == 20
     assert ill.fused == []
     assert ill.count("label", "dropped.crash") > 0
 

@@ -140,7 +140,6 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
             timeout=SILENT_S,
             user="viewer",
             password={"environment": PASSWORD},
-            unsynchronised="hold",
             stalled_after=STALL_S,
             stuck_after=STUCK_S,
         )
@@ -204,11 +203,6 @@ def turning_seen(bench: Bench) -> None:
     bench.camera.behaviour.render = lambda moment: jpeg(with_time(scene(seed=int(bench.head.pan)), moment))
 
 
-def unsynchronised(bench: Bench) -> None:
-    bench.clock.known_synchronised = False
-    bench.undo.append(lambda: setattr(bench.clock, "known_synchronised", True))
-
-
 REFUSED = ("unauthorised", 15, "HTTP 401")
 FAULTS = (
     Fault("power off", Bench.power_off, "stalled", 50, "no connection"),
@@ -229,7 +223,6 @@ FAULTS = (
     Fault("PTZ head slews", set_head(speed=1.0), "moved", 50, "moving"),
     Fault("PTZ head silent", set_head(error=SourceError("no answer")), "stalled", 50, "no answer"),
     Fault("PTZ head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),
-    Fault("own clock not set", unsynchronised, "alive", 15, ""),
     Fault("camera's clock set by an hour", lambda b: b.behave(clock_ahead=3600.0), "alive", 15, "", frames=1000),
 )
 

@@ -92,22 +92,14 @@ class Pictures:
     def close(self) -> None: ...
 
 
-@pytest.mark.parametrize(
-    ("policy", "frames", "told"), [("hold", 0, None), ("mark", 1, False), ("ignore", 1, None)], ids=str
-)
-def test_frames_of_a_clock_that_is_not_synchronised(policy: str, frames: int, told: bool | None) -> None:
+def test_frames_say_whether_the_clock_is_synchronised() -> None:
     clock, reader = TurnedClock(), Pictures()
-    clock.known_synchronised = False
-    config = settings(kind="snapshot", url="http://127.0.0.1/", unsynchronised=policy)
-    sourced = Sourced(config, clock, reader=lambda: reader)
-    reader.next = CameraImage(Timing(clock.monotonic()), jpeg=jpeg(scene()))
-    sourced.steps(1)
-    assert [frame.synchronised for frame in sourced.frames] == [told] * frames
-    assert sourced.health.dropped == ({"unsynchronised": 1} if policy == "hold" else {})
-    clock.known_synchronised = True
-    reader.next = CameraImage(Timing(clock.monotonic()), jpeg=jpeg(scene()))
-    sourced.steps(1)
-    assert sourced.frames[-1].synchronised is (None if policy == "ignore" else True)
+    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
+    for known in (False, True):
+        clock.known_synchronised = known
+        reader.next = CameraImage(Timing(clock.monotonic()), jpeg=jpeg(scene()))
+        sourced.steps(1)
+    assert [frame.synchronised for frame in sourced.frames] == [False, True]
 
 
 def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is_set() -> None:

@@ -67,21 +67,6 @@ def test_a_head_goes_to_a_preset_by_its_name(turning: Turning, kind: str) -> Non
         head.go_to("west")
 
 
-@pytest.mark.parametrize(
-    ("kind", "pan", "tilt", "zoom"),
-    [
-        ("vapix", (-180, 180), (-90, 20), (1, 9999)),
-        ("isapi tenths", (0, 360), (-15, 90), (10, 320)),
-        ("isapi degrees", (0, 360), (-15, 90), (1, 32)),
-        ("onvif", (-180, 180), (-90, 90), (0, 1)),
-    ],
-)
-def test_limits(turning: Turning, kind: str, pan: Any, tilt: Any, zoom: Any) -> None:
-    limits = opened(turning[1], kind).limits()
-    assert (limits.pan_deg, limits.tilt_deg) == (pan, tilt)
-    assert limits.zoom == pytest.approx(zoom)
-
-
 def test_onvif_s_scale_and_inversion_are_the_model_s(turning: Turning) -> None:
     fake, camera = turning
     fake.onvif_inverted = True
