@@ -116,8 +116,9 @@ def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) 
 
 
 def test_strangers_on_inner_topics(living: Living, survives: Callable[..., None]) -> None:
-    image = image_to_msg(np.zeros((4, 6), np.float32), "32FC1", living.stamp(), "tower_optical")
-    info, pose = living.info(living.stamp()), living.pose(living.stamp())
+    stamp = living.stamp()
+    image = image_to_msg(np.zeros((4, 6), np.float32), "32FC1", stamp, "tower_optical")
+    info, pose = living.info(stamp), living.pose(stamp)
     info.header = pose.header
     info.k = np.zeros(9)
     living.send(POSED_IMAGE, image)

@@ -29,7 +29,7 @@ def test_a_best_effort_driver_of_another_type_is_heard(ros_domain: int) -> None:
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
-        node.listen(NAMED, NAMED.name, taken.append)
+        node.listen(NAMED, taken.append)
 
         def arrived() -> bool:
             node.state_listeners()
