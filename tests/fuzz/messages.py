@@ -367,14 +367,9 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
 
 
 def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
     small = _small(folder)
     small.path.write_text(small.path.read_text() + yaml.safe_dump({"terrain": {"resolution": 10.0}}))
     parts = _frame(small)
-    status = DiagnosticStatus(level=b"\1", name="depth", message="x")
-    status.values = [KeyValue(key="depth_ms", value="12.5"), KeyValue(key="queue", value="3")]
-    news = DiagnosticArray(header=parts["pose"].header, status=[status])
     grid = small.site.fuel_geometry(small.dem)
     camera = {
         "posed/image": "photo",
@@ -384,10 +379,7 @@ def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
         "posed/pose": "pose",
     }
     messages = [(f"/{NAME}/tower/{topic}", parts[part]) for topic, part in camera.items()]
-    messages += [
-        (f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS)),
-        ("/diagnostics", news),
-    ]
+    messages.append((f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS)))
     messages += [(f"/{NAME}/{topic}", message) for topic, message in _terrain_news(small)]
     return lambda: ViewerHandler(ViewerConfig(site=str(small.path)), _outlet(), Health()), messages
 

@@ -175,14 +175,6 @@ TEXT_FILES = (
         "poses.csv",
     ),
     _yaml(
-        "poses_yaml",
-        _texts(
-            "- {name: a.jpg, pose: {lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true},\n"
-            "   stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, pose: {x: 1, y: 2}, calibration: {k1: 0.1}}\n"
-        ),
-        read_pose_file,
-    ),
-    _yaml(
         "control_points",
         _texts(
             "id,x,y,z,u,v\na,480100,4150100,900,10.5,20\nb,480200,4150100,910,40,20\n",
