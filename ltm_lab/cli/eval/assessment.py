@@ -62,8 +62,8 @@ def assessment(
         within = sum(0.93 <= share <= 0.97 for share in covered)
         events = f"{low:g} to {high:g}" if high < float("inf") else f"{low:g} or more"
         bands.append((events, f"{within} of {len(covered)}", *(f"{100 * v:.1f} %" for v in ends)))
-    columns = (">events", ">in 93 to 97 %", ">lowest", ">mean", ">highest")
-    print_table(console, "Figures by events", columns, bands)
+    by_events = (">events", ">in 93 to 97 %", ">lowest", ">mean", ">highest")
+    print_table(console, "Figures by events", by_events, bands)
     if json_path is not None:
         write_figures(
             json_path, {"samples": samples, "cells": cells, "seed": seed, "coverage": [asdict(row) for row in found]}
