@@ -19,7 +19,14 @@ from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
-from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, loss_report, with_info, writers_of
+from ltm_ros.runtime.delivery_checks import (
+    DISCOVERED,
+    DiagnosticsPublisher,
+    LossCounter,
+    loss_report,
+    with_info,
+    writers_of,
+)
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
@@ -82,6 +89,7 @@ class Recorder(Node):  # type: ignore[misc]
 
     def _discover(self) -> None:
         """Subscribe to topics as they appear, with the offered durability and reliability."""
+        known = self.count_publishers("/diagnostics")
         for topic, types in self.get_topic_names_and_types():
             if topic in self._taken or not any(fnmatchcase(topic, pattern) for pattern in self._patterns):
                 continue
@@ -105,6 +113,7 @@ class Recorder(Node):  # type: ignore[misc]
             losses = None if latched else LossCounter(writers_of(self, topic))
             taker = with_info(self._taker(topic, types[0], losses))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
+        self.health.gauge(DISCOVERED, known)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
         heard = TRAFFIC.listener(topic)

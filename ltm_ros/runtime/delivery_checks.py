@@ -78,16 +78,23 @@ def writers_of(node: Any, topic: str) -> Writers:
 
 LISTENERS = "listeners."
 """Prefix of the diagnostics key with the number of subscribers that a publisher is matched with."""
+DISCOVERED = "discovered"
+"""Diagnostics key of a node that subscribes to what it discovers: the number of publishers of `/diagnostics` whose
+processes it has searched. A process opens that publisher last."""
 
 
 def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return topics whose publisher is not matched with all subscribers, or the reverse.
+    """Return topics whose publisher is not matched with all subscribers, or the reverse, and nodes that have not
+    discovered all others, so that their subscriptions are still missing.
 
     DDS discovers each pair of processes separately: `node` cannot see whether two others are matched. So this uses
     their own reports, `summaries`: the latest diagnostics of every node, by full name. Other subscribers, such as `ros2
     topic echo`, are ignored."""
     found = []
+    reporting = node.count_publishers("/diagnostics")
     for name, summary in summaries.items():
+        if int(summary.get(DISCOVERED, reporting)) < reporting:
+            found.append(name)
         namespace = name.rpartition("/")[0]
         for key, value in summary.items():
             if key.startswith(LISTENERS):
