@@ -19,14 +19,7 @@ from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
-from ltm_ros.runtime.delivery_checks import (
-    DISCOVERED,
-    DiagnosticsPublisher,
-    LossCounter,
-    loss_report,
-    with_info,
-    writers_of,
-)
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, loss_report, with_info, writers_of
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
@@ -64,6 +57,7 @@ class Recorder(Node):  # type: ignore[misc]
         map_large_blocks()  # a message stays queued until it is on the disk
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
+        self.health.gauge("discovered", 0)
         self._patterns = _patterns(config)
         self._taken: set[str] = set()
         site = load_site(config.site)
@@ -113,7 +107,7 @@ class Recorder(Node):  # type: ignore[misc]
             losses = None if latched else LossCounter(writers_of(self, topic))
             taker = with_info(self._taker(topic, types[0], losses))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
-        self.health.gauge(DISCOVERED, known)
+        self.health.gauge("discovered", known)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
         heard = TRAFFIC.listener(topic)

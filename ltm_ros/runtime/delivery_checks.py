@@ -78,9 +78,6 @@ def writers_of(node: Any, topic: str) -> Writers:
 
 LISTENERS = "listeners."
 """Prefix of the diagnostics key with the number of subscribers that a publisher is matched with."""
-DISCOVERED = "discovered"
-"""Diagnostics key of a node that subscribes to what it discovers: the number of publishers of `/diagnostics` whose
-processes it has searched. A process opens that publisher last."""
 
 
 def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[str]:
@@ -93,7 +90,8 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
     found = []
     reporting = node.count_publishers("/diagnostics")
     for name, summary in summaries.items():
-        if int(summary.get(DISCOVERED, reporting)) < reporting:
+        # The recorder's number of these publishers, which processes open last, when it last subscribed to topics.
+        if int(summary.get("discovered", reporting)) < reporting:
             found.append(name)
         namespace = name.rpartition("/")[0]
         for key, value in summary.items():
