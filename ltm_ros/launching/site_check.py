@@ -57,7 +57,7 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
     check = check_site(path, wanted.cameras)
     if check.site is not None:
         check.findings += _nodes(check.site, path, wanted)
-        check.findings += _places(check.site, path, wanted)
+        check.findings += _places(check.site, wanted)
         check.findings += _sources(check.site, wanted)
         check.findings += _alerts(check.site)
     return check
@@ -156,24 +156,18 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
             wrong = True
             yield SiteFinding.of("site", "nodes", error)
     if not wrong:
-        yield SiteFinding(
-            "site",
-            "nodes",
-            SiteVerdict.OK,
-            f"{len(graph)} nodes in {len(graph.processes)} processes, parameters are valid",
-        )
+        said = f"{len(graph)} nodes in {len(graph.processes)} processes, parameters are valid"
+        yield SiteFinding("site", "nodes", SiteVerdict.OK, said)
     needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
     if free is not None:
         said = f"{free >> 20} MB free, {len(graph.processes)} processes need {needed >> 20} MB"
-        remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
-        yield (
-            SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), SiteVerdict.OK, said)
-            if free >= needed
-            else SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), SiteVerdict.DOUBTFUL, said + remedy)
-        )
+        if free < needed:
+            said += ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
+        verdict = SiteVerdict.OK if free >= needed else SiteVerdict.DOUBTFUL
+        yield SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), verdict, said)
 
 
-def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
+def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
     folders = dict(wanted.folders or {})
     for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")

@@ -31,8 +31,6 @@ CLOSE_S = 5.0
 """Time in seconds for frames in flight to finish after a stop request."""
 LONGEST_PAUSE_S = 120.0
 """Longest pause in seconds between two attempts to create a camera's nodes, which read everything again."""
-
-
 DESCRIBED = 8
 """Number of cameras with ROS services for their nodes' parameters, which take 5 MB a camera."""
 
@@ -41,7 +39,7 @@ class JobNode(OutletNode):
     """A node whose handler is a job of its camera's pipeline. Messages for other jobs of the pipeline are passed
     directly, others go over DDS. `described`: whether other programs can ask for its parameters."""
 
-    def __init__(self, spec: NodeSpec, camera: CameraPipeline, described: bool = True) -> None:
+    def __init__(self, spec: NodeSpec, camera: CameraPipeline, described: bool) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
         super().__init__(
             node_type,
@@ -56,12 +54,16 @@ class JobNode(OutletNode):
         )
         self.spec = spec
         self._camera, self._pipeline = camera, camera.pipeline
-        handler = node_type.handler(self.config, self, self.health)
-        self.job = Job(spec.full_name, spec.namespace, self.health, handler)
-        if handler.services:
-            raise ConfigError(f"{spec.label}: a node with services needs a process of its own")
-        for topic in handler.publications:
-            self.open(topic)
+        try:
+            handler = node_type.handler(self.config, self, self.health)
+            self.job = Job(spec.full_name, spec.namespace, self.health, handler)
+            if handler.services:
+                raise ConfigError(f"{spec.label}: a node with services needs a process of its own")
+            for topic in handler.publications:
+                self.open(topic)
+        except BaseException:
+            self.destroy_node()
+            raise
         self._pipeline.add(self.job)
 
     def subscribe(self, wake: Callable[[], None]) -> None:
@@ -94,7 +96,7 @@ class JobNode(OutletNode):
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
         if topic.counted:
-            self.health.received(topic.name)
+            self.health.received(topic.counted_name)
         try:
             self._camera.offer(self.job, topic, message)
         except queue.Full:
@@ -106,11 +108,12 @@ class JobNode(OutletNode):
 
 @dataclass
 class _MissingCamera:
-    """A camera whose nodes could not be created, and why."""
+    """A camera whose nodes could not be created. `why`: as last reported; not the exception, which would keep what was
+    created of them."""
 
     specs: Sequence[NodeSpec]
     pace: Backoff = field(default_factory=lambda: Backoff(longest_s=LONGEST_PAUSE_S))
-    error: Exception | None = None
+    why: str = ""
 
 
 class SiteProcess:
@@ -124,12 +127,13 @@ class SiteProcess:
         workers = load_site(str(specs[0].parameters["site"])).workers or available_cores()
         self._scheduler = FrameScheduler(workers, HEARTBEAT)
         self._missing: dict[str, _MissingCamera] = {}
+        faults: list[Exception] = []
         for namespace in dict.fromkeys(spec.namespace for spec in specs):
             missing = _MissingCamera([spec for spec in specs if spec.namespace == namespace])
-            if not self._try(namespace, missing):
+            if (fault := self._try(namespace, missing)) is not None:
                 self._missing[namespace] = missing
+                faults.append(fault)
         if not self._cameras:
-            faults = [missing.error for missing in self._missing.values() if missing.error is not None]
             raise next((fault for fault in faults if isinstance(fault, LtmError)), faults[0])
         self._ticked = time.monotonic()
         first = self._members[0]
@@ -154,24 +158,19 @@ class SiteProcess:
             diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _try(self, namespace: str, missing: _MissingCamera) -> bool:
-        """Create a camera's nodes; return whether it worked. A new reason why not is reported."""
-        before = str(missing.error)
+    def _try(self, namespace: str, missing: _MissingCamera) -> Exception | None:
+        """Create a camera's nodes; return why it failed. A new reason is reported."""
         try:
             self._add_camera(self._make_camera(missing.specs))
         except Exception as error:
-            missing.error = error
+            before, missing.why = missing.why, str(error) or repr(error)
             missing.pace.failed()
-            if str(error) != before:
+            if missing.why != before:
                 if not isinstance(error, LtmError):
                     sys.excepthook(*sys.exc_info())
-                print(
-                    f"{namespace}: cannot start: {str(error) or repr(error)}; retrying later",
-                    file=sys.stderr,
-                    flush=True,
-                )
-            return False
-        return True
+                print(f"{namespace}: cannot start: {missing.why}; retrying later", file=sys.stderr, flush=True)
+            return error.with_traceback(None)
+        return None
 
     def _make_camera(self, specs: Sequence[NodeSpec]) -> tuple[list[JobNode], CameraPipeline]:
         nodes: list[JobNode] = []
@@ -204,7 +203,7 @@ class SiteProcess:
         waited, self._ticked = now - self._ticked, now
         for namespace, missing in list(self._missing.items()):
             missing.pace.passed(waited)
-            if missing.pace.due and self._try(namespace, missing):
+            if missing.pace.due and self._try(namespace, missing) is None:
                 del self._missing[namespace]
                 print(f"{namespace}: started", file=sys.stderr, flush=True)
         for node in self._members:

@@ -43,8 +43,8 @@ def _is_raw(image: Any) -> bool:
 
 
 class CaptureHandler(Handler[CaptureConfig]):
-    """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
-    finished the previous one (`Admission`)."""
+    """Publishes an image when it has a pose and a calibration (the newest up to its stamp); if the camera's nodes share
+    its process, when they have finished the previous one (`Admission`)."""
 
     publications: Sequence[Topic] = (topics.POSED_IMAGE, topics.POSED_CAMERA_INFO, topics.POSED_POSE, topics.POSED_FIX)
 

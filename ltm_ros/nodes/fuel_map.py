@@ -131,14 +131,12 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         stamp = stamp_of(message)
         if self._stamps.refuses(f"votes of {camera}", stamp):
             return
-        counting = self.persistence.seen(camera, stamp)
-        if counting is None:
-            votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
-            counting = self.persistence.count(votes, self._models.get(camera, ""))
-            if counting is Counting.COUNTED:
-                self._measuring.take(votes)
-                self._drift.take(votes, self._models.get(camera, ""), self.persistence.shown)
-        if counting is Counting.DUPLICATE:
+        votes, model = msg_to_votes(message, self._geometry, self._labels.names, camera), self._models.get(camera, "")
+        counting = self.persistence.count(votes, model)
+        if counting is Counting.COUNTED:
+            self._measuring.take(votes)
+            self._drift.take(votes, model, self.persistence.shown)
+        elif counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"duplicate votes of {camera} of stamp {stamp} ns; counted once")
         elif counting is Counting.TOO_OLD:
             self.health.drop(

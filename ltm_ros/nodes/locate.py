@@ -19,7 +19,7 @@ from ltm_core.locating.answer import LocateResult, answer, as_geojson
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.tracks import KnownPoses, SeenAt, Track, Tracks
+from ltm_core.locating.tracks import KnownPoses, SeenAt, Tracks
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
@@ -141,7 +141,7 @@ class LocateHandler(Handler[LocateConfig]):
         if track.disputed:
             self.health.note("cameras_disagree")
         self.health.gauge("tracks", len(self._tracks.tracks))
-        self._publish_fused(track, stamp)
+        self.outlet.publish(topics.LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
         self._publish_tracks(stamp)
 
     def _pose_at(self, name: str, stamp: int) -> tuple[Pose, Float64Array, int]:
@@ -176,9 +176,6 @@ class LocateHandler(Handler[LocateConfig]):
         self.outlet.publish(
             of_camera(self._site.name, name, topics.LOCATE_AREA), outline_to_msg(said.ellipses[-1].outline(), stamp)
         )
-
-    def _publish_fused(self, track: Track, stamp: int) -> None:
-        self.outlet.publish(topics.LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
 
     def _publish_tracks(self, stamp: int) -> None:
         features: list[Any] = []

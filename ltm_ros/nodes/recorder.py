@@ -57,6 +57,7 @@ class Recorder(Node):  # type: ignore[misc]
         map_large_blocks()  # a message stays queued until it is on the disk
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
+        self.health.gauge("discovered", 0)
         self._patterns = _patterns(config)
         self._taken: set[str] = set()
         site = load_site(config.site)
@@ -82,6 +83,7 @@ class Recorder(Node):  # type: ignore[misc]
 
     def _discover(self) -> None:
         """Subscribe to topics as they appear, with the offered durability and reliability."""
+        known = self.count_publishers("/diagnostics")
         for topic, types in self.get_topic_names_and_types():
             if topic in self._taken or not any(fnmatchcase(topic, pattern) for pattern in self._patterns):
                 continue
@@ -105,6 +107,7 @@ class Recorder(Node):  # type: ignore[misc]
             losses = None if latched else LossCounter(writers_of(self, topic))
             taker = with_info(self._taker(topic, types[0], losses))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
+        self.health.gauge("discovered", known)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
         heard = TRAFFIC.listener(topic)

@@ -69,8 +69,6 @@ class TrialAuthority:
     def _make_certificates(self, names: Sequence[str], hosts: Sequence[str], new: list[Path]) -> None:
         authority_key, authority = self._authority(new)
         for name in names:
-            if (self.folder / f"{name}.key").exists():
-                raise ConfigError(f"{self.folder / name}.key has no certificate; move it away to make both anew")
             key = ec.generate_private_key(ec.SECP256R1())
             usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
             builder = (
@@ -131,7 +129,9 @@ class TrialAuthority:
         self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
     ) -> None:
         """Write the key first, readable only by its owner, because a certificate would count as complete; each file
-        completely or not at all."""
+        completely or not at all. Raises ConfigError if there is a key, which may be in use elsewhere."""
+        if (self.folder / f"{name}.key").exists():
+            raise ConfigError(f"{self.folder / name}.key has no certificate; move it away, then both are created")
         secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )

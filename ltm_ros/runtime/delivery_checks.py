@@ -81,13 +81,18 @@ LISTENERS = "listeners."
 
 
 def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return topics whose publisher is not matched with all subscribers, or the reverse.
+    """Return topics whose publisher is not matched with all subscribers, or the reverse, and nodes that have not
+    discovered all others, so that their subscriptions are still missing.
 
     DDS discovers each pair of processes separately: `node` cannot see whether two others are matched. So this uses
     their own reports, `summaries`: the latest diagnostics of every node, by full name. Other subscribers, such as `ros2
     topic echo`, are ignored."""
     found = []
+    reporting = node.count_publishers("/diagnostics")
     for name, summary in summaries.items():
+        # The recorder's number of these publishers, which processes open last, when it last subscribed to topics.
+        if int(summary.get("discovered", reporting)) < reporting:
+            found.append(name)
         namespace = name.rpartition("/")[0]
         for key, value in summary.items():
             if key.startswith(LISTENERS):

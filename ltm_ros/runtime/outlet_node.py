@@ -39,10 +39,6 @@ def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def _qos(topic: Topic) -> QoSProfile:
-    return stream_qos(topic.latched, topic.depth)
-
-
 class OutletNode(Node):  # type: ignore[misc]
     """A node that connects a handler to DDS (`Outlet`); subclasses run the handler.
 
@@ -89,7 +85,8 @@ class OutletNode(Node):  # type: ignore[misc]
 
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""
-        publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
+        quality = stream_qos(topic.latched, topic.depth)
+        publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, quality)
         if not topic.latched:
             self._said[topic] = TRAFFIC.speaker(publisher.topic_name)
 
@@ -115,7 +112,7 @@ class OutletNode(Node):  # type: ignore[misc]
 
         def subscribe(kind: type) -> None:
             callback = with_info(take)
-            subscription = self.create_subscription(kind, name, callback, _qos(topic))
+            subscription = self.create_subscription(kind, name, callback, stream_qos(topic.latched, topic.depth))
             if not topic.latched:
                 self._reliable[subscription.topic_name] = subscription, replace(topic, type=kind), callback
 

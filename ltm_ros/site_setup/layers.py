@@ -26,7 +26,6 @@ from ltm_ros.site_setup.vertical import Datum, named_datum
 
 _MOST_PER_SIDE = 8192
 """Maximum number of cells per side of a site's DEM: 256 MB in memory."""
-_COARSEST = 90.0
 _FINE = 2.0
 """Cells at most this many times as large as the smallest ones belong to the fine DEM."""
 _UNITS = {"cover": "%", "height": "m x 10", "base_height": "m x 10", "bulk_density": "kg/m3 x 100"}

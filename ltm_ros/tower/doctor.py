@@ -186,7 +186,7 @@ def _participant(environment: Mapping[str, str]) -> DoctorFinding:
         )
     except subprocess.TimeoutExpired:
         return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: did not start within 60 s")
-    if said := ran.stdout.split():
+    if ran.returncode == 0 and (said := ran.stdout.split()):
         return DoctorFinding(area, name, DoctorState.OK, said[-1])
     last = (ran.stderr.strip() or f"exit code {ran.returncode}").splitlines()[-1]
     return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: {last}", remedy)

@@ -71,7 +71,7 @@ class TowerCollector(Collector):
         yield _gauge(since, "Start of a camera's state", [((one.name,), one.since_s) for one in cameras], ("camera",))
         ages = [((one.name,), one.frame_age_s) for one in cameras if one.frame_age_s is not None]
         yield _gauge("ltm_frame_age_seconds", "Age of the newest frame", ages, ("camera",))
-        finished = CounterMetricFamily("ltm_frames_finished", "Frames given to the camera's nodes", labels=("camera",))
+        finished = CounterMetricFamily("ltm_frames_finished", "Frames processed to fuel votes", labels=("camera",))
         for camera in cameras:
             finished.add_metric((camera.name,), camera.finished)
         yield finished

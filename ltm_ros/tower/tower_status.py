@@ -85,7 +85,7 @@ class CameraStatus:
     """Seconds since the stamp of its newest frame; None: no frame yet."""
     frames_in: int
     finished: int
-    """Frames that all nodes have processed."""
+    """Frames with fuel votes, the last result of a camera's nodes."""
     dropped: Mapping[str, int]
     """Drops by cause, of all its nodes; `shed`: rejected on arrival."""
     latency_s: float | None
@@ -220,7 +220,7 @@ class TowerWatch:
         for report in own.values():
             for cause, count in report.counts("dropped.").items():
                 dropped[cause] = dropped.get(cause, 0) + count
-        capture, judge = own.get("capture"), own.get("topodepth")
+        capture, judge, votes = own.get("capture"), own.get("topodepth"), own.get("fuel_votes")
         stamp = capture.number("newest_stamp") if capture else None
         latencies = [ms for r in own.values() if (ms := r.number("latency_p50_ms")) is not None]
         pose = judge.values.get("verdict", "") if judge else ""
@@ -235,11 +235,11 @@ class TowerWatch:
             why=why,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
-            finished=int(capture.number("frames_out") or 0) if capture else 0,
+            finished=int(votes.number("frames_out") or 0) if votes else 0,
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,
-            wrong=_camera_wrong(name, state, why, pose, judge, own.get("fuel_votes")),
+            wrong=_camera_wrong(name, state, why, pose, judge, votes),
         )
 
     def _state(self, name: str, now_s: float, age_s: float | None) -> tuple[CameraState, str]:

@@ -1,5 +1,4 @@
-"""A site's graph with its cameras' nodes in one process gives what the replay without DDS gives; `test_site_graph` says
-the same of processes of their own."""
+"""A site's graph with its cameras' nodes in one process gives what the replay without DDS gives."""
 
 from __future__ import annotations
 

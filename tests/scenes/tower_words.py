@@ -12,6 +12,7 @@ NODES = (
     "/ridge/fuel_map",
     "/ridge/uplink",
     *(f"/ridge/{camera}/{node}" for camera in ("north", "east") for node in ("capture", "topodepth")),
+    *("/ridge/north/fuel_votes", "/ridge/east/fuel_votes"),
 )
 
 

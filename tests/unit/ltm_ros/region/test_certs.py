@@ -35,11 +35,12 @@ def test_keys_are_for_their_owner_alone_and_what_is_there_stays(tmp_path: Path) 
     assert {name: (folder / name).read_bytes() for name in before} == before
 
 
-def test_a_key_without_a_certificate_is_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "bear.key").write_text("somebody's")
-    with pytest.raises(ConfigError, match=r"bear\.key"):
+@pytest.mark.parametrize("name", ["ca", "bear"])
+def test_a_key_without_a_certificate_is_not_overwritten(tmp_path: Path, name: str) -> None:
+    (tmp_path / f"{name}.key").write_text("somebody's")
+    with pytest.raises(ConfigError, match=rf"{name}\.key"):
         TrialAuthority(tmp_path, 2).make("kern", ["bear"], [], "127.0.0.1", 8883)
-    assert (tmp_path / "bear.key").read_text() == "somebody's"
+    assert (tmp_path / f"{name}.key").read_text() == "somebody's"
 
 
 @pytest.mark.parametrize("name", ["aggregator", "ca", "broker", "#", "+", "Alta", "a/b", "x" * 64, ""])

@@ -47,6 +47,9 @@ class Heard:
     def get_subscriptions_info_by_topic(self, topic: str) -> list[End]:
         return [End(*name.rsplit("/", 1)) for name in self._listeners[topic.rpartition("/")[2]]]
 
+    def count_publishers(self, topic: str) -> int:
+        return 3 if topic == "/diagnostics" else 1
+
 
 def test_a_publisher_that_is_known_and_not_matched_is_not_heard() -> None:
     node: Any = Graph({"/pose": 2, "/image": 1, "/clock": 0}, pose=1, image=1, clock=0)
@@ -72,6 +75,14 @@ def test_who_is_no_node_of_the_site_is_not_waited_for(matched: str, loose: bool)
         node: Any = Heard(pose=["/ridge/y", second, "/ros2cli_echo"])
         summaries = {"/ridge/capture": {"listeners.pose": matched}, "/ridge/x": {}, "/ridge/y": {}}
         assert bool(unmatched(node, summaries)) == loose
+
+
+@pytest.mark.parametrize(("discovered", "loose"), [("2", ["/ridge/recorder"]), ("3", []), ("4", [])])
+def test_a_recorder_that_has_not_found_a_process_lacks_its_topics(discovered: str, loose: list[str]) -> None:
+    """DDS finds each pair of processes separately: the player may know a camera's node for seconds before the recorder
+    does, which then subscribes to nothing of it."""
+    node: Any = Heard()
+    assert unmatched(node, {"/ridge/recorder": {"discovered": discovered}, "/ridge/north/capture": {}}) == loose
 
 
 class Topic:
