@@ -107,8 +107,9 @@ def news_of(
         shift: (h, w) metres from the reference surface, NaN where it is not known.
         window: their geometry, in the map frame.
         recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
-    row_at, first_row = np.unique(fuel.cell_of(0.0, window.to_map(np.arange(window.height), 0)[1])[0], return_index=True)
-    col_at, first_col = np.unique(fuel.cell_of(window.to_map(0, np.arange(window.width))[0], 0.0)[1], return_index=True)
+    x, y = window.to_map(0, np.arange(window.width))[0], window.to_map(np.arange(window.height), 0)[1]
+    row_at, first_row = np.unique(fuel.cell_of(0.0, y)[0], return_index=True)
+    col_at, first_col = np.unique(fuel.cell_of(x, 0.0)[1], return_index=True)
 
     def counted(cells: BoolArray) -> Int32Array:
         return np.add.reduceat(np.add.reduceat(cells, first_col, axis=1, dtype=np.int32), first_row, axis=0)
