@@ -62,7 +62,8 @@ class LabellingConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class _Tracers:
-    """Over one terrain. `version`: of the confirmed surface. `bare`: the same where nothing stands on bare earth."""
+    """Tracers over one terrain. `version`: of the confirmed surface. `bare`: over bare earth, or `tracer` itself if
+    nothing stands on it."""
 
     version: str
     tracer: TerrainTracer
@@ -209,9 +210,8 @@ class LabellingStep:
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
         network = label_network(site, config.model or site.model)
         self._reliability = known_errors(network, own.label_head, site.label_heads).state
-        chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
-        given = {name: value for name, value in chosen.items() if value is not None}
-        self._segmenter.withdraw_otherwise = given
+        chosen = config.model_dump(include={"confidence", "tree_contrast"}, exclude_none=True)
+        self._segmenter.withdraw_otherwise = chosen
 
     @property
     def described(self) -> str:

@@ -124,11 +124,6 @@ class Segmenter:
             network += f", second network {self._second.described}"
         return network if self.head is None else f"{network}, label head {self.head.described}"
 
-    @property
-    def model_path(self) -> Path:
-        """Return the network file in use."""
-        return self._model.path
-
     def segment(self, image: UInt8Array, unlikely: Mapping[int, BoolArray] = MappingProxyType({})) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
