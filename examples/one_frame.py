@@ -77,16 +77,17 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     traced = tracer.trace(frame.camera, frame.pose)
     depth = DepthImage(traced.depth(), frame.camera, frame.pose)
 
-    # What grows there: a class for each pixel, and how sure the network is of it; sky is unlikely on traced ground.
-    if not (stated := covariance).any():  # the pose came without one
+    direction = np.sqrt(np.radians(0.03) ** 2 + covariance.diagonal()[3:].max())  # of the calibration, and of the pose
+    if not covariance.any():  # the pose came without one
         covariance = site.assumed_pose_error.covariance()
+
+    # What grows there: a class for each pixel, and how sure the network is of it; sky is unlikely on traced ground.
     segmenter = site_segmenter(site, camera_name)
     segmentation = segmenter.segment(frame.image, UnlikelyLabels(tracer).of(frame.camera, frame.pose, covariance))
 
     # TopoDepth: a network's depth has no scale of its own; terrain that can be trusted gives it one.
     depth_network = DepthNetwork.open(site.depth_model)
     network = depth_network.predict(frame.image, frame.camera)
-    direction = np.sqrt(np.radians(0.03) ** 2 + stated.diagonal()[3:].max())  # of the calibration, and of the pose
     settings = FusionSettings(float(direction))
     constants = depth_network.fusion  # fitted with this network
     classes = ClassPriors.of(labels, constants)

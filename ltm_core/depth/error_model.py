@@ -134,7 +134,7 @@ def invert(read: np.float32, errors: ErrorModel) -> tuple[np.float32, np.float32
     return read / plain, sigma / plain
 
 
-REGIONS = (9, 16)
+_REGIONS = (9, 16)
 """Rows and columns of the regions of a photo; samples of one may all lie on one hill."""
 
 
@@ -146,9 +146,9 @@ def estimate_errors(
     drawn towards those of all samples by the number of regions in which the half octave was sampled."""
     rules = config.error_model
     octave, less, terrain = octaves(samples.depth), 1.0 - read * samples.depth, samples.sigma / samples.depth
-    rows = np.minimum(samples.rows * REGIONS[0] // size[0], REGIONS[0] - 1)
-    cols = np.minimum(samples.cols * REGIONS[1] // size[1], REGIONS[1] - 1)
-    region = rows * REGIONS[1] + cols
+    rows = np.minimum(samples.rows * _REGIONS[0] // size[0], _REGIONS[0] - 1)
+    cols = np.minimum(samples.cols * _REGIONS[1] // size[1], _REGIONS[1] - 1)
+    region = rows * _REGIONS[1] + cols
     middle, wide = _spread(less, terrain, config)
     known, usual, square = [], [], []
     for which in np.unique(octave):

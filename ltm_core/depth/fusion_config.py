@@ -1,6 +1,6 @@
 """Define the constants of depth fusion; read those of a network from the file beside its manifest.
 
-A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes all beside a depth network as
+A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which writes it beside a depth network to
 `<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are
 natural logarithms of p / (1 - p)."""
 
@@ -106,7 +106,7 @@ class ErrorModelConfig(StrictModel):
     belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
     densest: float = chosen(0.4, "Share of the samples in the densest part, which replaces the median.")
     least_spread: float = chosen(0.5, "Minimum spread of one range, as a share of the spread of all ranges.")
-    nearer_far: float = chosen(3.0, "Ratio to the depth of far ground above which a sample is a near object.")
+    nearer_far: float = chosen(3.0, "Maximum bias towards the camera on far ground, in true inverse depths.")
     biased: float = chosen(0.3, "Share of a range's bias by which it varies within the half octave.")
     beyond: float = chosen(1.5, "Growth factor of the spread for each half octave beyond all samples.")
     before: float = chosen(1.1, "Growth factor for each half octave nearer than all samples.")
@@ -162,7 +162,7 @@ class DecisionConfig(StrictModel):
     torn: float = chosen(0.15, "Relative sigma above which the terrain is not averaged.")
     soft: float = chosen(0.15, "Tolerance of a pixel between its neighbours, as a share of their range of depths.")
     likelihood_weight: float = fitted(0.44, "Weight of the log likelihood of a nearer object.")
-    canopy_weight: float = fitted(0.18, "The same weight for a canopy raster.")
+    canopy_weight: float = fitted(0.18, "Weight of the log likelihood of the canopy in a raster.")
     canopy: ClassLogOdds = fitted(
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
         "Log odds of a canopy raster against bare ground where the two differ.",

@@ -303,7 +303,7 @@ def _traced_alone(
 def _hide(
     hidden: BoolArray | None, depth: Float32Array, sigma: Float32Array, source: UInt8Array, ground: Float32Array
 ) -> Float32Array:
-    """Take away, in place, what hidden pixels have; the ground (not in place: it may be the tracer's own)."""
+    """Clear the hidden pixels in place; return the ground without them, a copy, because it may be the tracer's own."""
     if hidden is None:
         return ground
     depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, DepthSource.UNKNOWN

@@ -23,7 +23,7 @@ from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
 TALL = 2.0
 """Height in metres above which plants are canopy, the height break of airborne surveys of tree cover."""
-ALIKE = 5.0
+_ALIKE = 5.0
 """Distance in metres within which heights of a stand are correlated, as smoothed by the surface map."""
 _MOST_SAMPLES = 30
 """Maximum number of surface samples per side of a fuel cell."""
@@ -148,7 +148,7 @@ def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = squares / total
         spread = np.maximum(cubes / total - mean**2, 0.0)
-        independent = np.maximum(count / ratio * (fuel.resolution / ALIKE) ** 2, 1.0)
+        independent = np.maximum(count / ratio * (fuel.resolution / _ALIKE) ** 2, 1.0)
         # What cameras measure errs alike over a stand.
         variance = _SEEN_ABOVE**2 * (spread / independent + (noise / total) ** 2)
         said = np.where(before >= TALL, before, np.nan).ravel()

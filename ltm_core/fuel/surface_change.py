@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.types import Float32Array, Int32Array, Int64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
 from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap, Window
@@ -107,24 +107,29 @@ def news_of(
         shift: (h, w) metres from the reference surface, NaN where it is not known.
         window: their geometry, in the map frame.
         recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
-    rows, cols = np.nonzero(kinds != UNSEEN)
-    x, y = window.to_map(rows, cols)
-    at = fuel.cell_of(x, y)
-    inside = fuel.contains(*at)
-    kind, moved = kinds[rows, cols][inside], shift[rows, cols][inside]
-    cell = (at[0] * fuel.width + at[1])[inside]
-    size = fuel.width * fuel.height
-    seen = np.bincount(cell, minlength=size)
-    counts = np.stack([np.bincount(cell[kind == one], minlength=size) for one in _CHANGES])
-    shown = (counts > 0).any(axis=0) & (counts.max(axis=0) >= LEAST_SHARE * seen)
+    x, y = window.to_map(0, np.arange(window.width))[0], window.to_map(np.arange(window.height), 0)[1]
+    row_at, first_row = np.unique(fuel.cell_of(0.0, y)[0], return_index=True)
+    col_at, first_col = np.unique(fuel.cell_of(x, 0.0)[1], return_index=True)
+
+    def counted(cells: BoolArray) -> Int32Array:
+        return np.add.reduceat(np.add.reduceat(cells, first_col, axis=1, dtype=np.int32), first_row, axis=0)
+
+    seen = counted(kinds != UNSEEN)
+    counts = np.stack([counted(kinds == one) for one in _CHANGES])
+    most = counts.max(axis=0)
+    shown = (most > 0) & (most >= LEAST_SHARE * seen)
     now = np.where(shown, counts.argmax(axis=0) + 1, ChangeKind.NONE).astype(np.uint8)
     judged = seen >= LEAST_SEEN * (fuel.resolution / window.resolution) ** 2
-    found = np.flatnonzero(judged & (now != recorded.ravel()))
-    own = (kind > 0) & (kind == now[cell])
-    cell, moved = cell[own], moved[own]
-    by = [float(np.median(moved[cell == place])) if now[place] else np.nan for place in found]
-    news_rows, news_cols = np.divmod(found, fuel.width)
-    return SurfaceNews(news_rows, news_cols, now[found], np.array(by, np.float32))
+    row, col = np.nonzero(judged & fuel.contains(row_at[:, None], col_at))
+    new = now[row, col] != recorded[row_at[row], col_at[col]]
+    row, col = row[new], col[new]
+    ends = np.append(first_row[1:], window.height), np.append(first_col[1:], window.width)
+    by = np.full(len(row), np.nan, np.float32)
+    for k, (r, c) in enumerate(zip(row, col, strict=True)):
+        if now[r, c]:
+            part = np.s_[first_row[r] : ends[0][r], first_col[c] : ends[1][c]]
+            by[k] = np.median(shift[part][kinds[part] == now[r, c]])
+    return SurfaceNews(row_at[row], col_at[col], now[row, col], by)
 
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:

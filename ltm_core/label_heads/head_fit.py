@@ -23,7 +23,7 @@ from ltm_core.vision.labels import UNLABELLED
 from ltm_core.vision.segmenter import Segmenter
 
 SITES_FILE: Final = "sites.csv"
-FOLDS: Final = 4
+_FOLDS: Final = 4
 _CUTS: Final = 8
 _MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
 _RIDGE: Final = 1.0
@@ -54,14 +54,12 @@ class PhotoSamples:
     shares: Float64Array
 
 
-def photo_samples(
-    segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator, most: int = _MOST
-) -> PhotoSamples:
-    """Return at most `most` random pixels of each class, at the places of the network's own grid."""
+def photo_samples(segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator) -> PhotoSamples:
+    """Return at most _MOST random pixels of each class, at the places of the network's own grid."""
     scores, maps = segmenter.scores_and_maps(frame.image)
     count, rows, cols = scores.shape
     truth = _at_grid(frame.labels, rows, cols).reshape(-1)
-    known = [rng.permutation(np.flatnonzero(truth == k))[:most] for k in range(count)]
+    known = [rng.permutation(np.flatnonzero(truth == k))[:_MOST] for k in range(count)]
     places = np.concatenate(known)
     features = np.concatenate([_enlarged(plane, rows, cols) for plane in maps.values()]).reshape(-1, rows * cols)
     shares = np.bincount(frame.labels[frame.labels < count], minlength=count) / frame.labels.size
@@ -111,7 +109,7 @@ def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
     return np.stack([cv2.resize(plane, (cols, rows), interpolation=cv2.INTER_LINEAR) for plane in planes])
 
 
-def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], list[str]]:
+def by_area(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
     """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names.
 
     An area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class
@@ -119,13 +117,13 @@ def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], l
     parts, names = [], []
     turn: dict[int, int] = {}
     for frame in frames:
-        labels = [np.full_like(frame.labels, UNLABELLED) for _ in range(folds)]
+        labels = [np.full_like(frame.labels, UNLABELLED) for _ in range(_FOLDS)]
         for label in np.unique(frame.labels[frame.labels != UNLABELLED]):
             areas = _areas(frame.labels == label)
             sizes = np.bincount(areas.ravel())
             for area in sorted(range(1, len(sizes)), key=lambda k: -int(sizes[k])):
                 fold = turn.get(int(label), 0)
-                labels[fold % folds][areas == area] = label
+                labels[fold % _FOLDS][areas == area] = label
                 turn[int(label)] = fold + 1
         for fold, part in enumerate(labels):
             if (part != UNLABELLED).any():

@@ -62,7 +62,8 @@ class LabellingConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class _Tracers:
-    """Over one terrain. `version`: of the confirmed surface. `bare`: the same where nothing stands on bare earth."""
+    """Tracers over one terrain. `version`: of the confirmed surface. `bare`: over bare earth, or `tracer` itself if
+    nothing stands on it."""
 
     version: str
     tracer: TerrainTracer
@@ -165,13 +166,11 @@ class UnlikelyLabels:
     def of(self, camera: Camera, pose: Pose, covariance: Float64Array | None) -> dict[int, BoolArray]:
         """Return by label id the pixels (h, w) of the reduced image where the label is unlikely, whatever the error of
         the pose. `covariance`: (6, 6) of the pose; None: it is exact. Empty where the pose is in doubt."""
-        known = np.zeros((6, 6)) if covariance is None else covariance
-        key = camera, pose.position.tobytes(), pose.rotation.tobytes(), known.tobytes()
+        variances = np.zeros((2, 3)) if covariance is None else np.abs(covariance.diagonal()).reshape(2, 3)
+        place, angle = np.sqrt(variances.max(axis=1)).tolist()
+        key = camera, pose.position.tobytes(), pose.rotation.tobytes(), place, angle
         if self._last[0] != key:
-            self._last = (
-                key,
-                self._traced(camera, pose, *np.sqrt(np.abs(known.diagonal()).reshape(2, 3).max(axis=1)).tolist()),
-            )
+            self._last = key, self._traced(camera, pose, place, angle)
         return self._last[1]
 
     def _traced(self, camera: Camera, pose: Pose, place: float, angle: float) -> dict[int, BoolArray]:
@@ -183,16 +182,15 @@ class UnlikelyLabels:
         width, height = small.width + 2 * edge, small.height + 2 * edge
         wide = replace(small, width=width, height=height, cx=small.cx + edge, cy=small.cy + edge)
         try:
-            seen = self._tracer.trace(wide, pose)
+            traced = self._tracer.trace(wide, pose, "pyramid")  # it leaves the caches to tracers of whole images
         except PoseError:
             return {}  # the node `depth` reports it
-        ground = np.isfinite(seen.range)
-        x, y = seen.points()[ground][:, :2].T.astype(np.float64)
+        ground = np.isfinite(traced.range)
+        x, y = traced.points()[ground][:, :2].T.astype(np.float64)
         steep = np.zeros(ground.shape, np.bool_)
-        steep[ground] = ground_normals(self._tracer.dem, x, y, _HALF_SLOPE)[:, 2] < math.cos(
-            math.radians(WATER_STEEPEST_DEG)
-        )
-        margin = 1 + _SIGMAS * small.fx * np.hypot(angle, place / seen.range)
+        upward = ground_normals(self._tracer.dem, x, y, _HALF_SLOPE)[:, 2]
+        steep[ground] = upward < math.cos(math.radians(WATER_STEEPEST_DEG))
+        margin = 1 + _SIGMAS * small.fx * np.hypot(angle, place / traced.range)
         inside = np.s_[edge:-edge, edge:-edge]
         return {
             int(label): (cv2.distanceTransform(where.astype(np.uint8), cv2.DIST_L2, 3) > margin)[inside]
@@ -212,9 +210,8 @@ class LabellingStep:
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
         network = label_network(site, config.model or site.model)
         self._reliability = known_errors(network, own.label_head, site.label_heads).state
-        chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
-        given = {name: value for name, value in chosen.items() if value is not None}
-        self._segmenter.withdraw_otherwise = given
+        chosen = config.model_dump(include={"confidence", "tree_contrast"}, exclude_none=True)
+        self._segmenter.withdraw_otherwise = chosen
 
     @property
     def described(self) -> str:

@@ -105,10 +105,15 @@ def _fuel_map(site: Site) -> None:
         counted.layers()
 
 
-def _labels(site: Site) -> None:
+def _labels(_: Site) -> None:
+    from ltm_core.pipeline.frame_steps import UnlikelyLabels
+    from ltm_core.raster.dem import Dem
+    from ltm_core.tracing import TerrainTracer
     from ltm_core.vision.second_scale import reduced_by_area, upsampled_winner
 
-    _tracing(site)
+    plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
+    pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)
+    UnlikelyLabels(TerrainTracer(plain)).of(Camera.from_fov(3, 2, 50.0), pose, None)
     reduced_by_area(np.zeros((4, 5, 3), np.uint8), 2, 2)
     upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
 

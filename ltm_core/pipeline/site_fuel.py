@@ -133,8 +133,8 @@ def site_canopy(
 def _heights(
     site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
 ) -> tuple[Float32Array | None, str]:
-    """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
-    `before`: metres, as of `stand_heights`."""
+    """Return `stand_heights` from the terrain's store, and why it cannot be read; None without a store, and with a
+    surface raster, which has these heights. `before`: metres, as in `stand_heights`."""
     path = None if state is None else state / STORE_FILE
     if path is None or site.terrain is None or site.surface is not None or not path.is_file():
         return None, ""

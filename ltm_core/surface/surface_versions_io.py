@@ -90,11 +90,11 @@ class SurfaceVersions:
         except OSError as error:
             raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
         if hashlib.sha256(content).hexdigest() != entry.digest:
-            raise StoreError(f"{path}: not the file written for this version; revert the version")
+            raise StoreError(f"{path}: not the file written for this version; restart the node terrain")
         try:
             surface = _of_bytes(content)
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile, RasterError) as error:
-            raise StoreError(f"{path}: contains no confirmed surface ({error}); revert the version") from error
+            raise StoreError(f"{path}: contains no confirmed surface ({error}); restart the node terrain") from error
         if surface.geometry != self.geometry:
             raise StoreError(
                 f"{path}: has a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "

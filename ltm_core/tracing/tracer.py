@@ -108,7 +108,7 @@ _FEWEST_RAYS = 2048
 PROFILE_BYTES = 64 * 2**20
 FRAME_BYTES = 48 * 2**20
 _OF_ALL = 4
-"""Number of tracers of a process that may fill their caches. If there are more, each has a share of that; the last
+"""Number of tracers of a process that may fill their caches. If more of them cache, each has a share of that; the last
 profile and the last frame of each stay."""
 
 Way = Literal["auto", "profile", "pyramid"]
@@ -135,7 +135,6 @@ class TerrainTracer:
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
         self._lock = threading.Lock()
-        _tracers.add(self)
 
     @property
     def statistics(self) -> TracerStatistics:
@@ -144,13 +143,15 @@ class TerrainTracer:
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
         """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
-        pose. `way`: "profile" or "pyramid" forces one, if possible, and keeps no frame.
+        pose. `way`: "profile" or "pyramid" forces one, if possible, and keeps no frame, "pyramid" nothing at all.
 
         Raises PoseError if the pose is not finite, the camera is not above the ground, or it is in an enclosed hole of
         the DEM, below the ground around it."""
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
         frame_hit = ranges is not None
+        if way != "pyramid":
+            _caching.add(self)
         if ranges is None:
             self._check(pose.position, pose.rotation)
             profile_hit, ranges = self._trace_image(camera, pose, way)
@@ -256,8 +257,8 @@ class TerrainTracer:
         return None
 
 
-_tracers: weakref.WeakSet[TerrainTracer] = weakref.WeakSet()
+_caching: weakref.WeakSet[TerrainTracer] = weakref.WeakSet()
 
 
 def _share(most_bytes: int) -> int:
-    return _OF_ALL * most_bytes // max(_OF_ALL, len(_tracers))
+    return _OF_ALL * most_bytes // max(_OF_ALL, len(_caching))

@@ -171,10 +171,13 @@ class Outbox:
         before = self.frames
         while self.bytes > (1 - FREED_SHARE) * self._max_bytes:
             with named_errors(str(self._path)):
-                # Of the older half, else of all; where one frame of each view is left, the oldest goes.
-                oldest = "SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT 1"
-                queries = [(_EVERY_OTHER, ((self.frames + 1) // 2,)), (_EVERY_OTHER, (self.frames,)), (oldest, ())]
-                found = (self._db.execute(*query).fetchall() for query in queries)
+                # Of the older half, else of all; where one frame of each view is left, the oldest twentieth goes.
+                queries = (
+                    (_EVERY_OTHER, (self.frames + 1) // 2),
+                    (_EVERY_OTHER, self.frames),
+                    ("SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT ?", 1 + self.frames // 20),
+                )
+                found = (self._db.execute(query, (number,)).fetchall() for query, number in queries)
                 chosen = next(filter(None, found))
             self._remove(chosen)
         return Removed(before - self.frames, aged)

@@ -1,10 +1,9 @@
-"""Correct, withdraw and calibrate labels by colour, contrast, neighbours and probability.
-
-Rules that correct what a network says of a photo: colour against *tree*, withdrawal of labels, and agreement.
+"""Correct, withdraw and calibrate a network's labels by colour, terrain, contrast, neighbours and probability.
 
 - Colour: living crowns show more green than red, dry slopes and rock do not. A network that learnt dark slopes as
   forest calls dry chaparral and shaded cliffs *tree*. The correction of the scores is bounded, so that trees of which
   the network is sure stay trees under an evening sun, in autumn, and in photos that were graded warm.
+- Terrain: labels that the terrain makes unlikely, such as sky on ground, need a higher probability.
 - Withdrawal: labels of low probability are removed, and *tree* where the photo shows no texture. Hazy far slopes of
   shrub are called tree with confidence, but have little contrast. Forests on mountains have as little, so that
   contrast counts against trees only in a photo with more shrub than tree.

@@ -1,7 +1,7 @@
 """Run ONNX networks on one image at a time, shared by the callers of one file.
 
-A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for an image has all
-of it computed that others in this process ask this file for; they take their part when they bring the same image."""
+A file may give labels and depth from one encoder, which takes most of its time. The first caller with an image runs all
+outputs that callers of this process use; the others get theirs when they come with the same image."""
 
 from __future__ import annotations
 

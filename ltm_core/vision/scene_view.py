@@ -89,11 +89,10 @@ class SceneFilter:
         self._seen: tuple[str, BoolArray] | None = None
 
     @classmethod
-    def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
+    def of_png(cls, path: Path, place: str) -> SceneFilter:
         """Return the filter of a PNG mask; `place`: its name in errors. Raises ConfigError as `read_mask`, and if its
         size is not that of the images."""
-        make, own = mask_maker(path, place)
-        return cls(make, size or own, judged)
+        return cls(*mask_maker(path, place))
 
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
         """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);

@@ -58,7 +58,7 @@ def _beyond_crest(sky: BoolArray) -> Float32Array:
 
 
 def _log_sum(scores: Float32Array) -> Float32Array:
-    """log(sum(exp)) over the classes, (h, w); `np.logaddexp.reduce` takes twelve times as long, thrice a frame."""
+    """Return log(sum(exp)) over the classes, (h, w); `np.logaddexp.reduce` takes twelve times as long."""
     most = scores.max(axis=0)
     return np.asarray(most + np.log(np.exp(scores - most).sum(axis=0)), np.float32)
 
@@ -80,7 +80,7 @@ def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tu
 
 
 def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
-    """For each of `target` samples the index of the first of its two source samples, and the second's weight."""
+    """Return the first of the two source samples of each of `target` samples, and the weight of the second."""
     centre = (np.arange(target) + 0.5) * (size / target) - 0.5
     centre = np.clip(centre, 0.0, size - 1.0)
     first = np.minimum(centre.astype(np.int32), max(size - 2, 0)).astype(np.int32)
@@ -101,7 +101,8 @@ def reduced_by_area(photo: UInt8Array, width: int, height: int) -> UInt8Array:
 
 @lru_cache(maxsize=64)
 def _shares(size: int, target: int) -> tuple[Int32Array, Float32Array]:
-    """For each of `target` pixels its first source pixel, and the weight of that and of those after it (target, n)."""
+    """Return the first source pixel (target,) of each target pixel, and the weights (target, n) of it and those after
+    it."""
     edges = np.arange(target + 1) * (size / target)
     first = np.floor(edges[:-1]).astype(np.int32)
     count = int((np.ceil(edges[1:]) - first).max())

@@ -124,18 +124,12 @@ class Segmenter:
             network += f", second network {self._second.described}"
         return network if self.head is None else f"{network}, label head {self.head.described}"
 
-    @property
-    def model_path(self) -> Path:
-        """Return the network file in use."""
-        return self._model.path
-
     def segment(self, image: UInt8Array, unlikely: Mapping[int, BoolArray] = MappingProxyType({})) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
-        `unlikely`: by label id
-        the pixels (h, w) of the image, at any size, where the label is unlikely; a network of bare ids ignores them.
-        Raises ImageError for another shape or dtype, ModelError when the network's output is not what its manifest
-        states."""
+        `unlikely`: by label id the pixels (h, w) of the image, at any size, where the label is unlikely; a network of
+        bare ids ignores them. Raises ImageError for another shape or dtype, ModelError if the network's output is not
+        what its manifest states."""
         _check(image)
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":

@@ -91,17 +91,18 @@ def constants(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any, st
 
 
 def write_fusion_config(path: Path, config: FusionConfig, source: str) -> None:
-    """Write every constant, each with its origin and meaning. `source`: how the fitted ones were found, in words."""
-    lines = [f"# Constants of depth fusion (ltm_core/depth/fusion_config.py). Fitted ones by: {source}"]
+    """Write the fitted constants with their meaning. `source`: how they were fitted, in words."""
+    lines = [f"# Constants of depth fusion (ltm_core/depth/fusion_config.py), fitted by: {source}"]
     before: list[str] = []
-    for group, members in groupby(constants(config), key=lambda c: c[0].rpartition(".")[0]):
+    fitted = (one for one in constants(config) if one[2] == "fitted")
+    for group, members in groupby(fitted, key=lambda c: c[0].rpartition(".")[0]):
         parts = group.split(".")
         shared = sum(1 for a, b in zip(before, parts, strict=False) if a == b)
         lines += [f"{'  ' * depth}{parts[depth]}:" for depth in range(shared, len(parts))]
         before = parts
-        for name, value, origin, meaning in members:
+        for name, value, _, meaning in members:
             text = f"{'  ' * len(parts)}{name.rpartition('.')[2]}: {json.dumps(value)}"
-            lines.append(f"{text:<28} # {origin}; {meaning}")
+            lines.append(f"{text:<28} # {meaning}")
     if path.is_symlink():  # to another network's: that one keeps its own
         path.unlink()
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 
 from ltm_core.base.errors import ArchiveError, LtmError
-from ltm_core.base.resources import config_path
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.vote_columns import columns_to_votes, votes_to_columns
@@ -30,7 +29,6 @@ from ltm_core.pipeline.stored_fuel import fuel_schema
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
-from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
@@ -92,12 +90,12 @@ class FrameSteps:
 
     def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
         self.site = site
-        self.labels, self.geometry = LabelSet.load(config_path(site.labels)), site.fuel_geometry(site.open_dem())
-        self.empty = empty_maps(site, self.geometry, self.labels)
-        """Makes a map without evidence."""
         self._tracing = TracingStep(site, camera, tracing)
         self._labelling = LabellingStep(site, camera, labelling)
         self._voting = VotingStep(site, camera)
+        self.geometry = self._voting.geometry
+        self.empty = empty_maps(site, self.geometry, self._voting.labels)
+        """Makes a map without evidence."""
 
     @property
     def described(self) -> str:
@@ -115,8 +113,9 @@ class FrameSteps:
         depth = seen(self._tracing.trace(camera, pose).ranges.depth(), self._tracing.hidden(camera, pose))
         cast = self._voting.cast(depth, camera, pose, found, stamp, frame.pose_covariance)
         # As nodes receive them, through a message.
-        columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
-        return columns_to_votes(columns, self.geometry, self.labels.names, stamp, frame.camera), view.unusable
+        names = self._voting.labels.names
+        columns = votes_to_columns(self._voting.carried(cast), names)
+        return columns_to_votes(columns, self.geometry, names, stamp, frame.camera), view.unusable
 
 
 @lru_cache(maxsize=2)

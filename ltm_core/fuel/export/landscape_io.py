@@ -27,7 +27,6 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.storage.disk_io import make_folder, written_whole
 from ltm_core.vision.labels import LabelSet
 
-HEADER_BYTES: Final = 7316
 _WITH_CROWN: Final = 21
 _WITHOUT_GROUND: Final = 20
 _LISTED: Final = 99

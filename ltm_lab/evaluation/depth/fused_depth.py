@@ -158,9 +158,9 @@ class DepthEvaluation:
 
     def score(self) -> DepthEvaluationScore:
         rows = [
-            SourceScore(source, group, tally.scores())
+            SourceScore(source, group, scores)
             for (source, group), tally in self._tallies.items()
-            if tally.scores()[-1].pixels
+            if (scores := tally.scores())[-1].pixels
         ]
         coverage = {name: count / max(self._true, 1) for name, count in self._covered.items()}
         frames = sum(self._verdicts.values())

@@ -19,13 +19,6 @@ def test_known_errors_by_range() -> None:
     assert near.rmse == pytest.approx(np.sqrt(5))
     assert (middle.bias, middle.rmse) == (-10.0, 10.0)
     assert np.isnan(far.median)
-    assert beyond.median == pytest.approx(100, rel=0.004)
+    assert (beyond.median, whole.median) == (100, 6.5)
     assert whole.bias == pytest.approx(23)
     assert tally.coverage == 1.0
-
-
-@pytest.mark.parametrize("size", [0.0, 5e-5, 0.03, 2.0, 4321.0])
-def test_median_of_equal_errors(size: float) -> None:
-    tally = DepthTally()
-    tally.add(np.full((3, 5), 9000 + size, np.float64), np.full((3, 5), 9000.0))
-    assert tally.scores()[-1].median == pytest.approx(size, rel=0.006, abs=1e-4)

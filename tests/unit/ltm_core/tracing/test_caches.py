@@ -9,7 +9,7 @@ from scenes.rasters import rough_terrain
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.tracer import BoundedCache
+from ltm_core.tracing.tracer import BoundedCache, Way
 
 CAMERA = Camera(301, 201, 210.0, 210.0, 150.0, 100.0)
 POSITION = (100.0, -80.0, 880.0)
@@ -29,17 +29,17 @@ def test_the_least_recently_used_goes_first() -> None:
     assert cache.held_bytes == 0
 
 
-def test_many_tracers_of_a_process_share_their_memory_and_each_keeps_its_last_frame() -> None:
+@pytest.mark.parametrize(("way", "kept"), [("auto", 1), ("pyramid", 2)])
+def test_tracers_that_cache_share_the_memory_and_each_keeps_its_last_frame(way: Way, kept: int) -> None:
     dem, poses = rough_terrain(14), [Pose.from_angles(POSITION, azimuth, -20, 0) for azimuth in (10, 40)]
-    many = [TerrainTracer(dem) for _ in range(3_000)]
-    for tracer in many[:2]:
-        for pose in poses:
-            last = tracer.trace(CAMERA, pose).range
-        assert tracer.statistics.frame_bytes == last.nbytes
-        assert tracer.trace(CAMERA, poses[-1]).range is last
-    del many
-    alone = TerrainTracer(dem)
-    assert sum(alone.trace(CAMERA, pose).range.nbytes for pose in poses) == alone.statistics.frame_bytes
+    others = [TerrainTracer(dem) for _ in range(600)]
+    for other in others:
+        other.trace(Camera(2, 1, 2.0, 2.0, 0.5, 0.0), poses[0], way)
+    tracer = TerrainTracer(dem)
+    for pose in poses:
+        last = tracer.trace(CAMERA, pose).range
+    assert tracer.statistics.frame_bytes == kept * last.nbytes
+    assert tracer.trace(CAMERA, poses[-1]).range is last
 
 
 def test_a_fixed_camera_is_traced_once() -> None:

@@ -61,7 +61,7 @@ def test_an_added_model_is_found_by_its_name(tmp_path: Path, data_folder: Path) 
     text = ltm("add", _renamed(tmp_path), "--out", tmp_path / "out")
     assert "`model: mine`" in text
     assert files(data_folder) == ["mine.yaml", "mine/mine.onnx"]
-    assert Segmenter.open("mine").model_path == data_folder / "mine" / "mine.onnx"
+    assert Segmenter.open("mine").manifest.model_file() == data_folder / "mine" / "mine.onnx"
     assert cv2.imread(str(tmp_path / "out" / "trial_scene_mine.jpg")).std() > 10
     assert " mine " in ltm("list")
     assert "`model: mine`" in ltm("add", tmp_path / "mine.yaml", "--out", tmp_path / "out")  # the same again

@@ -49,11 +49,12 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
 
 
 def test_constants_survive_their_file(tmp_path: Path) -> None:
-    config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "error_model.belief": 2.5})
+    config = updated(FusionConfig(), {"occlusion.standing.tree": 1.25, "occlusion.metre": 0.2})
     write_fusion_config(tmp_path / "net_fusion.yaml", config, "a test")
     text = (tmp_path / "net_fusion.yaml").read_text()
     assert "a test" in text
-    assert "# fitted; trees" in text
+    assert "# trees" in text
+    assert "pose_check" not in text
     assert load_yaml(tmp_path / "net_fusion.yaml", FusionConfig) == config
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
-from ltm_core.fuel.export.landscape_io import HEADER_BYTES, lcp_header, write_lcp
+from ltm_core.fuel.export.landscape_io import lcp_header, write_lcp
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
 
@@ -35,7 +35,7 @@ def landscape() -> Landscape:
 
 def test_header_fields() -> None:
     header = lcp_header(landscape(), "of cameras")
-    assert len(header) == HEADER_BYTES
+    assert len(header) == 7316
     assert struct.unpack_from("<3i", header, 0) == (21, 20, 44)
     edges = (GRID.x_min, GRID.x_max, GRID.y_min, GRID.y_max)
     assert struct.unpack_from("<4d", header, 12) == edges
