@@ -64,6 +64,20 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
     return mapped.view(np.ndarray)
 
 
+def own_copy(heights: Float32Array) -> Float32Array:
+    """Return a writable copy (H, W). Of prepared heights it is another mapping of their file, so that only modified
+    pages use memory; a copy of 10,000 x 10,000 cells in memory would take 400 MB."""
+    mapped: Any = heights
+    while mapped is not None and not isinstance(mapped, np.memmap):
+        mapped = getattr(mapped, "base", None)
+    if mapped is None or mapped.shape != heights.shape:
+        return heights.copy()
+    try:
+        return np.memmap(mapped.filename, np.float32, "c", mapped.offset, heights.shape).view(np.ndarray)
+    except OSError:  # the file has been removed
+        return heights.copy()
+
+
 def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array], None]) -> Path | None:
     """Prepare `source`, the open dataset of `raster`, and remove the files of its former states; return the file, or
     None if it exists already or is not needed.

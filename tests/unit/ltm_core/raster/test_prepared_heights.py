@@ -64,6 +64,19 @@ def test_prepared_heights_are_those_of_the_raster(raster: Path) -> None:
     assert prepare_heights(raster) is None, "it is there already"
 
 
+@pytest.mark.parametrize("removed", [False, True])
+def test_an_own_copy_of_mapped_heights_is_another_mapping(raster: Path, removed: bool) -> None:
+    prepare_heights(raster)
+    mapped = Dem.open(raster)
+    if removed:
+        prepared_of(raster).unlink()
+    copied = module.own_copy(mapped.elevation)
+    assert is_mapped(Dem(copied, GRID)) is not removed
+    copied[0, 0] = 7.0
+    assert mapped.elevation[0, 0] == heights().elevation[0, 0]
+    np.testing.assert_array_equal(copied[1:], mapped.elevation[1:])
+
+
 def test_what_is_written_to_mapped_heights_stays_in_the_process(raster: Path) -> None:
     """As a stack does where it leads the finest raster over to a coarser one."""
     wider = GridGeometry(GRID.x_min - 300, GRID.y_max + 300, 30.0, 44, 35, GRID.crs)
