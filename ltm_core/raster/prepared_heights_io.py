@@ -70,10 +70,11 @@ def own_copy(heights: Float32Array) -> Float32Array:
     mapped: Any = heights
     while mapped is not None and not isinstance(mapped, np.memmap):
         mapped = getattr(mapped, "base", None)
-    if mapped is None or mapped.shape != heights.shape:
+    if mapped is None or mapped.filename is None or mapped.shape != heights.shape:
         return heights.copy()
     try:
-        return np.memmap(mapped.filename, np.float32, "c", mapped.offset, heights.shape).view(np.ndarray)
+        again: Any = np.memmap(mapped.filename, np.float32, "c", mapped.offset, heights.shape)
+        return np.asarray(again.view(np.ndarray), np.float32)
     except OSError:  # the file has been removed
         return heights.copy()
 
