@@ -63,7 +63,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
             f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
             _seconds(one["frame_age_s"], " ago"),
             str(one["frames_in"]),
-            str(one["finished"]),
+            str(one["accepted"]),
             dropped,
             _seconds(one["latency_s"]),
             one["pose"],
@@ -86,10 +86,10 @@ def _print_status(said: Mapping[str, Any]) -> None:
             )
         )
     columns = (
-        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose", "why"
+        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">accepted", "dropped", ">latency", "pose", "reason"
     )  # fmt: skip
     print_table(console, "", columns, cameras)
-    print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)
+    print_table(console, "", ("node", "state", ">in", ">out", ">dropped", ">work p95", "message"), nodes)
     if (outbox := said["outbox"]) is not None:
         link = "connected to the region's map" if outbox["link_up"] else "no connection to the region's map"
         console.print(

@@ -71,10 +71,10 @@ class TowerCollector(Collector):
         yield _gauge(since, "Start of a camera's state", [((one.name,), one.since_s) for one in cameras], ("camera",))
         ages = [((one.name,), one.frame_age_s) for one in cameras if one.frame_age_s is not None]
         yield _gauge("ltm_frame_age_seconds", "Age of the newest frame", ages, ("camera",))
-        finished = CounterMetricFamily("ltm_frames_finished", "Frames given to the camera's nodes", labels=("camera",))
+        accepted = CounterMetricFamily("ltm_frames_accepted", "Frames passed to the camera's nodes", labels=("camera",))
         for camera in cameras:
-            finished.add_metric((camera.name,), camera.finished)
-        yield finished
+            accepted.add_metric((camera.name,), camera.accepted)
+        yield accepted
         # No counter: without subscribers only some frames are judged, and more of them while the verdict is not ok.
         verdicts = [
             ((node.camera, verdict), node.values.get("verdict") == verdict)

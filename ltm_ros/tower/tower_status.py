@@ -84,8 +84,8 @@ class CameraStatus:
     frame_age_s: float | None
     """Seconds since the stamp of its newest frame; None: no frame yet."""
     frames_in: int
-    finished: int
-    """Frames that all nodes have processed."""
+    accepted: int
+    """Frames that `capture` has passed to the camera's nodes."""
     dropped: Mapping[str, int]
     """Drops by cause, of all its nodes; `shed`: rejected on arrival."""
     latency_s: float | None
@@ -235,7 +235,7 @@ class TowerWatch:
             why=why,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
-            finished=int(capture.number("frames_out") or 0) if capture else 0,
+            accepted=int(capture.number("frames_out") or 0) if capture else 0,
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,

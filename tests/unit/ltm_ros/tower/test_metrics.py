@@ -83,7 +83,7 @@ def test_cameras_and_machine() -> None:
     scraped = samples(exposition(status_of(watch_of(healths()))).decode())
     assert scraped["ltm_frame_age_seconds", (("camera", "north"),)] == 4.5
     assert scraped["ltm_frame_age_seconds", (("camera", "east"),)] == 700.25
-    assert scraped["ltm_frames_finished_total", (("camera", "east"),)] == 17
+    assert scraped["ltm_frames_accepted_total", (("camera", "east"),)] == 17
     for camera, verdict in (("north", "ok"), ("east", "pose_suspected")):
         others = {
             dict(labels)["verdict"]: v
