@@ -49,9 +49,9 @@ class LoginSettings(StrictModel):
     """User and password for a camera, a PTZ head or a broker."""
 
     user: str | None = None
-    """User name there."""
+    """User name at the camera, PTZ head or broker."""
     password: SecretConfig | None = None
-    """Place of its password."""
+    """Place of the user's password."""
 
     @model_validator(mode="after")
     def _both(self) -> Self:

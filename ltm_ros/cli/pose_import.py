@@ -106,7 +106,7 @@ def import_poses(
             _draw(picture / Path(name).with_suffix(".png"), seen[pose.name][0], chosen, placement, how.how)
     console.print(f"  {out}: {len(poses) - rejected} pose files", highlight=False)
     if rejected == len(poses):
-        raise PoseError(f"{file}: no pose is possible on this terrain")
+        raise PoseError(f"{file}: none of {len(poses)} poses is possible on this terrain; check --crs, axes and units")
 
 
 def _file_name(name: str) -> str:

@@ -86,7 +86,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
             )
         )
     columns = (
-        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">accepted", "dropped", ">latency", "pose", "reason"
+        "camera", "state", "since (UTC)", ">newest", ">frames", ">accepted", "dropped", ">latency", "pose", "reason"
     )  # fmt: skip
     print_table(console, "", columns, cameras)
     print_table(console, "", ("node", "state", ">in", ">out", ">dropped", ">work p95", "message"), nodes)

@@ -104,7 +104,7 @@ class NodeProcess:
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
     """Traffic of all processes of the graph, to detect a process that receives nothing."""
     on_end: Callable[[], object] = lambda: None
-    """Called when a process of it has ended: each crash leaves 70 MB of shared memory."""
+    """Called when the process has ended: each crash leaves 70 MB of shared memory."""
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)

@@ -70,7 +70,7 @@ class TrialAuthority:
         authority_key, authority = self._authority(new)
         for name in names:
             if (self.folder / f"{name}.key").exists():
-                raise ConfigError(f"{self.folder / name}.key has no certificate; move it away to make both anew")
+                raise ConfigError(f"{self.folder / name}.key has no certificate; move it, and run `ltm certs` again")
             key = ec.generate_private_key(ec.SECP256R1())
             usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
             builder = (
