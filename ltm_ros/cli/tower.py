@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.number_text import counted
 from ltm_ros.cli.output import print_findings, print_table
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
-STYLES = {"ok": "green", "troubled": "yellow", "silent": "bold red", "missing": "bold red"}
+STYLES = {"ok": "green", "warning": "yellow", "silent": "bold red", "missing": "bold red"}
 
 
 def status(
@@ -51,7 +52,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
 
     console = Console()
     wrong = said["wrong"]
-    console.print(f"[bold]{escape(said['site'])}[/]: {'no problems' if not wrong else f'{len(wrong)} problems'}")
+    console.print(f"[bold]{escape(said['site'])}[/]: {counted(len(wrong), 'problem') if wrong else 'no problems'}")
     for line in wrong:
         console.print(f"  - {escape(line)}", style="yellow", highlight=False)
     cameras = []

@@ -257,7 +257,7 @@ class NodeProcess:
         self.signal(SHOW_STACKS)
         ended.poll(STACKS_S * 1000)
         self.signal(signal.SIGKILL, whole_group=True)
-        self._tell(f"hung: {hang}; killed, for the {self.hangs}. time")
+        self._tell(f"hung: {hang}; killed (hang {self.hangs})")
 
     def _read(self, output: IO[str]) -> None:
         with output:
