@@ -92,7 +92,7 @@ def import_poses(
     if how is not found[0]:
         console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
     elif how.fits is not None and how.fits < _LEAST_FIT:
-        console.print("[yellow]No choice of axes and units fits the photos. Check position, focal length, distortion and the DEM.")
+        console.print("[yellow]No axes and units fit the photos. Check position, focal length, distortion and the DEM.")
     rejected = 0
     for pose, name in zip(poses, names, strict=True):
         chosen = alternatives(pose)[how.how]
