@@ -27,7 +27,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "site": ("name", "crs", "origin"),
     "terrain": ("dem", "surface", "possible_ground", "terrain"),
     "cameras": ("cameras", "refine_poses"),
-    "fuel": ("fuel", "model", "label_heads", "depth_model"),
+    "fuel": ("fuel", "model", "depth_model"),
     "outputs": ("locating",),
     "tower": (),
 }

@@ -52,7 +52,7 @@ class LabelCorrelation(StrictModel):
     @model_validator(mode="after")
     def _nested(self) -> Self:
         if not (self.cell >= self.view >= self.network and self.cell >= self.stand):
-            raise ValueError(f"must fall from cell to stand, and from cell over view to network; got {self}")
+            raise ValueError(f"cell must be at least stand and view, and view at least network; got {self}")
         return self
 
     @property

@@ -75,7 +75,7 @@ def seen_cells(
     parts: list[tuple[Int64Array, Int64Array, Int64Array, Float64Array, Float64Array]] = []
     for votes in frames:
         if votes.visibility is None:
-            raise ImageError(f"votes of {votes.source} do not tell how each cell is seen")
+            raise ImageError(f"votes of {votes.source} have no incidence, footprint and position error of their cells")
         counts = form_counts(votes.counts, forms)
         pixels = counts.sum(axis=1)
         votes, counts, pixels = votes.only(pixels > 0), counts[pixels > 0], pixels[pixels > 0]

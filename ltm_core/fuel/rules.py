@@ -78,9 +78,9 @@ class FusionRules(StrictModel):
     """Minimum number of reported neighbours, of eight, for a cell to be reported with them, if its own observations
     favour that life form but are not conclusive. Three neighbours form a straight edge."""
     fill_evidence: float = Field(1.0, gt=0)
-    """Minimum evidence of such a cell for that life form."""
+    """Minimum evidence of a cell for the life form of its reported neighbours."""
     fill_rounds: int = Field(2, ge=0, le=8)
-    """Number of rounds in which such cells are added, each based on the previous one; 0: none."""
+    """Number of rounds in which cells are added to their reported neighbours; 0: none."""
     min_cells: int = Field(3, ge=1, le=100)
     """Minimum mapping unit in cells: a connected region that changes to one life form counts from this size (3 cells of
     30 m: 0.27 ha)."""

@@ -42,7 +42,7 @@ def _points(database: sqlite3.Connection, path: Path) -> tuple[list[dict[str, An
     tables = database.execute("SELECT table_name, column_name, srs_id FROM gpkg_geometry_columns").fetchall()
     if len(tables) != 1:
         there = ", ".join(str(table[0]) for table in tables) or "none"
-        raise RasterError(f"{path}: one layer is expected, it has {there}; write the points as a file of their own")
+        raise RasterError(f"{path}: expected one layer, found {there}; write the points into a separate file")
     table, column, number = tables[0]
     found: list[dict[str, Any]] = []
     quoted = (f'"{str(word).replace(chr(34), 2 * chr(34))}"' for word in (column, table))

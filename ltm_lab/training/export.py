@@ -133,7 +133,7 @@ def _common(file: Path, config: TrainingConfig) -> dict[str, Any]:
         "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "licence": config.licence,
         "card": f"{config.name}.md",
-        "source": "trained by `ltm train`",
+        "source": "trained by `ltm-lab train run`",
         "input": {
             "width": config.deploy_width,
             "height": config.deploy_height,

@@ -1,4 +1,4 @@
-"""`ltm cameras`: probe and watch cameras, and take a snapshot with its pose."""
+"""`ltm cameras`: probe a camera, and take a snapshot with its pose."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROMPTED = "LTM_CAMERA_PASSWORD"
 CREDENTIALS = Path("/etc/ltm/credentials")
 """Folder whose files systemd passes to an installed tower; a site file names them as credentials."""
 
-cameras = typer.Typer(no_args_is_help=True, help="Probe and watch the cameras of a site, and take snapshots.")
+cameras = typer.Typer(no_args_is_help=True, help="Probe a camera for the site file, and take snapshots.")
 
 
 @cameras.command()

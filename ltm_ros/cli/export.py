@@ -136,7 +136,7 @@ def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
         raise ConfigError(f"{out}: {out.suffix} is not written as {requested}; use {' or '.join(usual)}, or rename it")
     kind = requested if requested is not Format.auto else usual[0] if system is None else usual[-1]
     if system is not None and kind not in _OF_MODELS:
-        raise ConfigError(f"{out}: --system {system} is of landscapes; give --format {', '.join(_OF_MODELS)}")
+        raise ConfigError(f"{out}: --system {system} applies to landscapes only; give --format {', '.join(_OF_MODELS)}")
     return kind
 
 

@@ -66,9 +66,9 @@ def print_views(console: Console, views: Sequence[PlaceView]) -> None:
         if view.hidden_by is not None:
             state += f": visible from {view.lift:.0f} m above it"
         pixel = "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}"
-        angles = (f"{view.azimuth_deg:.2f}°", f"{view.pitch_deg:+.2f}°", f"{view.hfov_deg:.0f}° wide")
+        angles = (f"{view.azimuth_deg:.2f}°", f"{view.pitch_deg:+.2f}°", f"{view.hfov_deg:.0f}°")
         rows.append((view.camera, f"{view.distance / 1000:.2f} km", *angles, pixel, state))
-    columns = ("camera", ">distance", ">bearing", ">pitch", ">look", ">pixel", "state")
+    columns = ("camera", ">distance", ">bearing", ">pitch", ">field of view", ">pixel", "state")
     print_table(console, "visibility from the cameras", columns, rows)
 
 

@@ -230,7 +230,7 @@ def _options(
     """Live terrain and fuel maps from fire-watch cameras."""
 
 
-pose = typer.Typer(no_args_is_help=True, help="Find a camera's pose from points, from a photo, or for a PTZ head.")
+pose = typer.Typer(no_args_is_help=True, help="Find or import camera poses; calibrate a PTZ mount.")
 for method in (points, photo, mount):
     pose.command()(method)
 pose.command("import")(import_poses)

@@ -92,7 +92,7 @@ def import_poses(
     if how is not found[0]:
         console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
     elif how.fits is not None and how.fits < _LEAST_FIT:
-        console.print("[yellow]No reading fits the photos. Check position, focal length, distortion and the DEM.")
+        console.print("[yellow]No axes and units fit the photos. Check position, focal length, distortion and the DEM.")
     rejected = 0
     for pose, name in zip(poses, names, strict=True):
         chosen = alternatives(pose)[how.how]
@@ -106,7 +106,7 @@ def import_poses(
             _draw(picture / Path(name).with_suffix(".png"), seen[pose.name][0], chosen, placement, how.how)
     console.print(f"  {out}: {len(poses) - rejected} pose files", highlight=False)
     if rejected == len(poses):
-        raise PoseError(f"{file}: no pose is possible on this terrain")
+        raise PoseError(f"{file}: none of {len(poses)} poses is possible on this terrain; check --crs, axes and units")
 
 
 def _file_name(name: str) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.number_text import counted
 from ltm_ros.cli.output import print_findings, print_table
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
-STYLES = {"ok": "green", "troubled": "yellow", "silent": "bold red", "missing": "bold red"}
+STYLES = {"ok": "green", "warning": "yellow", "silent": "bold red", "missing": "bold red"}
 
 
 def status(
@@ -51,7 +52,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
 
     console = Console()
     wrong = said["wrong"]
-    console.print(f"[bold]{escape(said['site'])}[/]: {'no problems' if not wrong else f'{len(wrong)} problems'}")
+    console.print(f"[bold]{escape(said['site'])}[/]: {counted(len(wrong), 'problem') if wrong else 'no problems'}")
     for line in wrong:
         console.print(f"  - {escape(line)}", style="yellow", highlight=False)
     cameras = []
@@ -86,10 +87,10 @@ def _print_status(said: Mapping[str, Any]) -> None:
             )
         )
     columns = (
-        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose", "why"
+        "camera", "state", "since (UTC)", ">newest", ">frames", ">finished", "dropped", ">latency", "pose", "reason"
     )  # fmt: skip
     print_table(console, "", columns, cameras)
-    print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)
+    print_table(console, "", ("node", "state", ">in", ">out", ">dropped", ">work p95", "message"), nodes)
     if (outbox := said["outbox"]) is not None:
         link = "connected to the region's map" if outbox["link_up"] else "no connection to the region's map"
         console.print(

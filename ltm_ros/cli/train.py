@@ -63,7 +63,7 @@ def head(
     one_view: Annotated[
         bool, typer.Option("--one-view", help="All PHOTOS show one view; the head is used only for it.")
     ] = False,
-    licence: Annotated[str, typer.Option(help="License of the photos, for the head's file.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the photos, for the head's file.")] = "",
     ignore: Annotated[str, typer.Option(help="True classes to ignore, separated by commas.", metavar="CLASSES")] = "",
     confidence: Annotated[
         float, typer.Option(min=0, max=0.99, help="Pixels of lower probability stay unlabelled.")

@@ -31,8 +31,8 @@ def view(
     rrd: Annotated[Path | None, typer.Option("--rrd", help="Rerun recording to open instead.")] = None,
     save: Annotated[Path | None, typer.Option("--save", help="Also write the view to this .rrd file.")] = None,
     open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
-    web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
-    grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
+    web_port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the page.")] = 9090,
+    grpc_port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the data.")] = 9876,
 ) -> None:
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 

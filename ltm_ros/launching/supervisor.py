@@ -104,7 +104,7 @@ class NodeProcess:
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
     """Traffic of all processes of the graph, to detect a process that receives nothing."""
     on_end: Callable[[], object] = lambda: None
-    """Called when a process of it has ended: each crash leaves 70 MB of shared memory."""
+    """Called when the process has ended: each crash leaves 70 MB of shared memory."""
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
@@ -257,7 +257,7 @@ class NodeProcess:
         self.signal(SHOW_STACKS)
         ended.poll(STACKS_S * 1000)
         self.signal(signal.SIGKILL, whole_group=True)
-        self._tell(f"hung: {hang}; killed, for the {self.hangs}. time")
+        self._tell(f"hung: {hang}; killed (hang {self.hangs})")
 
     def _read(self, output: IO[str]) -> None:
         with output:

@@ -139,7 +139,7 @@ class Aggregator:
             transfer = self._transfer(tower, header.grid)
             message = _message(envelope.body)
             if stamp_of(message) != stamp:
-                raise MessageError(f"the header says stamp {stamp} ns, the votes {stamp_of(message)} ns")
+                raise MessageError(f"the header states stamp {stamp} ns, the votes {stamp_of(message)} ns")
             votes = msg_to_votes(message, header.grid.in_map, self.labels.names, source)
             counting = self.persistence.count(transfer.votes(votes), header.model)
         if counting is Counting.COUNTED:

@@ -89,7 +89,7 @@ def parse_camera(text: str) -> CameraValues:
     for part in parts[2:]:
         key, sign, value = part.partition("=")
         if not sign or key.strip() in given:
-            raise ConfigError(f"--camera {text}: {part!r} is not a new key=value, such as height=20 or azimuth=214")
+            raise ConfigError(f"--camera {text}: {part!r} is no key=value or repeats a key; write height=20")
         given[key.strip()] = value.strip()
     if len(parts) < 2 or not name.strip():
         raise ConfigError(f"--camera {text}: give NAME=LON,LAT,height=20,azimuth=214,hfov=54")

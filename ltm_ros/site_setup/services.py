@@ -133,7 +133,7 @@ class CoverageGrid:
         numbers = {name: _numbers(xml, name) for name in ("lowerCorner", "upperCorner", "pos", "offsetVector")}
         found = [len(values) >= (4 if name == "offsetVector" else 2) for name, values in numbers.items()]
         if crs is None or labels is None or len(labels[1].split()) != 2 or not all(found):
-            raise FetchError(f"{place}: no grid is described ({in_words(xml.encode())}); check the address")
+            raise FetchError(f"{place}: the answer describes no grid ({in_words(xml.encode())}); check the address")
         self.crs, names = f"EPSG:{crs[1]}", labels[1].split()
         x = 0 if names[0].lower() in ("x", "e", "east", "easting", "lon", "long", "longitude") else 1
         self.labels = (names[x], names[1 - x])

@@ -118,7 +118,7 @@ def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None
 
     remote, window = part.remote, part.window
     if remote is None or window is None:
-        raise FetchError(f"{part.name}: the plan has no window; plan again")
+        raise FetchError(f"{part.name}: the plan states no window to fetch; run the command again")
     path = web.cache / f"{digest(remote.url, remote.version, window, nodata)}.tif"
     if path.exists():
         return path
@@ -193,7 +193,7 @@ def _opened(path: Path, url: str) -> Iterator[Any]:
     try:
         with open_raster(path, driver="GTiff") as source:
             if MaskFlags.per_dataset in source.mask_flag_enums[0]:
-                raise FetchError(f"{redacted(url)}: has a mask beside its values; download it, and give it to ltm init")
+                raise FetchError(f"{redacted(url)}: has a mask, not nodata; download it, and give it to ltm init")
             yield source
     except RasterError as error:
         raise FetchError(f"{redacted(url)}: not a GeoTIFF that can be read ({error}); choose another source") from error

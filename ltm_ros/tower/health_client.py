@@ -65,7 +65,7 @@ def _tls(config: HealthConfig) -> ssl.SSLContext | None:
         context.load_cert_chain(secret(config.certificate), secret(config.key))
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(
-            f"health: certificate {config.certificate} and key {config.key} cannot be taken ({error})"
+            f"health: certificate {config.certificate} and key {config.key} cannot be used ({error})"
         ) from error
     return context
 

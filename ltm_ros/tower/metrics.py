@@ -85,7 +85,7 @@ class TowerCollector(Collector):
 
     def _nodes(self) -> Iterator[Metric]:
         up = GaugeMetricFamily("ltm_node_up", "Whether a node reports", labels=NODE)
-        troubled = GaugeMetricFamily("ltm_node_troubled", "Whether it dropped something in the last 10 s", labels=NODE)
+        warning = GaugeMetricFamily("ltm_node_warning", "Whether it dropped something in the last 10 s", labels=NODE)
         counters = {key: CounterMetricFamily(f"ltm_{key}", text, labels=NODE) for key, text in COUNTERS.items()}
         kinds = {
             kind: CounterMetricFamily(f"ltm_{kind}", text, labels=(*NODE, label))
@@ -103,8 +103,8 @@ class TowerCollector(Collector):
         values = GaugeMetricFamily("ltm_node_value", "Other numbers that a node reports", labels=(*NODE, "name"))
         for node in self._status.nodes:
             labels = (node.name, node.camera)
-            up.add_metric(labels, node.state in ("ok", "troubled"))
-            troubled.add_metric(labels, node.state == "troubled")
+            up.add_metric(labels, node.state in ("ok", "warning"))
+            warning.add_metric(labels, node.state == "warning")
             for key, family in counters.items():
                 if (number := node.number(key)) is not None:
                     family.add_metric(labels, number)
@@ -121,7 +121,7 @@ class TowerCollector(Collector):
             for key in node.values:
                 if not _has_own(key) and (number := node.number(key)) is not None:
                     values.add_metric((*labels, key), number)
-        yield from (up, troubled, *counters.values(), *kinds.values(), rate, cpu, *times.values(), values)
+        yield from (up, warning, *counters.values(), *kinds.values(), rate, cpu, *times.values(), values)
 
     def _machine(self) -> Iterator[Metric]:
         status = self._status

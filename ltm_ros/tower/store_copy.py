@@ -36,7 +36,7 @@ class ServiceState:
     failed: bool
     """It has ended by itself since its start, whether or not it is restarted."""
     said: str
-    """Its own status line."""
+    """Status line of the service."""
 
 
 class Service(Protocol):

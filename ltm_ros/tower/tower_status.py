@@ -53,7 +53,7 @@ class NodeReport(StatedValues):
     """The last report of a node. `heard_s`: by a monotonic clock."""
 
     name: str
-    troubled: bool
+    warning: bool
     message: str
     values: Mapping[str, str]
     heard_s: float
@@ -65,7 +65,7 @@ class NodeState(StatedValues):
     camera: str
     """Empty: a node of the whole site."""
     state: str
-    """`ok`, `troubled` (dropped something in the last ten seconds), `silent` or `missing` (never reported)."""
+    """`ok`, `warning` (dropped something in the last ten seconds), `silent` or `missing` (never reported)."""
     said: str
     age_s: float | None
     values: Mapping[str, str]
@@ -134,7 +134,7 @@ class TowerStatus:
     @property
     def alive(self) -> bool:
         """Return whether every node reports: the answer of `/healthz`."""
-        return all(node.state in ("ok", "troubled") for node in self.nodes)
+        return all(node.state in ("ok", "warning") for node in self.nodes)
 
     @property
     def ready(self) -> bool:
@@ -158,10 +158,10 @@ class TowerWatch:
         self._states: dict[str, tuple[CameraState, float]] = {}
         """State of each camera, and its start by the system clock."""
 
-    def hear(self, name: str, troubled: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
+    def hear(self, name: str, warning: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
         if name in self._expected:
             kept = {key[:LENGTH]: value[:LENGTH] for key, value in list(values.items())[:KEYS]}
-            self._reports[name] = NodeReport(name, troubled, message[:LENGTH], kept, now_s)
+            self._reports[name] = NodeReport(name, warning, message[:LENGTH], kept, now_s)
 
     def status(
         self,
@@ -212,7 +212,7 @@ class TowerWatch:
         age_s = now_s - report.heard_s
         if age_s > SILENT_S:
             return NodeState(name, camera, "silent", f"no report for {age_s:.0f} s", age_s, report.values)
-        return NodeState(name, camera, "troubled" if report.troubled else "ok", report.message, age_s, report.values)
+        return NodeState(name, camera, "warning" if report.warning else "ok", report.message, age_s, report.values)
 
     def _camera(self, name: str, now_s: float, time_s: float) -> CameraStatus:
         own = {r.name.rpartition("/")[2]: r for r in self._reports.values() if camera_of(r.name) == name}
@@ -301,11 +301,11 @@ def _conditions(
 ) -> Iterator[Condition]:
     """Yield the conditions, the most severe first."""
     told = {f"{camera.name}/source" for camera in cameras if camera.wrong}
-    troubled = []
+    warnings = []
     for node in nodes:
         name = node.name.split("/", 2)[-1]
-        if node.state == "troubled" and name not in told:
-            troubled.append(Condition("node", name, node.state, f"{node.name}: {node.said}"))
+        if node.state == "warning" and name not in told:
+            warnings.append(Condition("node", name, node.state, f"{node.name}: {node.said}"))
         else:
             dead = node.state in ("silent", "missing")
             yield Condition.judged("node", name, node.state, f"{node.name} {node.said}" if dead else "")
@@ -321,7 +321,7 @@ def _conditions(
             f"{_time(outbox.age_s)}"
         )
         yield Condition.judged("outbox", "region", "waiting", problem if outbox.frames and not outbox.link_up else "")
-    yield from troubled
+    yield from warnings
 
 
 def _time(seconds: float) -> str:

@@ -140,7 +140,7 @@ class PoseRefinementConfig(StrictModel):
     judged: Expert[int] = Field(6, ge=1)
     """Number of most recent clear images that are checked for a slip once the mount's error is known."""
     slipped: Expert[int] = Field(4, ge=1)
-    """Number of these images that must contradict the mount before it is reported as slipped."""
+    """Number of checked images (`judged`) that must contradict the mount before it is reported as slipped."""
     least_slip_deg: Expert[float] = Field(0.2, gt=0)
     """Minimum deviation in degrees for an image to contradict the mount."""
     slip_sigmas: Expert[float] = Field(3.0, gt=0)

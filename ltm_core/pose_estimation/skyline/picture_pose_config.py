@@ -92,7 +92,7 @@ class SkylineConfig(StrictModel):
     cell_lift: float = Field(0.03, ge=0)
     """Mean height by which crests exceed the DEM, as a share of its cell size."""
     correlation: float = Field(60.0, gt=0)
-    """Distance along a crest in metres within which these errors are fully correlated."""
+    """Distance along a crest in metres within which the DEM's errors are fully correlated."""
     independent: float = Field(24.0, gt=0)
     """Maximum number of independent places of a skyline across the whole image, because it is smooth."""
     independent_fit: float = Field(40.0, gt=0)
@@ -134,7 +134,7 @@ class ContourConfig(StrictModel):
     correlation_px: float = Field(24.0, gt=0)
     """Length along a ridge in pixels at width 640 within which its errors are fully correlated."""
     correlation: float = Field(24.0, gt=0)
-    """The same in metres; the longer of both counts."""
+    """Length along a ridge in metres within which its errors are fully correlated; the longer of both counts."""
     most_points: int = Field(700, ge=1)
     """Maximum number of ridge points in a view by which a pose is refined."""
 
@@ -175,7 +175,7 @@ class SearchConfig(StrictModel):
     hypotheses: int = Field(8, ge=1)
     """Number of best poses that are refined, separated by `apart_deg`."""
     apart_deg: float = Field(1.2, gt=0)
-    """Minimum separation of these poses in azimuth in degrees."""
+    """Minimum separation in azimuth, in degrees, of the best poses that are refined."""
     extra_hypotheses: int = Field(6, ge=0)
     """Number of additional poses that are refined, separated by `extra_apart_deg`. Far ridges are periodic, with one
     local optimum per peak, and the best pose of the grid need not be the best after refinement."""
@@ -244,9 +244,10 @@ class VerdictConfig(StrictModel):
     ridges_gap: float = 6.0
     """Minimum additional cost of an alternative if only ridges are known."""
     plants_gap: float = 8.0
-    """The same if at least half of the land in the image is trees and shrubs, whose margins look like ridges."""
+    """Minimum additional cost of an alternative if only ridges are known and at least half of the land in the image is
+    trees and shrubs, whose margins look like ridges."""
     plants_score: float = 6.0
-    """Minimum score of the ridges, in multiples of chance, in that case."""
+    """Minimum score of the ridges, in multiples of chance, if at least half of the land is trees and shrubs."""
     ridges_variance: float = 1.4
     """Maximum variance of a skyline's misfits if only ridges are used; above it, the visible skyline contradicts them,
     mostly by terrain where the photo shows sky."""

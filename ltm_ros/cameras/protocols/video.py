@@ -84,7 +84,7 @@ class VideoReader:
                 self._last = arrived
                 return picture
             if arrived - self._last > self._stall_s:
-                raise SourceError(f"packets, but no image for {arrived - self._last:.0f} s")
+                raise SourceError(f"the stream sends packets, but no image for {arrived - self._last:.0f} s")
             if arrived > until:
                 return Nothing.YET
 

@@ -101,7 +101,7 @@ class SoapClient:
             ahead = self.clock_ahead() or 0.0
             if abs(ahead - known) < 2.0:
                 if abs(ahead) > _CLOCKS_AGREE_S:
-                    raise self._login.rejected(f"ONVIF, NotAuthorized; its clock is {ahead:+.0f} s off") from None
+                    raise self._login.rejected(f"ONVIF, NotAuthorized; camera clock {ahead:+.0f} s off") from None
                 raise
             return self._send(address, body, signed=True)
 

@@ -47,6 +47,7 @@ def test_every_command_explains_itself_with_examples_and_says_what_goes_in(path:
     assert result.exit_code == 0, result.output
     assert f"Usage: ltm {path}".strip() in result.output
     assert re.search(rf"Examples:\s+ltm {path}", result.output)
+    assert [p.name for p in ALL[path].params if p.param_type_name == "option" and not p.help] == []
     assert (
         re.findall(r"<(?:str|int|float|path|bool|list)\b[^>]*>|\b(?:TEXT|INTEGER|FLOAT|PATH|BOOLEAN)\b", result.output)
         == []

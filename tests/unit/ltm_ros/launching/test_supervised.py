@@ -134,7 +134,7 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     first = stopped.process.pid
     stopped.process.signal(signal.SIGSTOP)
     for one, reason in (
-        (stopped, "it is stopped (SIGSTOP); killed, for the 1. time"),
+        (stopped, "it is stopped (SIGSTOP); killed (hang 1)"),
         (standing, "-- hung: worker: Image has not finished in "),
         (locked, "-- hung: no heartbeat for "),
     ):

@@ -135,7 +135,7 @@ def test_what_cannot_be_taken_is_answered_in_words(scene: RegionScene) -> None:
     cases = {
         "votes of version 2, but kern reads 1": (newer, votes),
         "alta_roof is not a camera of kern_map": (whole.model_copy(update={"camera": "roof"}), votes),
-        "the header says stamp": (whole.model_copy(update={"stamp_ns": stamp_of(2)}), votes),
+        "the header states stamp": (whole.model_copy(update={"stamp_ns": stamp_of(2)}), votes),
         "fuel cells are 10 m wide": (whole.model_copy(update={"grid": coarse}), votes),
         "unknown CRS": (whole.model_copy(update={"grid": unknown}), votes),
         "ahead of this node's clock": (

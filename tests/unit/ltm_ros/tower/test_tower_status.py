@@ -46,7 +46,7 @@ def test_an_outbox_that_nobody_empties_is_said_in_words() -> None:
 def test_a_node_that_falls_silent_is_missed(now_s: float, alive: bool) -> None:
     status = status_of(watch_of(healths()), now_s)
     assert status.alive is alive
-    assert {node.state for node in status.nodes} <= ({"ok", "troubled"} if alive else {"silent"})
+    assert {node.state for node in status.nodes} <= ({"ok", "warning"} if alive else {"silent"})
 
 
 def test_a_camera_clock_far_ahead_is_no_fresh_frame() -> None:
