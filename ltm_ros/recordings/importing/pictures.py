@@ -124,7 +124,7 @@ def _in_folder(folder: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFi
         return
     for path in paths:
         suffix = path.suffix.lower()
-        if path.name.startswith(".") and suffix != ".icloud" or (path.is_dir() and path.is_symlink()):
+        if (path.name.startswith(".") and suffix != ".icloud") or (path.is_dir() and path.is_symlink()):
             continue
         elif path.is_dir():
             yield from _found_in(path)
