@@ -85,7 +85,6 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
         _fixes(location, place),
         None if orientation is None else _attitudes(orientation, _first(metadata, "platform").lower(), place),
         None if barometer is None else _climb(barometer, place),
-        on_foot=True,
     )
 
 
