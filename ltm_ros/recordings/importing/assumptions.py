@@ -136,12 +136,12 @@ class Surroundings:
     cameras: Mapping[str, CameraConfig] = field(default_factory=dict)
     pose_error: PoseErrorConfig = field(default_factory=PoseErrorConfig)
 
-    def covers(self, lon: float, lat: float) -> bool:
-        """Return whether a position is inside the DEM's outline; True without a DEM."""
+    def covers(self, x: float, y: float) -> bool:
+        """Return whether a map point is inside the DEM's outline; True without a DEM."""
         if self.dem is None:
             return True
         covered = self.dem.levels[-1].geometry
-        row, col = covered.to_grid(*self.frame.from_lonlat(lon, lat))
+        row, col = covered.to_grid(x, y)
         return bool(covered.contains(row + 0.5, col + 0.5))
 
 
