@@ -262,6 +262,9 @@ def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
     flipped = good.with_rotation(good.rotation @ UPWARD)
     with pytest.raises(PoseError, match="y up, z backward"):
         chosen_reading(readings([flipped], placement, {}))
+    swapped = ForeignPose("a", "a", np.array([y, x, ground + 20.0]), TRUE.rotation, LENS)
+    with pytest.raises(PoseError, match="outside the DEM"):
+        chosen_reading(readings([swapped], placement, {}))
     below = ForeignPose("a", "a", np.array([x, y, ground - 5.0]), TRUE.rotation, LENS)
     with pytest.raises(PoseError, match=r"5\.0 m|below|under"):
         chosen_reading(readings([below], placement, {}))
