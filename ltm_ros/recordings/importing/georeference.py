@@ -114,9 +114,9 @@ def _position(
     sensed, stated = photo.sensed, known.xy(frame)
     if stated is not None:
         if not site.covers(*stated):
-            x, y = stated[0] + frame.x_origin, stated[1] + frame.y_origin
+            east, north = stated[0] + frame.x_origin, stated[1] + frame.y_origin
             raise PoseError(
-                f"{photo.path}: the stated position ({x:.1f}, {y:.1f}) in {frame.crs} is outside the DEM: check the "
+                f"{photo.path}: the stated position ({east:.1f}, {north:.1f}) in {frame.crs} is outside the DEM: check the "
                 "order of its coordinates and its CRS"
             )
         return stated
