@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 def reprocess(
-    archives: Annotated[
-        list[Path],
-        typer.Argument(help="Bags, .mcap files, and folders with bags."),
-    ],
+    archives: Annotated[list[Path], typer.Argument(help="Bags, .mcap files, and folders with bags.")],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results.")],
     workers: Annotated[int, typer.Option(min=0, help="Number of worker processes; 0: this one.")] = 2,

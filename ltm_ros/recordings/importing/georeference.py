@@ -116,8 +116,8 @@ def _position(
         if not site.covers(*stated):
             east, north = stated[0] + frame.x_origin, stated[1] + frame.y_origin
             raise PoseError(
-                f"{photo.path}: the stated position ({east:.1f}, {north:.1f}) in {frame.crs} is outside the DEM: check the "
-                "order of its coordinates and its CRS"
+                f"{photo.path}: the stated position ({east:.1f}, {north:.1f}) in {frame.crs} is outside the DEM: "
+                "check the order of its coordinates and its CRS"
             )
         return stated
     lon, lat = sensed.lon, sensed.lat

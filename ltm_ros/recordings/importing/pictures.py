@@ -15,11 +15,7 @@ from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
-from ltm_ros.recordings.importing.sensor_logger import (
-    camera_frames,
-    is_sensor_logger,
-    read_sensor_logger,
-)
+from ltm_ros.recordings.importing.sensor_logger import camera_frames, is_sensor_logger, read_sensor_logger
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
@@ -149,9 +145,7 @@ def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]
     def picture(member: str, stamp_ns: int) -> ImportedImage:
         path = files.path / Path(member).name
         return ImportedImage(
-            path.name,
-            path,
-            lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns),
+            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]

@@ -110,15 +110,7 @@ def _fixes(location: Table, place: str) -> Fixes:
     altitude = sea if known else ellipsoid
     if "verticalAccuracy" in location:
         altitude = np.where(np.isfinite(vertical), altitude, np.nan)
-    return Fixes(
-        stamps[order],
-        lon[order],
-        lat[order],
-        altitude[order],
-        accuracy[order],
-        vertical[order],
-        not known,
-    )
+    return Fixes(stamps[order], lon[order], lat[order], altitude[order], accuracy[order], vertical[order], not known)
 
 
 def _attitudes(orientation: Table, platform: str, place: str) -> Attitudes | None:

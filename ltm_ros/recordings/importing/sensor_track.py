@@ -186,11 +186,7 @@ class SensorTrack:
         azimuth, pitch, roll = optical_angles_deg(rotation.as_matrix() @ device_from_optical)
         facts: dict[str, object] = {"pitch_deg": pitch, "roll_deg": roll, "tilt_sigma_deg": told.tilt_sigma_deg}
         if told.north is not None:
-            facts |= {
-                "azimuth_deg": azimuth,
-                "azimuth_ref": told.north,
-                "azimuth_sigma_deg": told.heading_sigma_deg,
-            }
+            facts |= {"azimuth_deg": azimuth, "azimuth_ref": told.north, "azimuth_sigma_deg": told.heading_sigma_deg}
         return facts
 
     def _climbed(self, stamp_ns: int) -> float | None:
