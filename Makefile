@@ -44,8 +44,9 @@ demo: $(INSTALLED)
 
 # A walk with a phone: the poses of its photos are found, and its map is made.
 demo-phone: $(INSTALLED)
+	rm -rf out/demo-phone
 	$(BIN)/ltm import bags/phone/photos bags/phone/sensor_logger.zip --site bags/phone/site.yaml --refine --out out/demo-phone/bag
-	$(BIN)/ltm replay out/demo-phone/bag --site bags/phone/site.yaml --offline --overwrite --out out/demo-phone
+	$(BIN)/ltm replay out/demo-phone/bag --site bags/phone/site.yaml --offline --out out/demo-phone
 
 fire: $(FIRE)/.installed
 

@@ -56,11 +56,7 @@ def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, f
 
 
 def tile_to_msg(
-    classes: UInt8Array,
-    geometry: GridGeometry,
-    window: tuple[int, int, int, int],
-    stamp_ns: int,
-    frame_id: str = "map",
+    classes: UInt8Array, geometry: GridGeometry, window: tuple[int, int, int, int], stamp_ns: int, frame_id: str = "map"
 ) -> OccupancyGrid:
     """Return the part `window` = (row, col, height, width) of a class grid as its own OccupancyGrid.
 

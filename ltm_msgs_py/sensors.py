@@ -124,13 +124,7 @@ def msg_to_camera(msg: Any) -> Camera:
     k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     try:
         return Camera(
-            int(msg.width),
-            int(msg.height),
-            float(k[0]),
-            float(k[4]),
-            float(k[2]),
-            float(k[5]),
-            (k1, k2, p1, p2, k3),
+            int(msg.width), int(msg.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]), (k1, k2, p1, p2, k3)
         )
     except CameraError as error:
         raise CameraError(f"{who}: {error}") from error

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +54,14 @@ _MOST_SCANS = 200
 empty scans take minutes."""
 _MOST_ZEROS = 1024
 """Maximum number of zero bytes at the end of complete compressed data."""
-_HARMLESS = re.compile("extraneous bytes|unknown JFIF|unknown Adobe|Invalid SOS", re.IGNORECASE)
+_MOST_SEGMENTS = 10_000
+"""Maximum number of segments of a JPEG."""
+_HARMLESS = re.compile(r"\b\d{1,3} extraneous bytes|unknown JFIF|Invalid SOS")
 """Warnings of libjpeg about images that are complete."""
 _END = b"\xff\xd9"
 _MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Marker of a JPEG apart from those within a scan."""
-_IMAGE_END = 0xD9
+_SEQUENTIAL, _IMAGE_END, _SCAN, _JFIF = (0xC0, 0xC1), 0xD9, 0xDA, 0xE0
 _ARITHMETIC = range(0xC9, 0xD0)
 """Frame headers of images with arithmetic codes, in which missing data cannot be detected; 0xCC is a table of such."""
 
@@ -177,19 +179,35 @@ def decode_rgb(data: bytes, what: str = "image", reduced: int = 1) -> UInt8Array
 def without_tail(data: bytes) -> bytes:
     """Return a JPEG without what follows its image: the video of a motion photo, or the second image of a pair. Other
     formats stay as they are."""
-    if image_format(data) == "jpeg":
-        for marker, end in _markers(data):
-            if marker == _IMAGE_END:
-                return data[:end]
-    return data
+    ends = (end for marker, end in _markers(data) if marker == _IMAGE_END)
+    return data[: next(ends, len(data))] if image_format(data) == "jpeg" else data
 
 
 def _markers(data: bytes) -> Iterator[tuple[int, int]]:
-    """Yield each marker of a JPEG and where it ends (ITU-T T.81, annex B)."""
-    at = 2
-    while mark := _MARKER.search(data, at):
-        yield mark[1][0], mark.end()
+    """Yield each marker of a JPEG and where it ends (ITU-T T.81, annex B), up to the image's end."""
+    at, marker = 2, 0
+    while marker != _IMAGE_END and (mark := _MARKER.search(data, at)):
+        marker = mark[1][0]
+        yield marker, mark.end()
         at = mark.end() + int.from_bytes(data[mark.end() : mark.end() + 2], "big")
+
+
+def _tidied(data: bytes, markers: list[tuple[int, int]]) -> bytes:
+    """Return a JPEG without what libjpeg warns of before it decodes: it reports the first warning only, and missing
+    data come later."""
+    sequential = any(marker in _SEQUENTIAL for marker, _ in markers)
+    pieces = [data[:2]]
+    for (marker, at), (_, following) in pairwise([*markers, (0, len(data) + 2)]):
+        last = at + int.from_bytes(data[at : at + 2], "big")
+        segment = bytearray(data[at - 2 : last])
+        if marker == _SCAN:
+            if sequential:
+                segment[-3:] = 0, 63, 0  # all coefficients, as such a scan has anyway
+            segment += data[last : following - 2]
+        elif marker == _JFIF and segment[4:9] == b"JFIF\0":
+            segment[9:10] = b"\1"  # major version
+        pieces.append(bytes(segment))
+    return b"".join(pieces)
 
 
 def _check_pixels(width: int, height: int, what: str) -> None:
@@ -268,8 +286,8 @@ def _missing_bytes(data: bytes) -> float:
 def _jpeg_header(data: bytes, what: str) -> tuple[int, int, str]:
     """Return width, height and the colour space of a JPEG."""
     try:
-        height, width, space, _ = simplejpeg.decode_jpeg_header(data)
-    except ValueError as error:
+        height, width, space, _ = simplejpeg.decode_jpeg_header(data, strict=False)
+    except (ValueError, KeyError) as error:  # KeyError: an unknown colour space
         raise ImageError(f"{what} is corrupt: its header cannot be read ({error}); copy it again") from error
     return width, height, space
 
@@ -277,24 +295,32 @@ def _jpeg_header(data: bytes, what: str) -> tuple[int, int, str]:
 def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
     width, height, space = _jpeg_header(data, what)
     _check_pixels(width, height, what)
-    if (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
-        raise ImageError(f"{what} has {scans} scans, at most {_MOST_SCANS} are decoded; save the image again")
-    if any(marker in _ARITHMETIC for marker, _ in islice(_markers(data), 100)):
+    markers = list(islice(_markers(data), _MOST_SEGMENTS))
+    kinds = [marker for marker, _ in markers]
+    if (scans := kinds.count(_SCAN)) > _MOST_SCANS or len(kinds) == _MOST_SEGMENTS:
+        raise ImageError(
+            f"{what} has {scans} scans in {len(kinds)} segments, at most {_MOST_SCANS} in {_MOST_SEGMENTS} are "
+            "decoded; save the image again"
+        )
+    if any(kind in _ARITHMETIC for kind in kinds):
         raise ImageError(f"{what} is a JPEG with arithmetic codes or corrupt; save it again")
-    data = data.rstrip(b"\0")  # which an incomplete copy ends with, and which decode to blocks
+    # What follows the image may be a video. An incomplete copy ends with zeros, which decode to blocks.
+    data = data[: markers[-1][1]] if kinds[-1:] == [_IMAGE_END] else data.rstrip(b"\0")
     inks = space in ("CMYK", "YCCK")
     size = {"min_height": -(-height // reduced), "min_width": -(-width // reduced), "min_factor": reduced}
 
-    whole, strict = data, True
+    ended, tidy, strict = kinds[-1:] == [_IMAGE_END], False, True
     while True:
         try:
-            pixels = simplejpeg.decode_jpeg(whole, "CMYK" if inks else "RGB", strict=strict, **size)
+            pixels = simplejpeg.decode_jpeg(data, "CMYK" if inks else "RGB", strict=strict, **size)
         except ValueError as error:
             reason = str(error)
-            if strict and _HARMLESS.search(reason):
+            if not ended and reason.startswith("Premature end"):
+                data, ended = data + _END, True  # some cameras leave it out
+            elif not tidy and _HARMLESS.search(reason):
+                data, tidy = _tidied(data, markers), True
+            elif strict and _HARMLESS.search(reason):
                 strict = False
-            elif len(whole) == len(data) and reason.startswith("Premature end"):
-                whole = data + _END  # some cameras leave it out
             else:
                 raise ImageError(f"{what} is truncated or corrupt ({reason}); send or copy it again") from error
         else:

@@ -249,7 +249,7 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
 
 
 def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
-    """Return one row for each tile, source and network, however many frames of a transaction there are."""
+    """Count the frames of each tile, source and network in one row."""
     touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
     for frame in frames:
         at = frame.stamp_ns

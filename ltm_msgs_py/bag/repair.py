@@ -18,11 +18,21 @@ from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, DataEnd, Footer, McapRecord, Message, MessageIndex, Statistics, SummaryOffset
+from mcap.records import (
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Statistics,
+    SummaryOffset,
+)
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.config_io import parse_yaml
-from ltm_msgs_py.bag.mcap_chunk import RECORD_HEAD, read_chunk, records_of
+from ltm_msgs_py.bag.mcap_chunk import BROKEN, RECORD_HEAD, read_chunk, records_of
 from ltm_msgs_py.bag.mcap_index import MAGIC, McapIndex
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, write_metadata
 
@@ -35,9 +45,7 @@ def finish_cut_file(path: Path) -> None:
     Raises RecordingError if it is not an MCAP file, OSError if the disk fails; the complete chunks always stay."""
     index = McapIndex.open(path)
     with path.open("r+b") as file:
-        file.seek(len(MAGIC))
-        _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
-        end = len(MAGIC) + RECORD_HEAD.size + length  # of the header
+        end = _with_header(file)
         chunks, counts = [], Counter[int]()
         for offset in index.chunk_offsets:
             chunk, messages = _indexed(file, offset)
@@ -50,6 +58,20 @@ def finish_cut_file(path: Path) -> None:
         file.write(_tail(index, chunks, counts, end))
         file.flush()
         os.fsync(file.fileno())
+
+
+def _with_header(file: BinaryIO) -> int:
+    """Return the end of the header, written now if it is incomplete: then the file holds nothing else."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(len(MAGIC))
+    head = file.read(RECORD_HEAD.size)
+    opcode, length = RECORD_HEAD.unpack(head) if len(head) == RECORD_HEAD.size else (0, 0)
+    end: int = len(MAGIC) + RECORD_HEAD.size + length
+    if opcode == Opcode.HEADER and end <= size:
+        return end
+    file.truncate(len(MAGIC))
+    file.seek(len(MAGIC))
+    return len(MAGIC) + file.write(_built([Header(library="ltm", profile="ros2")]))
 
 
 def _indexed(file: BinaryIO, offset: int) -> tuple[ChunkIndex, Counter[int]]:
@@ -119,16 +141,19 @@ def _built(records: Iterable[McapRecord]) -> bytes:
 
 
 def repair_bag(folder: Path, files: Sequence[Path]) -> None:
-    """Repair the truncated files of a bag, among `files`, and write its metadata.yaml.
+    """Repair the truncated files of a bag, among `files`, remove empty ones, and write its metadata.yaml.
 
-    Raises RecordingError if a file is not an MCAP file or the disk fails."""
+    Raises RecordingError if a file is not an MCAP file, is too damaged, or the disk fails."""
     try:
+        for file in (empty := [file for file in files if not file.stat().st_size]):
+            file.unlink()
+        files = [file for file in files if file not in empty]
         for file in files:
             if damage := McapIndex.open(file).damage:
                 _log.warning("repairing: %s", "; ".join(damage))
                 finish_cut_file(file)
         rewrite_metadata(folder, files)
-    except OSError as error:
+    except BROKEN as error:
         raise RecordingError(f"cannot repair the bag {folder}: {error}") from error
 
 

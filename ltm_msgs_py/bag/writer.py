@@ -15,14 +15,7 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_folder, is_there, require_folder
 from ltm_msgs_py.bag.mcap_file import McapFile
 from ltm_msgs_py.bag.mcap_index import LATEST_NS
-from ltm_msgs_py.bag.metadata import (
-    FileRecord,
-    TopicRecord,
-    bag_information,
-    qos_profile,
-    to_yaml,
-    write_metadata,
-)
+from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, to_yaml, write_metadata
 from ltm_msgs_py.bag.schemas import schema_text, type_hash, type_name_of
 
 Compression = Literal["zstd"] | None

@@ -75,11 +75,7 @@ class Task:
 
 
 def plan(
-    frames: Sequence[ArchiveFrame],
-    site: Site,
-    settings: TaskSettings,
-    frames_per_task: int,
-    burns: Sequence[Burn] = (),
+    frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int, burns: Sequence[Burn] = ()
 ) -> list[Task]:
     """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
     of_site = {

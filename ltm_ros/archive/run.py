@@ -92,6 +92,8 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     # Before a scan of hours, because a file of burns may be invalid.
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
+    for name in cameras:
+        site.camera(name)
     results = options.out.expanduser().resolve()
     found = recordings(options.archives)
     scans, unread = [], []

@@ -18,8 +18,7 @@ assess.command()(learn)
 @assess.command()
 def plan(
     map_: Annotated[
-        Path,
-        typer.Argument(metavar="MAP", help="Fuel map store (.ltm), folder with one, bag, or GeoTIFF of classes."),
+        Path, typer.Argument(metavar="MAP", help="Fuel map store (.ltm), folder with one, bag, or GeoTIFF of classes.")
     ],
     site: Annotated[Path, typer.Option(help="Site file.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the plan.")],

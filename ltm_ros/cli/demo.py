@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+MARK = ".ltm-demo"
+"""File in the folder of a demo, which the next one may delete."""
+
+
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
@@ -31,12 +35,14 @@ def demo(
 
 
 def clear_demo(out: Path) -> None:
-    """Remove the results of an earlier demo from a folder. Raises ConfigError if it contains anything else."""
+    """Make the folder of a demo; remove the results of an earlier one. Raises ConfigError if it has other files."""
     require_folder(out)
     if out.exists() and any(out.iterdir()):
-        if not any((out / made).exists() for made in ("report.html", "log")):
-            raise ConfigError(f"{out} contains files that are not from an earlier demo; give another folder with --out")
+        if not (out / MARK).exists():
+            raise ConfigError(f"{out} is not the folder of an earlier demo; give another with --out, or delete it")
         shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / MARK).touch()
 
 
 def _simulated(out: Path, domain: int, console: Console) -> None:

@@ -206,8 +206,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
 
 def fire(
     landscape: Annotated[
-        Path,
-        typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands)."),
+        Path, typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands).")
     ],
     ignition: Annotated[str, typer.Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
     wind: Annotated[str, typer.Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],

@@ -44,8 +44,7 @@ def locate(
     ] = None,
     lonlat: Annotated[str | None, typer.Option(help="Like --place, in degrees: lon,lat.")] = None,
     photo: Annotated[
-        str | None,
-        typer.Option(metavar="[CAMERA=]FILE", help="Image of the camera to draw places over; needs --out."),
+        str | None, typer.Option(metavar="[CAMERA=]FILE", help="Image of the camera to draw places over; needs --out.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for image, JSON, GeoJSON and the posterior.")] = None,

@@ -54,8 +54,7 @@ def mask(
     ] = "*",
     keep: Annotated[str, typer.Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
     drawn: Annotated[
-        Path | None,
-        typer.Option(help="polygons.json of `ltm label`; its areas of class masked are proposed, too."),
+        Path | None, typer.Option(help="polygons.json of `ltm label`; its areas of class masked are proposed, too.")
     ] = None,
     view: Annotated[str, typer.Option(help="PTZ camera: name of the view of these images (with --looking).")] = "",
     looking: Annotated[

@@ -82,14 +82,7 @@ def models(
 
 
 def _add(
-    console: Console,
-    given: str,
-    fetch: bool,
-    name: str,
-    options: list[str],
-    like: str,
-    images: Path | None,
-    out: Path,
+    console: Console, given: str, fetch: bool, name: str, options: list[str], like: str, images: Path | None, out: Path
 ) -> None:
     """Determine the manifest of a network, run the network on photos, and then copy it."""
     from rich.progress import Progress
@@ -193,11 +186,7 @@ def _list_recipes(console: Console) -> None:
 
 
 def _check(
-    console: Console,
-    manifest: NetworkManifest,
-    images: Path | None,
-    out: Path,
-    classes: str | None = None,
+    console: Console, manifest: NetworkManifest, images: Path | None, out: Path, classes: str | None = None
 ) -> None:
     """Print the model's input, output and running time; write images.
 
@@ -217,11 +206,7 @@ def _check(
 
 
 def _check_labels(
-    console: Console,
-    manifest: NetworkManifest,
-    photos: list[tuple[Path, UInt8Array]],
-    out: Path,
-    classes: str | None,
+    console: Console, manifest: NetworkManifest, photos: list[tuple[Path, UInt8Array]], out: Path, classes: str | None
 ) -> None:
     from ltm_core.vision.prompts import labels_of_prompts, prompted
     from ltm_core.vision.segmenter import Segmenter

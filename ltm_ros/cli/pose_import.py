@@ -54,6 +54,7 @@ def import_poses(
 
     from ltm_core.base.errors import ConfigError, PoseError
     from ltm_core.cameras.foreign_camera import alternatives
+    from ltm_core.cameras.plausibility import doubt_of_height
     from ltm_core.geometry.geodesy import SiteFrame, ray_bend
     from ltm_core.storage.disk_io import require_files
     from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses
@@ -93,7 +94,9 @@ def import_poses(
         console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
     elif how.fits is not None and how.fits < _LEAST_FIT:
         console.print("[yellow]No axes and units fit the photos. Check position, focal length, distortion and the DEM.")
-    rejected = 0
+    elif how.fits is None:
+        console.print("[yellow]Axes and units were not tested. To test them, give --dem and --photos.")
+    rejected, doubts = 0, []
     for pose, name in zip(poses, names, strict=True):
         chosen = alternatives(pose)[how.how]
         placed = placement.placed(chosen)
@@ -101,9 +104,15 @@ def import_poses(
             rejected += 1
             console.print(f"[yellow]{escape(pose.name)}: rejected: {escape(placed.problem)}", highlight=False)
             continue
+        x, y, z = placed.pose.position
+        if local is not None and (doubt := doubt_of_height(z, float(local.elevation_at(x, y)))) is not None:
+            doubts.append(f"{pose.name}: {doubt}")
         _write(out / name, placed.pose, placed.camera, frame, f"From {file.name} ({tool}), {how.how}.")
         if picture is not None and pose.name in seen:
             _draw(picture / Path(name).with_suffix(".png"), seen[pose.name][0], chosen, placement, how.how)
+    if doubts:
+        more = f" (and {len(doubts) - 1} more photos)" if len(doubts) > 1 else ""
+        console.print(f"[yellow]{escape(doubts[0] + more)}", highlight=False)
     console.print(f"  {out}: {len(poses) - rejected} pose files", highlight=False)
     if rejected == len(poses):
         raise PoseError(f"{file}: none of {len(poses)} poses is possible on this terrain; check --crs, axes and units")
@@ -115,7 +124,6 @@ def _file_name(name: str) -> str:
 
 def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
     """Return width and height as stated, or of the first photo; None if there is neither."""
-
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.image_io import read_rgb
 
@@ -134,7 +142,6 @@ def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
 
 def _camera(focal: str, size: tuple[int, int]) -> Camera:
     """Return the camera of --focal."""
-
     from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.camera import Camera
 

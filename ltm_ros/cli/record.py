@@ -76,8 +76,7 @@ def replay(
     ] = False,
     rate: Annotated[float, typer.Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
     longest_pause: Annotated[
-        float,
-        typer.Option(help="Live: skip recorded pauses longer than this, in seconds. inf: never."),
+        float, typer.Option(help="Live: skip recorded pauses longer than this, in seconds. inf: never.")
     ] = LONGEST_PAUSE,
     loop: Annotated[bool, typer.Option("--loop", help="Live: repeat until Ctrl-C.")] = False,
     start: Annotated[float, typer.Option(min=0, help="Start, in seconds into the recording.")] = 0.0,
@@ -156,11 +155,7 @@ def _names(remap: list[str]) -> dict[str, str]:
 
 def import_(
     images: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="PHOTOS...",
-            help="Photo, folder, or Sensor Logger recording.",
-        ),
+        list[Path], typer.Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
     poses: Annotated[
@@ -177,8 +172,7 @@ def import_(
     ] = None,
     height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
-        float | None,
-        typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's."),
+        float | None, typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's.")
     ] = None,
     geoid_undulation_m: Annotated[
         float | None,
@@ -192,8 +186,7 @@ def import_(
         str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
     ] = None,
     refine: Annotated[
-        bool,
-        typer.Option("--refine", help="Find the pose of each photo by the terrain's skyline; needs --site."),
+        bool, typer.Option("--refine", help="Find the pose of each photo by the terrain's skyline; needs --site.")
     ] = False,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Skip photos that cannot be imported.")] = False,
 ) -> None:

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 def reprocess(
-    archives: Annotated[
-        list[Path],
-        typer.Argument(help="Bags, .mcap files, and folders with bags."),
-    ],
+    archives: Annotated[list[Path], typer.Argument(help="Bags, .mcap files, and folders with bags.")],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results.")],
     workers: Annotated[int, typer.Option(min=0, help="Number of worker processes; 0: this one.")] = 2,
@@ -79,7 +76,7 @@ def _print_dry_run(console: Console, planned: Plan) -> None:
         rows.append((camera, str(len(frames)), str(len(days)), str(without), f"{size:.3g}"))
     print_table(console, title, ("camera", ">frames", ">days", ">days without", ">GB in"), rows)
     manifest = planned.manifest
-    console.print(f"{len(manifest.frames)} frames found, {manifest.repeated} of them duplicates", highlight=False)
+    console.print(f"{len(manifest.frames)} frames found; {manifest.repeated} duplicates ignored", highlight=False)
     failures = (*manifest.unread, *manifest.failures)
     lost = [(one.place, one.cause, str(one.count), escape(one.why)) for one in failures]
     told = "; ".join(one.why for one in failures)

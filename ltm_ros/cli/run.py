@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     from ltm_ros.launching.graph import ParameterValue
 
 
-def region(
-    config: Annotated[Path, typer.Argument(help="Region file (YAML).")],
-) -> None:
+def region(config: Annotated[Path, typer.Argument(help="Region file (YAML).")]) -> None:
     """Run the fuel map of a region: merge its towers' votes (MQTT), write GeoTIFFs. Ctrl-C or SIGTERM ends it."""
     from ltm_ros.runtime.ros_environment import thread_limits
 

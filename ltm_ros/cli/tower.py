@@ -184,8 +184,7 @@ def upgrade(
 def rollback(
     to: Annotated[str, typer.Option(help="Version to return to. Default: the previous one.")] = "",
     unconfirmed: Annotated[
-        bool,
-        typer.Option("--unconfirmed", help="Only if an upgrade was interrupted; the service's start uses it."),
+        bool, typer.Option("--unconfirmed", help="Only if an upgrade was interrupted; the service's start uses it.")
     ] = False,
     ready_minutes: Annotated[float, typer.Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:

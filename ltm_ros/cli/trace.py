@@ -108,8 +108,7 @@ def viewshed(
         list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
     ] = None,
     resolution: Annotated[
-        float | None,
-        typer.Option(help="Cell size in metres. Default: the DEM's, coarser beyond 16 million cells."),
+        float | None, typer.Option(help="Cell size in metres. Default: the DEM's, coarser beyond 16 million cells.")
     ] = None,
     target_height: Annotated[float, typer.Option(help="Height of the target above the ground in metres.")] = 0.0,
     max_range: Annotated[float | None, typer.Option(help="Maximum viewing distance in metres.")] = None,

@@ -17,22 +17,8 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.networks import with_live_record
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.outcome import (
-    camera_pictures,
-    fuel_sheets,
-    headings,
-    map_picture,
-    range_scale,
-    write_pictures,
-)
-from ltm_ros.demo.report import (
-    ReportData,
-    conditions,
-    depth_table,
-    fuel_maps_table,
-    recording_facts,
-    write_report,
-)
+from ltm_ros.demo.outcome import camera_pictures, fuel_sheets, headings, map_picture, range_scale, write_pictures
+from ltm_ros.demo.report import ReportData, conditions, depth_table, fuel_maps_table, recording_facts, write_report
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
 from ltm_ros.fuel_map.layers import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
@@ -57,11 +43,7 @@ class DemoResult:
 
 
 def run_demo(
-    bags: Path,
-    out: Path,
-    domain_id: int | None,
-    progress: Callable[[int, int], None],
-    console: Callable[[str], None],
+    bags: Path, out: Path, domain_id: int | None, progress: Callable[[int, int], None], console: Callable[[str], None]
 ) -> DemoResult:
     """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 

@@ -83,11 +83,7 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
 
 
 def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(
-        origin="/fuel_map",
-        name="Fuel map, north up",
-        visual_bounds=_bounds(window),
-    )
+    return rrb.Spatial2DView(origin="/fuel_map", name="Fuel map, north up", visual_bounds=_bounds(window))
 
 
 def _bounds(window: MapWindow) -> rrb.VisualBounds2D:

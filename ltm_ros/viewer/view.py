@@ -103,12 +103,7 @@ class RerunView:
             self._recording.log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
 
     def log_fusion(
-        self,
-        camera: str,
-        stamp_ns: int,
-        fused: Float32Array,
-        traced: Float32Array,
-        network: Float32Array | None = None,
+        self, camera: str, stamp_ns: int, fused: Float32Array, traced: Float32Array, network: Float32Array | None = None
     ) -> None:
         """Log fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
         another size. Raises ImageError if fused and traced differ in size."""

@@ -49,10 +49,8 @@ FOREIGN = {
     "--break-system-packages",
     "--system-site-packages",
     "--strict",
-    "--tls-ca-file",
-    "--nthreads",
 }
-"""Options of pip, colcon, venv, MkDocs and Dask that the pages name by themselves."""
+"""Options of pip, colcon, venv and MkDocs that the pages name by themselves."""
 ROOTS = (
     "ltm_core",
     "ltm_msgs_py",
@@ -172,6 +170,13 @@ def ids(page: Path) -> str:
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_commands_and_options_exist(page: Path) -> None:
     assert [fault for line in command_lines(page) for fault in faults(line)] == []
+
+
+def test_the_jobs_of_same_results_are_commands() -> None:
+    jobs = yaml.safe_load((REPOSITORY / "tools/same_results_jobs/jobs.yaml").read_text(encoding="utf-8"))
+    lines = [line for job in jobs for line in job["commands"] if line.startswith(PROGRAMS)]
+    assert lines
+    assert [fault for line in lines for fault in faults(line)] == []
 
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)

@@ -269,7 +269,7 @@ def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
 
 
 def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
-    """Without the columns where it may be the border of what is hidden (H, W)."""
+    """Return the skyline without the columns where it may be the border of a hidden area (H, W)."""
     reach = max(4, round(_BORDER * shut.shape[1]))
     tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
     v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)

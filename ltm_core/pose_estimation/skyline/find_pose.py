@@ -191,8 +191,7 @@ def _decided(
 
 
 def _settled(found: _JudgedPose, problem: PoseProblem, terrain: SearchTerrain) -> _JudgedPose:
-    """Return an open view's pose settled on its ridges alone, whose errors are correlated by what grows there; as it
-    was where ridges leave it open."""
+    """Return the pose of an open view settled on its ridges alone; `found` if they do not determine the azimuth."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
@@ -226,8 +225,8 @@ def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig)
 
 
 def _on_skyline(hypotheses: list[Hypothesis], problem: PoseProblem) -> list[Hypothesis]:
-    """Return the same, the first one with how the photo's skyline lies there: a mean lies where none of those fits that
-    it is of, and ridges are sought without a skyline."""
+    """Return the hypotheses, the first one with the fit of the skyline at its pose: a mean of poses has no fit of its
+    own, and the search by ridges does not use the skyline."""
     if not hypotheses:
         return hypotheses
     best, *others = hypotheses

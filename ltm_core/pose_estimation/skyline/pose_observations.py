@@ -46,8 +46,8 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class SkylineObservations(Observations):
-    """Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its
-    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so."""
+    """Shares of the skyline's columns. `veiled`: a nearer crest is so close below the horizon that its trees may hide
+    it. `open`: land beyond the DEM may rise above the horizon. `free`: it is assumed to do so."""
 
     veiled: float
     open: float
@@ -56,8 +56,8 @@ class SkylineObservations(Observations):
 
 @dataclass(frozen=True, eq=False)
 class RidgeObservations(Observations):
-    """`shared` (N,): px, the part of sigma that neighbouring places share, what grows there; `ground` (N, 2): where,
-    metres of the map from the place that ridges were predicted from."""
+    """`shared` (N,): the part of sigma that neighbouring places share (vegetation), px. `ground` (N, 2): map metres
+    from the place that ridges were predicted from."""
 
     shared: Float64Array
     ground: Float64Array

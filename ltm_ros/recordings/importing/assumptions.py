@@ -25,6 +25,8 @@ _CONTRADICTION = timedelta(minutes=10)
 """Maximum difference between the camera's clock and its GPS stamp, which may be some minutes old."""
 _ZONES_APART = timedelta(minutes=15)
 """Time zones differ by multiples of this."""
+_FIRST_EXIF_YEAR = 1995
+"""Year of the first version of EXIF; cameras whose clock was never set state 1970 or 1980."""
 
 
 def time_zone(name: str) -> ZoneInfo:
@@ -51,6 +53,8 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
     clock, gps = photo.exif.taken, photo.exif.gps_time
     if photo.exif.changed and clock is not None:
         notes.append(f"EXIF has no date of the exposure: the date of the last change is used, {clock}")
+    if clock is not None and clock.year < _FIRST_EXIF_YEAR:
+        notes.append(f"EXIF date {clock}: the camera's clock was probably not set; give a `stamp` in a pose file")
     if clock is None:
         if gps is None:
             raise RecordingError(f"{photo.path} has no date: give it a `stamp` (ISO 8601) in the pose file")
@@ -132,12 +136,12 @@ class Surroundings:
     cameras: Mapping[str, CameraConfig] = field(default_factory=dict)
     pose_error: PoseErrorConfig = field(default_factory=PoseErrorConfig)
 
-    def covers(self, lon: float, lat: float) -> bool:
-        """Return whether a position is inside the DEM's outline; True without a DEM."""
+    def covers(self, x: float, y: float) -> bool:
+        """Return whether a map point is inside the DEM's outline; True without a DEM."""
         if self.dem is None:
             return True
         covered = self.dem.levels[-1].geometry
-        row, col = covered.to_grid(*self.frame.from_lonlat(lon, lat))
+        row, col = covered.to_grid(x, y)
         return bool(covered.contains(row + 0.5, col + 0.5))
 
 

@@ -14,13 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.cameras.foreign_camera import (
-    UNITS,
-    UPWARD,
-    ForeignPose,
-    closest_camera,
-    omega_phi_kappa,
-)
+from ltm_core.cameras.foreign_camera import UNITS, UPWARD, ForeignPose, closest_camera, omega_phi_kappa
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.storage.config_io import read_text
@@ -35,10 +29,7 @@ from ltm_ros.recordings.importing.reconstructed_poses import (
 
 
 def read_foreign_poses(
-    path: Path,
-    size: tuple[int, int] | None = None,
-    camera: Camera | None = None,
-    transform: Similarity | None = None,
+    path: Path, size: tuple[int, int] | None = None, camera: Camera | None = None, transform: Similarity | None = None
 ) -> tuple[str, list[ForeignPose]]:
     """Return the tool whose file this is, by its content, and its poses.
 

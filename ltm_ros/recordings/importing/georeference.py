@@ -111,10 +111,15 @@ def _position(
     photo: Photo, known: PartialPose, site: Surroundings, assumed: Assumptions, found: dict[str, float]
 ) -> tuple[float, float]:
     frame = site.frame
-    stated = known.xy(frame)
+    sensed, stated = photo.sensed, known.xy(frame)
     if stated is not None:
+        if not site.covers(*stated):
+            east, north = stated[0] + frame.x_origin, stated[1] + frame.y_origin
+            raise PoseError(
+                f"{photo.path}: the stated position ({east:.1f}, {north:.1f}) in {frame.crs} is outside the DEM: "
+                "check the order of its coordinates and its CRS"
+            )
         return stated
-    sensed = photo.sensed
     lon, lat = sensed.lon, sensed.lat
     if lon is None or lat is None:
         why = f": {sensed.missing}" if sensed.missing else ""
@@ -125,7 +130,7 @@ def _position(
     x, y = frame.from_lonlat(lon, lat)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise PoseError(f"{photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
-    if not site.covers(lon, lat):
+    if not site.covers(float(x), float(y)):
         raise PoseError(
             f"{photo.path}: position lon {lon:.6f}, lat {lat:.6f} in {sensed.source} is outside the DEM: give another "
             "--site, or the right position in a pose file (--poses)"

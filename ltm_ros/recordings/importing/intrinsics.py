@@ -57,11 +57,7 @@ class LensFacts:
 
 
 def intrinsics(
-    lens: LensFacts,
-    width: int,
-    height: int,
-    what: str,
-    focal_35mm: float | None = None,
+    lens: LensFacts, width: int, height: int, what: str, focal_35mm: float | None = None
 ) -> PartialCalibration:
     """Return the calibration of the upright image `what` of `width` x `height` pixels.
 

@@ -15,15 +15,16 @@ from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
-from ltm_ros.recordings.importing.sensor_logger import (
-    camera_frames,
-    is_sensor_logger,
-    read_sensor_logger,
-)
+from ltm_ros.recordings.importing.sensor_logger import camera_frames, is_sensor_logger, read_sensor_logger
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-_VIDEOS = (".mp4", ".mov", ".m4v")
+_NO_PHOTO = {
+    ".icloud": "only in iCloud; download the original",
+    **dict.fromkeys((".mp4", ".mov", ".m4v"), "video; make photos of its frames, such as with ffmpeg"),
+    **dict.fromkeys(_RAW, "raw photo; export it as JPEG"),
+}
+"""Why a file with this suffix is not imported."""
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """Orientation of a phone by the EXIF orientation of its back camera: its sensor's rows are along the screen's side."""
 
@@ -104,6 +105,8 @@ def _found_in(path: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFile]
                 f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
                 "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
             )
+    elif (why := _NO_PHOTO.get(path.suffix.lower())) is not None:
+        raise RecordingError(f"{path}: {why}")
     else:
         yield _photo_file(path)
 
@@ -117,22 +120,16 @@ def _in_folder(folder: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFi
         return
     for path in paths:
         suffix = path.suffix.lower()
-        if suffix == ".icloud":
-            yield SkippedFile(path, "only in iCloud; download the original")
-        elif path.name.startswith(".") or (path.is_dir() and path.is_symlink()):
+        if (path.name.startswith(".") and suffix != ".icloud") or (path.is_dir() and path.is_symlink()):
             continue
         elif path.is_dir():
             yield from _found_in(path)
         elif suffix in SUFFIXES and path.is_file():
             yield _photo_file(path)
-        elif suffix in _VIDEOS:
-            yield SkippedFile(path, "video; make photos of its frames, such as with ffmpeg")
         elif suffix in (".tif", ".tiff"):
             yield SkippedFile(path, "TIFF, perhaps a map; give the file itself to import it")
-        elif suffix in _RAW:
-            yield SkippedFile(path, "raw photo; export it as JPEG")
         else:
-            yield SkippedFile(path, "not a supported photo")
+            yield SkippedFile(path, _NO_PHOTO.get(suffix, "not a supported photo"))
 
 
 def _photo_file(path: Path) -> ImportedImage:
@@ -148,9 +145,7 @@ def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]
     def picture(member: str, stamp_ns: int) -> ImportedImage:
         path = files.path / Path(member).name
         return ImportedImage(
-            path.name,
-            path,
-            lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns),
+            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]

@@ -85,6 +85,11 @@ class Placement:
             return f"it looks {pitch:.0f} deg up, only at the sky" if pitch - down > 45 else None
         x, y, z = (float(v) for v in pose.position)
         ground = float(self.dem.elevation_at(x, y))
+        if math.isnan(ground):
+            x, y = x + self.frame.x_origin, y + self.frame.y_origin
+            return (
+                f"the camera at ({x:.0f}, {y:.0f}) is outside the DEM; check the order of its coordinates and its CRS"
+            )
         if z <= ground:
             return doubt_of_height(z, ground) or f"the camera is {ground - z:.1f} m below the ground"
         if pitch - down > 0:

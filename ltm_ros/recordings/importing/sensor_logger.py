@@ -85,7 +85,6 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
         _fixes(location, place),
         None if orientation is None else _attitudes(orientation, _first(metadata, "platform").lower(), place),
         None if barometer is None else _climb(barometer, place),
-        on_foot=True,
     )
 
 
@@ -111,15 +110,7 @@ def _fixes(location: Table, place: str) -> Fixes:
     altitude = sea if known else ellipsoid
     if "verticalAccuracy" in location:
         altitude = np.where(np.isfinite(vertical), altitude, np.nan)
-    return Fixes(
-        stamps[order],
-        lon[order],
-        lat[order],
-        altitude[order],
-        accuracy[order],
-        vertical[order],
-        not known,
-    )
+    return Fixes(stamps[order], lon[order], lat[order], altitude[order], accuracy[order], vertical[order], not known)
 
 
 def _attitudes(orientation: Table, platform: str, place: str) -> Attitudes | None:

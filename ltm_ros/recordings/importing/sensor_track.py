@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -118,14 +119,12 @@ class Climb:
 
 @dataclass(frozen=True, eq=False)
 class SensorTrack:
-    """`on_foot`: carried at eye height, so that the ground along its track gives the start height."""
+    """Record of a phone that was carried at eye height, so that the ground along its track gives the start height."""
 
     source: str
     fixes: Fixes | None = None
     attitudes: Attitudes | None = None
     climb: Climb | None = None
-    on_foot: bool = False
-    _walk: list[Walk | None] = field(default_factory=list)
 
     def at(self, stamp_ns: int, device_from_optical: Float64Array) -> Sensed:
         """Return the track's values for a photo: `device_from_optical` (3, 3) is how its camera is mounted."""
@@ -138,7 +137,7 @@ class SensorTrack:
         facts |= self._angles(stamp_ns, device_from_optical)
         climb = self._climbed(stamp_ns)
         if climb is not None:
-            facts |= {"climb": climb, "walk": self._walked()}
+            facts |= {"climb": climb, "walk": self._walk}
         return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
@@ -187,11 +186,7 @@ class SensorTrack:
         azimuth, pitch, roll = optical_angles_deg(rotation.as_matrix() @ device_from_optical)
         facts: dict[str, object] = {"pitch_deg": pitch, "roll_deg": roll, "tilt_sigma_deg": told.tilt_sigma_deg}
         if told.north is not None:
-            facts |= {
-                "azimuth_deg": azimuth,
-                "azimuth_ref": told.north,
-                "azimuth_sigma_deg": told.heading_sigma_deg,
-            }
+            facts |= {"azimuth_deg": azimuth, "azimuth_ref": told.north, "azimuth_sigma_deg": told.heading_sigma_deg}
         return facts
 
     def _climbed(self, stamp_ns: int) -> float | None:
@@ -200,15 +195,14 @@ class SensorTrack:
         _, gap = _nearest(self.climb.stamp_ns, stamp_ns)
         return _at(self.climb.stamp_ns, self.climb.metres, stamp_ns) if gap <= _FIX_GAP_NS else None
 
-    def _walked(self) -> Walk | None:
+    @cached_property
+    def _walk(self) -> Walk | None:
         fixes, climb = self.fixes, self.climb
-        if not self.on_foot or fixes is None or climb is None:
+        if fixes is None or climb is None:
             return None
-        if not self._walk:
-            inside = (fixes.stamp_ns >= climb.stamp_ns[0]) & (fixes.stamp_ns <= climb.stamp_ns[-1])
-            heights = np.interp(fixes.stamp_ns[inside], climb.stamp_ns, climb.metres)
-            self._walk.append(Walk(fixes.lon[inside], fixes.lat[inside], heights) if inside.any() else None)
-        return self._walk[0]
+        inside = (fixes.stamp_ns >= climb.stamp_ns[0]) & (fixes.stamp_ns <= climb.stamp_ns[-1])
+        heights = np.interp(fixes.stamp_ns[inside], climb.stamp_ns, climb.metres)
+        return Walk(fixes.lon[inside], fixes.lat[inside], heights) if inside.any() else None
 
 
 def time_of(stamp_ns: int) -> datetime:

@@ -245,10 +245,7 @@ class _Outlet:
 
 
 def replay_offline(
-    selection: Selection,
-    graph: Graph,
-    record: Path | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    selection: Selection, graph: Graph, record: Path | None = None, progress: Callable[[int], None] = lambda done: None
 ) -> dict[str, dict[str, str]]:
     """Run a recording through a graph; return each node's health summary by its full name.
 

@@ -210,5 +210,5 @@ def test_a_jpeg_of_many_scans_is_not_decoded() -> None:
     """Each scan is a walk over all pixels: a few kilobytes of them took minutes."""
     jpeg = encode_rgb(np.zeros((16, 24, 3), np.uint8), "jpeg")
     scan = b"\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\x00"
-    with pytest.raises(ImageError, match=r"has \d+ scans, at most 200 are decoded"):
+    with pytest.raises(ImageError, match=r"has \d+ scans"):
         decode_rgb(jpeg[:-2] + scan * 300 + jpeg[-2:])

@@ -77,6 +77,35 @@ def test_a_jpeg_whose_data_end_early_is_rejected(kind: str, kept: float, end: by
     rejected(cut(encoded(**JPEGS[kind]), kept) + end)
 
 
+def wrong_scan_parameters(data: bytes) -> bytes:
+    """Return a baseline JPEG whose scan states no coefficients, as some cameras write it."""
+    end = data.index(b"\xff\xda") + 14
+    return data[: end - 2] + b"\0" + data[end - 1 :]
+
+
+def later_version(data: bytes) -> bytes:
+    at = data.index(b"JFIF\0") + 5
+    return data[:at] + b"\2" + data[at + 1 :]
+
+
+ODD = [wrong_scan_parameters, later_version, lambda data: data[:20] + bytes(7) + data[20:]]
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("end", [b"", END])
+def test_a_harmless_oddity_does_not_hide_missing_data(odd: Callable[[bytes], bytes], end: bytes) -> None:
+    """Libjpeg reports the first warning only."""
+    whole = encoded()
+    np.testing.assert_array_equal(decode_rgb(odd(whole)), decode_rgb(whole))
+    rejected(cut(odd(whole), 0.6) + end)
+
+
+def test_data_that_come_twice_are_rejected() -> None:
+    whole = encoded()
+    middle = len(whole) // 2
+    rejected(whole[:middle] + whole[middle - 3000 :])
+
+
 @pytest.mark.parametrize("reduced", [2, 4, 8])
 def test_a_reduced_image_is_checked_too(reduced: int) -> None:
     data = encoded()
@@ -94,9 +123,10 @@ def test_a_reduced_image_is_checked_too(reduced: int) -> None:
         lambda data: data[:-2] + b"extraneous" + END,
         lambda data: data + encoded(quality=20),
         lambda data: data + b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 9 + END,
+        lambda data: data + b"\0\0\0\x18ftypmp42" + b"\xff\xda\xff\xc9" * 300,
         lambda data: data[:2] + b"\xff\xe1\x00\x06\xff\xd9\xff\xda" + data[2:],
     ],
-    ids=["garbage", "zeros", "no end", "fill", "extra", "second image", "video", "markers inside a segment"],
+    ids=["garbage", "zeros", "no end", "fill", "extra", "second image", "video", "large video", "markers in a segment"],
 )
 @pytest.mark.parametrize("kind", ["4:2:0", "many restarts", "progressive", "inks"])
 def test_a_complete_jpeg_is_accepted(kind: str, change: Callable[[bytes], bytes]) -> None:

@@ -207,6 +207,19 @@ def test_a_repair_keeps_the_chunks_after_a_corrupt_one(tmp_path: Path, compressi
     assert [m.log_time_ns for m in BagReader(tmp_path, allow_damaged=False).messages()] == [0, 1, 2, 3, 5, 6, 7, 8]
 
 
+@pytest.mark.parametrize("kept", [0, 8, 9, 20])
+def test_a_file_cut_in_its_header_keeps_the_bag(tmp_path: Path, kept: int) -> None:
+    """After a power cut, the newest file may end anywhere, or hold zeros."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/a", String(data="one"), 1)
+    (first,) = (tmp_path / "bag").glob("*.mcap")
+    for number, end in enumerate((b"", bytes(30) if kept else b"")):
+        (tmp_path / f"bag/x{number}.mcap").write_bytes(first.read_bytes()[:kept] + end)
+    (tmp_path / "bag/metadata.yaml").unlink()
+    repair_bag(tmp_path / "bag", sorted((tmp_path / "bag").glob("*.mcap")))
+    assert [m.log_time_ns for m in BagReader(tmp_path / "bag", allow_damaged=False).messages()] == [1]
+
+
 def test_a_bag_is_replaced_on_request_but_nothing_beside_it(tmp_path: Path) -> None:
     for name in ("alone", "notes", "folder"):
         with BagWriter(tmp_path / name) as writer:

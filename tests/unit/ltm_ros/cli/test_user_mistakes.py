@@ -114,6 +114,13 @@ def nothing(folder: Path) -> None:
     (folder / "file").touch()
 
 
+def workspace(folder: Path) -> None:
+    """A folder that colcon has built in: it has `log`, as a demo's has."""
+    for name in ("log", "src"):
+        (folder / "work" / name).mkdir(parents=True)
+        (folder / "work" / name / "file").touch()
+
+
 @dataclass(frozen=True)
 class Mistake:
     name: str
@@ -140,6 +147,7 @@ MISTAKES = [
     Mistake("two revisions of the fuel codes", fuels(fbfm40b=102, fbfm40r5=102), CHECK, ("fbfm40b.tif, fbfm40r5.tif",)),
     Mistake("a wrong CRS in a pose file", pose_file(crs="EPSG:26910"), TRACE, ("EPSG:26910",)),
     Mistake("a photo that EXIF turns", portrait, TRACE, ("144 x 256",), options=("--image", "photos/a.jpg")),
+    Mistake("a demo in a folder of other files", workspace, "demo --out work", ("work", "--out")),
     Mistake("a former result", former_result, TRACE, ("depth.tif", "--overwrite")),
     *(
         Mistake(f"no place to write, {command.split()[0]}", nothing, command, ("file", "not a folder"))

@@ -17,13 +17,17 @@ import pytest
 from pyproj import Transformer
 from scenes.rasters import rough_terrain
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.foreign_camera import UPWARD, ForeignPose, closest_camera, omega_phi_kappa
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_ros.cli.main import cli
 from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
 from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
 from ltm_ros.recordings.importing.reconstructed_poses import read_transform
@@ -258,6 +262,22 @@ def test_readings_of_wrong_axes_are_found(tmp_path: Path) -> None:
     flipped = good.with_rotation(good.rotation @ UPWARD)
     with pytest.raises(PoseError, match="y up, z backward"):
         chosen_reading(readings([flipped], placement, {}))
+    swapped = ForeignPose("a", "a", np.array([y, x, ground + 20.0]), TRUE.rotation, LENS)
+    with pytest.raises(PoseError, match="outside the DEM"):
+        chosen_reading(readings([swapped], placement, {}))
     below = ForeignPose("a", "a", np.array([x, y, ground - 5.0]), TRUE.rotation, LENS)
     with pytest.raises(PoseError, match=r"5\.0 m|below|under"):
         chosen_reading(readings([below], placement, {}))
+
+
+@pytest.mark.parametrize(("metres", "said"), [(20.0, "not tested"), (2000.0, "1990 m above the ground")])
+def test_heights_that_no_photo_tests_are_doubted(tmp_path: Path, metres: float, said: str) -> None:
+    dem = Dem(np.full((20, 20), 10.0, np.float32), GridGeometry(419_000.0, 6_718_600.0, 30.0, 20, 20, FRAME.crs))
+    dem.save(tmp_path / "dem.tif")
+    (tmp_path / "poses.txt").write_text(f"IMG_1.jpg 419300 6718300 {metres} 90 0 0\n")
+    options = ["--focal", "1500px", "--size", "1600x1200", "--dem", str(tmp_path / "dem.tif")]
+    result = CliRunner().invoke(
+        cli, ["pose", "import", str(tmp_path / "poses.txt"), "--out", str(tmp_path / "out"), *options]
+    )
+    assert said in " ".join(result.output.split())
+    assert (tmp_path / "out/IMG_1.yaml").exists()

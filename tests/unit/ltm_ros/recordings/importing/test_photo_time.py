@@ -44,6 +44,9 @@ def test_without_a_zone_the_gps_stamp_counts() -> None:
     gps = datetime(2024, 7, 5, 1, 30, 17, tzinfo=UTC)
     assert when(SUMMER, gps) == (gps, [])
     assert when(None, gps) == (gps, [])
+    unset, (note,) = when(datetime(1980, 1, 1, tzinfo=UTC))
+    assert unset.year == 1980
+    assert "stamp" in note
     taken, (note,) = when(SUMMER)
     assert taken == SUMMER.replace(tzinfo=UTC)
     assert "--time-zone" in note

@@ -175,7 +175,7 @@ def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, sit
     (folder / "notes.txt").write_text("not a photo")
     (tmp_path / "poses.csv").write_text(
         "name,x,y,z,azimuth_deg,pitch_deg,roll_deg,fx,fy,cx,cy,k1,k2,p1,p2,k3,stamp\n"
-        f"c.jpg,{X0 + 125.5},{Y0 - 40},1777.5,230.77,-5.79,-0.77,61,62,30,21,-0.1,0.02,0.001,0.002,0.03,"
+        f"c.jpg,{X0 + 125.5},{Y0 + 740},1777.5,230.77,-5.79,-0.77,61,62,30,21,-0.1,0.02,0.001,0.002,0.03,"
         "2013-08-25T11:04:17.5+02:00\n"
         "a.jpg,,,,12,,,,,,,,,,,,\n"
     )
@@ -183,11 +183,18 @@ def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, sit
     (early, camera, pose, _), (_, _, by_exif, _) = contents(tmp_path / "bag")
     assert early == 1_377_421_457_500_000_000
     assert camera == Camera(W, H, 61, 62, 30, 21, (-0.1, 0.02, 0.001, 0.002, 0.03))
-    np.testing.assert_allclose(pose.position, [125.5, -40.0, 1777.5], atol=1e-9)
+    np.testing.assert_allclose(pose.position, [125.5, 740.0, 1777.5], atol=1e-9)
     np.testing.assert_allclose(pose.angles_deg, [230.77, -5.79, -0.77], atol=1e-9)
     assert by_exif.angles_deg[0] == pytest.approx(12.0)
     assert by_exif.position[2] == GROUND + 12.0
     assert [file.path.name for file in report.skipped] == ["notes.txt", "b.jpg"]
+
+
+def test_a_stated_place_outside_the_dem_is_rejected_even_with_its_height(tmp_path: Path, site: Site) -> None:
+    save(tmp_path / "a.jpg", phone())
+    (tmp_path / "poses.csv").write_text(f"name,x,y,z,azimuth_deg\na.jpg,{Y0},{X0},1777,12\n")
+    with pytest.raises(PoseError, match="outside the DEM"):
+        import_photos([tmp_path / "a.jpg"], tmp_path / "bag", tmp_path / "poses.csv", site, assumed=LEVEL)
 
 
 def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
