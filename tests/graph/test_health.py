@@ -141,7 +141,7 @@ def test_the_page_shows_pictures_map_and_words(tower: Tower, tmp_path: Path) -> 
     page = browse(tower, tmp_path, "--dump-dom")
     assert re.search(r'<img alt="Last image of tower: photo" src="/picture/tower/photo\.jpg\?\d+', page), page
     assert "All nodes are healthy and all cameras are sending" in page
-    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames received, 3 processed", page), page
+    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames received, 3 finished", page), page
     assert f"<td>/{NAME}/fuel_map</td>" in page
     shot = tmp_path / "page.png"
     browse(tower, tmp_path, f"--screenshot={shot}")
