@@ -21,9 +21,11 @@ DOMAIN = 99
 def main() -> None:
     parser = argparse.ArgumentParser(prog="chaos", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--soak", action="store_true", help="no faults: does memory grow?")
-    parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of the faults; drawn if not given")
-    parser.add_argument("--slack", type=float, default=1.0, help="by which times may be longer, on a busy machine")
+    parser.add_argument("--soak", action="store_true", help="inject no faults; measure the growth of memory")
+    parser.add_argument(
+        "--seed", type=int, default=secrets.randbelow(10**6), help="seed of the faults; default: random"
+    )
+    parser.add_argument("--slack", type=float, default=1.0, help="factor on the allowed times, for a busy machine")
     parser.add_argument("--domain", type=int, default=DOMAIN, help="ROS domain of the graph")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the site ends with its run
@@ -45,7 +47,10 @@ def main() -> None:
             if options.soak:
                 missed += soak_for(options.minutes, stage)
             else:
-                print(f"seed {options.seed}" + ("" if own_disks else "; no disks are filled: nobody may mount one"))
+                print(
+                    f"seed {options.seed}"
+                    + ("" if own_disks else "; no disks are filled, since this user may not mount any")
+                )
                 missed += faults_for(options.minutes, stage, random.Random(options.seed), options.slack)
     print("MISSED:" if missed else "HOLDS", *missed, sep="\n  ", flush=True)
     sys.exit(bool(missed))

@@ -20,29 +20,29 @@ from chaos.stage import PERIOD_S, Stage
 from ltm_lab.bench.process_usage import usage_of
 
 BACK_S = 15.0
-"""In which every camera's frames are acknowledged again after a fault is over."""
+"""Maximum seconds after a fault until frames of every camera are announced again."""
 REPORTS_S = 30.0
-"""In which a process that took the place of another reports: those that no acknowledgement waits for, too."""
+"""Maximum seconds until a process that replaced another reports."""
 START_S = 60.0
-"""The same after the whole graph was started anew."""
+"""The same after a start of the whole graph."""
 GAP_S = 5.0
-"""Longest time without an acknowledgement of a camera that a fault does not touch, beyond its period."""
+"""Maximum seconds between two announcements of a camera that a fault does not touch, in addition to its period."""
 PATIENCE_S = 90.0
-"""After which a camera is given up and what hangs is ended, so that the run can go on."""
+"""Seconds after which the run no longer waits for a camera, and kills processes that hang."""
 QUIET_S = (1.0, 5.0)
-"""Between faults."""
+"""Shortest and longest pause between faults in seconds."""
 MOST_PSS_KB = 1 << 20
 EVERY_S = 5.0
-"""Between two samples of a soak."""
+"""Seconds between two samples of a soak."""
 A_MINUTE = 12
 """Samples of which the median is taken: processes give back once a minute, by megabytes."""
 MOST_KB_A_MINUTE = 10.0
 JUDGED_MINUTES = 30.0
-"""From which on a soak is judged: a shorter one sees caches fill."""
+"""Minimum duration for a verdict on memory: caches fill during a shorter soak."""
 
 
 def faults_for(minutes: float, stage: Stage, rng: random.Random, slack: float) -> list[str]:
-    """Faults by chance; what of them was not as it must be. `slack`: by which times may be longer."""
+    """Inject random faults; return what went wrong. `slack`: factor on the allowed times."""
     missed: list[str] = []
     end = time.monotonic() + 60.0 * minutes
     while time.monotonic() < end:
@@ -88,15 +88,15 @@ def _inject(fault: Fault, stage: Stage, untouched: list[str], slack: float) -> l
 def _wait_back(
     nodes: tuple[str, ...], former: dict[str, int], over: float, stage: Stage, slack: float, pss_kb: Counter[str]
 ) -> dict[str, float]:
-    """Seconds until frames sent after the fault are told of, and those that took the place of ended processes report;
-    infinite: not within `PATIENCE_S`. `pss_kb`: takes the most that each process held meanwhile."""
+    """Return, by name, the seconds until a camera's frame sent after the fault is announced, and until a new process
+    reports; infinite if not within `PATIENCE_S`. `pss_kb`: updated with the peak memory of each process."""
     back = dict.fromkeys((*CAMERAS, *nodes), float("inf"))
     while time.monotonic() < over + slack * PATIENCE_S:
         processes = stage.site.processes()
         pss_kb |= Counter({label: one.pss for label, one in usage_of(processes).items()})
         for name in [name for name, at in back.items() if at == float("inf")]:
             if name in CAMERAS:
-                back[name] = min((at - over for at in _told(stage, name, over)), default=float("inf"))
+                back[name] = min((at - over for at in _announced(stage, name, over)), default=float("inf"))
             elif processes.get(name) not in (None, former.get(name)) and stage.listener.reported_since(name, over):
                 back[name] = time.monotonic() - over
         if max(back.values()) < float("inf"):
@@ -110,16 +110,16 @@ def _wait_back(
     return back
 
 
-def _told(stage: Stage, camera: str, sent_after: float) -> list[float]:
-    """When frames of a camera were told of first."""
-    told = stage.listener.told()
+def _announced(stage: Stage, camera: str, sent_after: float) -> list[float]:
+    """Return the times at which frames of a camera were first announced, in order."""
+    announced = stage.listener.announced()
     sent = [frame for frame in stage.cameras.sent_of(camera) if frame.at > sent_after]
-    return sorted(told[frame.stamp_ns][0] for frame in sent if frame.stamp_ns in told)
+    return sorted(announced[frame.stamp_ns][0] for frame in sent if frame.stamp_ns in announced)
 
 
 def _longest_gap(stage: Stage, camera: str, begun: float, end: float) -> float:
-    """Between two acknowledgements of a camera, the last before `begun` and up to `end`."""
-    times = [at for at in _told(stage, camera, 0.0) if at <= end]
+    """Return the longest time between two announcements of a camera, from the last one before `begun` to `end`."""
+    times = [at for at in _announced(stage, camera, 0.0) if at <= end]
     moments = [*[at for at in times if at < begun][-1:], *(at for at in times if at >= begun), end]
     return max((later - earlier for earlier, later in pairwise(moments)), default=0.0)
 

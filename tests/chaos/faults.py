@@ -112,8 +112,7 @@ def fill_disk(arena: Arena, rng: random.Random) -> Fault:
 
 
 def step_clock(arena: Arena, rng: random.Random) -> Fault:
-    """A camera's clock is wrong for some seconds; those of its frames that are then refused are none that were told
-    of."""
+    """Make a camera's clock wrong for some seconds; frames that are rejected for it must not be announced."""
     camera, seconds = rng.choice(CAMERAS), rng.uniform(3.0, 8.0)
     error_s = rng.choice((3.0, 45.0, 3600.0, -3.0, -3600.0, -30 * 86400.0, -50 * 365 * 86400.0))
 

@@ -1,4 +1,4 @@
-"""What is heard of the graph: which frames the fuel map has told of, and when each node last reported."""
+"""Listen to the graph: which frames the fuel map has announced as stored, and when each node last reported."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 
 DEPTH = 5000
-"""After an hour of a full disk all is told of at once."""
+"""Maximum number of waiting updates: after an hour of a full disk, all frames are announced at once."""
 
 
 class Listener:
-    """Monotonic seconds at which each frame, by its stamp, was told of, and at which each node last reported."""
+    """Monotonic times in seconds at which each frame was announced, by stamp, and at which each node last reported."""
 
     def __init__(self, node: Node) -> None:
         self.strangers: set[str] = set()
         """Nodes of another graph in the same domain."""
         self.latest: dict[str, dict[str, str]] = {}
         """The last report of each node, by label."""
-        self._told: dict[int, list[float]] = defaultdict(list)
+        self._announced: dict[int, list[float]] = defaultdict(list)
         self._reported: dict[str, float] = {}
         self._lock = threading.Lock()
         update = site_topic(NAME, FUEL_MAP_UPDATE)
         node.create_subscription(FUEL_MAP_UPDATE.type, update, self._take_update, stream_qos(depth=DEPTH))
         node.create_subscription(DiagnosticArray, "/diagnostics", self._take_reports, 200)
 
-    def told(self) -> dict[int, list[float]]:
-        """As of now: when each stamp was told of, more than once where it was told of twice."""
+    def announced(self) -> dict[int, list[float]]:
+        """Return the times at which each stamp has been announced; several if it was announced several times."""
         with self._lock:
-            return {stamp: list(times) for stamp, times in self._told.items()}
+            return {stamp: list(times) for stamp, times in self._announced.items()}
 
     def reported_since(self, label: str, at: float) -> bool:
         """Whether a process has reported after that moment: all nodes, of the process that those of cameras share."""
@@ -50,7 +50,7 @@ class Listener:
 
     def _take_update(self, message: Any) -> None:
         with self._lock:
-            self._told[stamp_of(message)].append(time.monotonic())
+            self._announced[stamp_of(message)].append(time.monotonic())
 
     def _take_reports(self, message: Any) -> None:
         with self._lock:

@@ -24,7 +24,7 @@ _NODE = re.compile(r"__ns:=/[^/ ]+(/[^ ]+)? -r __node:=(\S+)")
 
 
 class RunningSite:
-    """Processes are told by a mark in the environment that they inherit, whoever their parent is by then."""
+    """Processes are recognised by a mark in the environment that they inherit, whatever their parent is by then."""
 
     def __init__(self, site: Path, state: Path, recording: Path | None, logs: Path, domain: int) -> None:
         self._command = [sys.executable, "-m", "ltm_ros.cli.main", "run", str(site), "--domain", str(domain)]

@@ -31,7 +31,7 @@ START_S = 300.0
 ENDING_S = 20.0
 """For frames that are on their way when the cameras stop."""
 RESTED_S = 3.0
-"""Without an acknowledgement, after which none is on its way."""
+"""Seconds without an announcement after which no further one is expected."""
 MOST_MORE = {"descriptors": 32, "threads": 16}
 """By which a process may have more of them at its end than when it was first whole."""
 
@@ -40,7 +40,7 @@ class Stage:
     """A running site with its cameras, and who listens to it."""
 
     def __init__(self, folder: Path, domain: int, bystander: Bystander, own_disks: bool) -> None:
-        compile_kernels()  # of which no node that comes back shall think
+        compile_kernels()  # a restarted node must not spend its time on this
         (folder / "site").mkdir()
         self.small = write_living_site(folder / "site")
         self.photos = Photos(self.small)
@@ -53,14 +53,16 @@ class Stage:
         self.listener = Listener(bystander.node)
 
     def begin(self) -> None:
-        """Returns when frames of all cameras are told of and all nodes report."""
+        """Return when frames of all cameras have been announced and all nodes have reported."""
         begun = time.monotonic()
         self.site.start()
         self.cameras.start()
 
         def waits_for() -> list[str]:
-            told = self.listener.told()
-            dark = [camera for camera in CAMERAS if not any(s.stamp_ns in told for s in self.cameras.sent_of(camera))]
+            announced = self.listener.announced()
+            dark = [
+                camera for camera in CAMERAS if not any(s.stamp_ns in announced for s in self.cameras.sent_of(camera))
+            ]
             return dark + [label for label in self.site.nodes if not self.listener.reported_since(label, begun)]
 
         wait_for(lambda: not waits_for(), "a whole graph", waits_for, START_S)
@@ -70,10 +72,10 @@ class Stage:
     def end(self) -> list[str]:
         """Stop the cameras, let what is on its way arrive, stop the graph in order; what of this went wrong."""
         self.cameras.stop()
-        deadline, told, since = time.monotonic() + ENDING_S, -1, time.monotonic()
+        deadline, announced, since = time.monotonic() + ENDING_S, -1, time.monotonic()
         while time.monotonic() < deadline and time.monotonic() - since < RESTED_S:
-            if (now := len(self.listener.told())) != told:
-                told, since = now, time.monotonic()
+            if (now := len(self.listener.announced())) != announced:
+                announced, since = now, time.monotonic()
             time.sleep(0.1)
         last = usage_of(self.site.processes())
         missed = [
@@ -86,7 +88,7 @@ class Stage:
             missed.append(f"the graph stopped with exit code {status}")
         missed += [f"{label} was left behind" for label in self.site.left]
         missed += [f"another graph was in the domain: {name}" for name in sorted(self.listener.strangers)[:3]]
-        time.sleep(1.0)  # the last acknowledgements
+        time.sleep(1.0)  # the last announcements
         return missed
 
     def damaged_recordings(self) -> list[str]:
@@ -115,10 +117,9 @@ def on_stage(folder: Path, domain: int, own_disks: bool, missed: list[str]) -> I
             stage.site.stop()
             raise
         missed += stage.end()
-    # Of strangers that were ended, who had no runner to clean up after them, and of killed nodes: a port that this
-    # process sent to counts as one in use until its bystander is gone.
+    # Segments of killed nodes: a port that this process sent to counts as in use until its bystander is gone.
     shared_memory.remove_stale()
-    missed += judge(stage.small, stage.state, stage.cameras.sent, stage.listener.told(), stage.photos)
+    missed += judge(stage.small, stage.state, stage.cameras.sent, stage.listener.announced(), stage.photos)
     missed += stage.damaged_recordings()
     for disk in stage.disks.values():
         unmount_disk(disk)

@@ -56,24 +56,24 @@ def votes_of_phases(small: SmallSite, photos: Photos) -> dict[tuple[str, int], A
 
 
 def judge(
-    small: SmallSite, state: Path, sent: Sequence[Sent], told: Mapping[int, Sequence[float]], photos: Photos
+    small: SmallSite, state: Path, sent: Sequence[Sent], announced: Mapping[int, Sequence[float]], photos: Photos
 ) -> list[str]:
-    """Compare the store in the folder `state`, after the graph has stopped, with what was sent and told of.
+    """Compare the store in the folder `state`, after the graph has stopped, with what was sent and announced.
 
-    `told`: when each stamp was told of. A frame may be in the store and never told of: the node was killed between the
-    two, and it may be sent again.
+    `announced`: times at which each stamp was announced. A stored frame may lack an announcement: the node was killed
+    between the two.
     """
     site = small.site
     found = site_evidence_map(site, site.fuel_geometry(small.dem), LabelSet.load(config_path(site.labels)))
     initial = found.layers()
     known = {frame.stamp_ns for frame in sent}
-    missed = [f"told of {stamp} ns, which nobody sent" for stamp in told if stamp not in known]
-    missed += [f"told twice of {stamp} ns" for stamp, times in told.items() if len(times) > 1]
+    missed = [f"stamp {stamp} ns was announced, but never sent" for stamp in announced if stamp not in known]
+    missed += [f"stamp {stamp} ns was announced twice" for stamp, times in announced.items() if len(times) > 1]
     with open_stored_map(state / STORE_FILE, site, found) as store:
         stored = [frame for frame in sent if store.counted(frame.camera, frame.stamp_ns)]
         kept = {frame.stamp_ns for frame in stored}
-        print(f"{len(sent)} frames sent, {len(stored)} in the store, {len(told)} told of")
-        missed += [f"{stamp} ns was told of, and is lost" for stamp in told if stamp in known - kept]
+        print(f"{len(sent)} frames sent, {len(stored)} in the store, {len(announced)} announced")
+        missed += [f"stamp {stamp} ns was announced, but is not stored" for stamp in announced if stamp in known - kept]
         if (count := store.frame_count()) != len(stored):
             missed.append(f"{count} frames in the store, {len(stored)} of them were sent")
         if store.waiting():

@@ -22,7 +22,7 @@ def test_a_minute_of_chaos(ros_domain: int) -> None:
     command += ["--domain", str(ros_domain)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
-    told = re.search(r"(\d+) told of", done.stdout)
-    assert told is not None
-    assert int(told[1]) > 20
+    announced = re.search(r"(\d+) announced", done.stdout)
+    assert announced is not None
+    assert int(announced[1]) > 20
     assert "s until back" in done.stdout

@@ -94,7 +94,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
     top = _first_land(sky, columns, _RUN)
-    # A column without any sky is covered by the terrain; one whose "sky" starts below land is a hole in trees.
+    # A column without any sky is covered by the terrain; "sky" that starts below land is a gap between trees.
     edge = (top > 1) & (top < height - _RUN)
     u, rows = columns[edge], top[edge]
     reach = max(3.0, _REACH * width)
