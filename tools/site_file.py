@@ -71,7 +71,6 @@ EXAMPLE: dict[str, Any] = {
         },
         "east": {"source": {"kind": "mjpeg", "url": "http://192.168.1.22/stream.mjpg"}, **FIXED},
         "south": {"source": {"kind": "rtsp", "url": "rtsp://192.168.1.23/stream1"}, **FIXED},
-        "west": {"source": {"kind": "v4l2", "device": "/dev/v4l/by-id/camera"}, **FIXED},
         "upload": {"source": {"kind": "folder", "path": "uploads/"}, **FIXED},
         "list": {
             "source": {
@@ -83,7 +82,7 @@ EXAMPLE: dict[str, Any] = {
             **FIXED,
         },
         "turning": {
-            **turning(kind="vapix", patrol={"presets": ["valley", "ridge"]}),
+            **turning(kind="vapix"),
             "view_masks": [
                 {
                     "name": "mast",

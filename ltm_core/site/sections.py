@@ -22,7 +22,6 @@ from ltm_core.site.source_config import (
     NetworkSettings,
     PtzConfig,
     SecretConfig,
-    SnapshotConfig,
     SourceConfig,
 )
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
@@ -167,10 +166,6 @@ class CameraConfig(StrictModel):
             raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
         if self.source is None:
             raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
-        if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
-            raise ValueError(
-                f"a patrol needs a source of kind snapshot, which is read at each preset, not {self.source.kind}"
-            )
         if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
             raise ValueError(
                 f"a source of kind {self.source.kind} has no address: give the address of the PTZ head as ptz.url"
@@ -185,7 +180,7 @@ class CameraConfig(StrictModel):
             raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
         if self.topics != TopicsConfig():
             raise ValueError("a camera with a source publishes on its own topics: leave topics out")
-        if self.image == "raw" and self.source.kind not in ("rtsp", "v4l2"):
+        if self.image == "raw" and self.source.kind != "rtsp":
             raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
         return self
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PositiveInt, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ltm_core.base.redaction import url_without_secrets
 from ltm_core.base.strict_model import Expert, StrictModel, Written
@@ -153,32 +153,6 @@ class RtspConfig(NetworkSettings):
         return url_without_secrets(url, ("rtsp", "rtsps"))
 
 
-class V4l2Config(SourceSettings):
-    """USB camera of this computer, by Video4Linux."""
-
-    kind: Literal["v4l2"]
-    device: Path
-    """Path of the device. `/dev/v4l/by-id/...` does not change when another camera is plugged in; `/dev/video0` may."""
-    every: float = Field(10.0, ge=0)
-    """Minimum seconds between two images; 0: every image."""
-    rate: Expert[float | None] = Field(None, gt=0)
-    """Frame rate per second to set on the camera; None: not changed."""
-    format: Expert[str | None] = Field(None, pattern=r"[a-z0-9]+")
-    """Pixel format to set on the camera, with FFmpeg's name: `mjpeg`, `yuyv422`. Many cameras send large images fast
-    only as `mjpeg`. None: not changed."""
-    size: Expert[tuple[PositiveInt, PositiveInt] | None] = None
-    """Width and height in pixels to set on the camera; None: not changed."""
-    least_delay: Expert[float] = Field(0.02, ge=0, le=5)
-    """Seconds from exposure to arrival of the fastest image."""
-
-    @field_validator("device")
-    @classmethod
-    def _device(cls, path: Path) -> Path:
-        if path.parts[:2] != ("/", "dev") or ".." in path.parts:
-            raise ValueError("give a device below /dev: /dev/video0, or better /dev/v4l/by-id/...")
-        return path
-
-
 class FolderConfig(SourceSettings):
     """Folder into which a camera writes, such as an FTP upload."""
 
@@ -245,21 +219,9 @@ class CameraListConfig(HttpSettings):
 
 
 SourceConfig = Annotated[
-    SnapshotConfig | MjpegConfig | RtspConfig | V4l2Config | FolderConfig | CameraListConfig,
-    Field(discriminator="kind"),
+    SnapshotConfig | MjpegConfig | RtspConfig | FolderConfig | CameraListConfig, Field(discriminator="kind")
 ]
 Degrees = Annotated[float, Field(ge=-720, le=720)]
-
-
-class PatrolConfig(StrictModel):
-    """Tour of presets driven by this program. No other program or operator may drive the PTZ head at the same time."""
-
-    presets: tuple[str, ...] = Field(min_length=1)
-    """Names of the presets in order; the PTZ head moves to the next one after each image."""
-    arrive_within: Expert[float] = Field(30.0, gt=0, le=60)
-    """Seconds after which a PTZ head that has not arrived is reported as stuck."""
-    settle: Expert[float] = Field(1.0, ge=0, le=20)
-    """Seconds that the PTZ head must have been still, so that the mast stops swinging and the lens can focus."""
 
 
 class PtzSettings(HttpLogin):
@@ -276,8 +238,6 @@ class PtzSettings(HttpLogin):
     """Timeout in seconds for each request."""
     tolerance_deg: Expert[float | None] = Field(None, gt=0)
     """Maximum difference in degrees between two readings of a PTZ head at rest; None: the usual value of the kind."""
-    patrol: PatrolConfig | None = None
-    """Tour of presets; None: the PTZ head is queried but never driven."""
 
     @field_validator("url")
     @classmethod

@@ -7,30 +7,29 @@ import hashlib
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from ltm_core.base.errors import CameraError, ImageError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
+from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
-from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, StuckPtzError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
     CameraReader,
-    Direction,
     Nothing,
-    Patrol,
-    PoseModel,
+    PtzHead,
     PtzReading,
     StuckPicture,
     Tolerance,
     at_rest,
     is_night,
     thumbnail_of_bytes,
-    thumbnail_of_rgb,
 )
 from ltm_ros.runtime.clocks import Clock
 from ltm_ros.runtime.health import CameraState, Health, StateRecord
@@ -79,13 +78,23 @@ class CameraDirection:
 
     pose: Pose | None = None
     covariance: Float64Array | None = None
-    direction: Direction | None = None
-    model: PoseModel | None = None
+    direction: PtzHead | None = None
+    """None with a mount: readings come with the images."""
+    mount: MountModel | None = None
     tolerance: Tolerance = field(default_factory=Tolerance)
     lens: ZoomLens | None = None
     """None: the lens does not zoom."""
-    patrol: Patrol | None = None
-    """None: the PTZ head is not moved."""
+
+    def of_reading(self, reading: PtzReading | None, calibration: Camera) -> tuple[Camera, Pose | None, Any]:
+        """Return calibration, pose and its covariance. Raises CameraError if the zoom is out of range."""
+        if reading is None:
+            return calibration, self.pose, self.covariance
+        camera = calibration if self.lens is None else self.lens.camera(reading.zoom)
+        if self.mount is None:
+            return camera, self.pose, self.covariance
+        # The PTZ head may have moved by the tolerance although its readings show rest.
+        moved = self.tolerance.angle_deg, self.tolerance.angle_deg
+        return camera, *self.mount.pose(reading.pan_deg, reading.tilt_deg, moved)
 
 
 class CameraSource:
@@ -109,17 +118,15 @@ class CameraSource:
         self._open, self._deliver, self._health, self._clock = open_reader, deliver, health, clock
         self._backoff = camera_backoff(jitter)
         self._reader: CameraReader | None = None
-        self._exposures = ExposureClock()
-        self._stuck = StuckPicture(settings.stuck_s)
-        self.record = StateRecord(clock.monotonic(), settings.stall_s)
+        self._exposures, self._stuck = ExposureClock(), StuckPicture(settings.stuck_s)
+        self._connected_at = clock.monotonic()
+        self.record = StateRecord(self._connected_at, settings.stall_s)
         self._before: PtzReading | None = None
         """Last reading of the PTZ head; None: none since the connection began."""
-        self._digest = b""
-        self._stamp_ns = -1
+        self._digest, self._stamp_ns = b"", -1
         self._last_good: float | None = None
         self._night = False
         """Whether the last image was dark or infrared."""
-        self._connected_at = clock.monotonic()
 
     def step(self) -> float:
         """Request one image; return the seconds to wait before the next request."""
@@ -128,12 +135,8 @@ class CameraSource:
             pause = self._ask()
         except UnauthorisedError as error:
             return self._failed(CameraState.UNAUTHORISED, error, UNAUTHORISED_S)
-        except StuckPtzError as error:
-            self._refuse("stuck", str(error))
-            self._become(CameraState.STUCK, str(error))
-            pause = self._settings.period
         except PictureError as error:
-            self._refuse("picture", str(error))
+            self._health.drop("picture", str(error))
             if self._reader is None or (self._reader.pause == 0 and self._silent()):
                 # A stream that sends nothing usable may recover when it is reopened.
                 return self._failed(CameraState.STALLED, error, self._backoff.failed())
@@ -145,7 +148,12 @@ class CameraSource:
         return max(0.0, begun + pause - self._clock.monotonic())
 
     def close(self) -> None:
-        self._disconnect()
+        """Close all connections; `step` opens new ones."""
+        reader, self._reader, self._before = self._reader, None, None
+        if reader is not None:
+            reader.close()
+        if self._gaze.direction is not None:
+            self._gaze.direction.close()
 
     def crashed(self, why: str) -> None:
         """Record a failure outside `step`."""
@@ -174,8 +182,6 @@ class CameraSource:
             self._exposures.connected()
             self._health.note("connected")
         reader, gaze = self._reader, self._gaze
-        if gaze.patrol is not None:
-            gaze.patrol.advance()
         # For snapshots, the direction is requested just before the image; for a stream, the reading after the
         # previous image serves as the one before this image.
         if gaze.direction is not None and (reader.pause > 0 or self._before is None):
@@ -201,25 +207,24 @@ class CameraSource:
         wall_less_monotonic = self._clock.wall() - now
         exposure = self._exposures.estimate(picture.timing, wall_less_monotonic)
         if not rested:
-            self._refuse("moved", "the PTZ head moved during the exposure; increase the time at each preset")
+            self._health.drop("moved", "the PTZ head moved during the exposure; increase the time at each preset")
             self._become(CameraState.MOVED, "the PTZ head is moving")
             return False
         self._check_fit(picture)
-        if picture.jpeg is not None:
-            digest = hashlib.blake2b(picture.jpeg, digest_size=16).digest()
+        if picture.rgb is not None:
+            thumbnail = picture.rgb[4::8, 4::8, ::-1].copy() if min(picture.rgb.shape[:2]) >= 8 else picture.rgb
+        else:
+            digest = hashlib.blake2b(picture.jpeg or b"", digest_size=16).digest()
             if digest == self._digest:
                 self._repeated()
                 return True
             self._digest = digest
-            thumbnail = thumbnail_of_bytes(picture.jpeg)
-        else:
-            assert picture.rgb is not None  # nosec B101 # tells the type checker what holds
-            thumbnail = thumbnail_of_rgb(picture.rgb)
+            thumbnail = thumbnail_of_bytes(picture.jpeg or b"")
         self._stuck.look(thumbnail, reading, now)
         self._last_good = now
         self._night = night = is_night(thumbnail)
         if not night and (why := self._stuck.said(now)):
-            self._refuse("stuck", f"{why}: restart the camera")
+            self._health.drop("stuck", f"{why}: restart the camera")
             self._become(CameraState.STUCK, why)
             return True
         if night:
@@ -264,15 +269,11 @@ class CameraSource:
         self._health.gauge("clock_synchronised", {None: "unknown", True: "yes", False: "no"}[synchronised])
         if synchronised is False:
             self._health.note("unsynchronised")
-        pose, covariance, camera = self._gaze.pose, self._gaze.covariance, self._calibration
-        if reading is not None and self._gaze.model is not None:
-            pose, covariance = self._gaze.model.pose(reading)
-        if reading is not None and self._gaze.lens is not None:
-            try:
-                camera = self._gaze.lens.camera(reading.zoom)
-            except CameraError as error:
-                self._refuse("zoom", str(error))
-                return
+        try:
+            camera, pose, covariance = self._gaze.of_reading(reading, self._calibration)
+        except CameraError as error:
+            self._health.drop("zoom", str(error))
+            return
         estimated_ns = stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
         # Equal stamps count as one frame in all nodes. If the clock was set back, earlier stamps were wrong;
         # continuing from them would put all frames in the future until the clock has caught up.
@@ -283,19 +284,9 @@ class CameraSource:
         uncertainty = exposure.uncertainty + (stamp_ns - estimated_ns) / 1e9
         self._health.gauge("stamp_told_by", exposure.by)
         self._health.gauge("stamp_uncertainty_s", round(uncertainty, 3))
+        image = picture.jpeg, picture.rgb
         self._deliver(
-            Frame(
-                stamp_ns,
-                uncertainty,
-                exposure.by,
-                synchronised,
-                picture.jpeg,
-                picture.rgb,
-                camera,
-                pose,
-                covariance,
-                reading,
-            )
+            Frame(stamp_ns, uncertainty, exposure.by, synchronised, *image, camera, pose, covariance, reading)
         )
 
     def _repeated(self) -> None:
@@ -313,23 +304,12 @@ class CameraSource:
         return self._clock.monotonic() - last >= self._settings.stall_s
 
     def _failed(self, state: CameraState, error: SourceError, wait_s: float) -> float:
-        self._disconnect()
+        self.close()
         self._health.note("unauthorised" if state is CameraState.UNAUTHORISED else "disconnected")
         self._become(state, str(error))
         return wait_s
-
-    def _disconnect(self) -> None:
-        reader, self._reader = self._reader, None
-        self._before = None
-        if reader is not None:
-            reader.close()
-        if self._gaze.direction is not None:
-            self._gaze.direction.close()
 
     def _become(self, state: CameraState, why: str = "") -> None:
         if self.record.saw(state, self._clock.monotonic(), why):
             self._health.note(f"became_{state.value}")
         self.report()
-
-    def _refuse(self, cause: str, why: str) -> None:
-        self._health.drop(cause, why)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import sys
 import threading
@@ -12,11 +11,7 @@ from importlib.util import find_spec
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.redaction import redacted
-from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.mount.mount_config import MountConfig
-from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
 from ltm_core.site.source_config import (
@@ -25,20 +20,18 @@ from ltm_core.site.source_config import (
     HttpSettings,
     MjpegConfig,
     NetworkSettings,
-    PtzConfig,
     RtspConfig,
     SnapshotConfig,
     SourceConfig,
-    V4l2Config,
 )
-from ltm_core.storage.disk_io import is_file, is_folder, is_there
+from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, camera_backoff
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
 from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
-from ltm_ros.cameras.protocols.picture import CameraReader, PtzReading, Tolerance
-from ltm_ros.cameras.protocols.video import RtspReader, V4l2Reader
-from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
+from ltm_ros.cameras.protocols.picture import CameraReader, Tolerance
+from ltm_ros.cameras.protocols.video import RtspReader
+from ltm_ros.cameras.ptz.head import PtzDirection, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.runtime.clocks import Clock
 from ltm_ros.runtime.health import Health, cause_of
@@ -52,49 +45,12 @@ def doubts_of(source: SourceConfig) -> Iterator[str]:
             read_secret(source.password)
         except UnauthorisedError as error:
             yield str(error)
-    if isinstance(source, RtspConfig | V4l2Config) and find_spec("av") is None:
+    if isinstance(source, RtspConfig) and find_spec("av") is None:
         yield 'video needs PyAV: pip install "ltm[rtsp]"'
-    if isinstance(source, V4l2Config):
-        if not is_there(source.device):
-            yield f"{source.device} does not exist: plug the camera in, or correct device (ls /dev/v4l/by-id)"
-        elif not os.access(source.device, os.R_OK | os.W_OK):
-            yield f"{source.device} is not readable: add the user to the group video"
     if isinstance(source, HttpSettings) and source.ca is not None and not is_file(source.ca):
         yield f"ca {source.ca} does not exist"
     if isinstance(source, FolderConfig) and not is_folder(source.path):
         yield f"{source.path} is not a folder: create it, or correct path"
-
-
-class MountPoses:
-    """The `PoseModel` of a PTZ head on its mount."""
-
-    def __init__(self, model: MountModel, tolerance: Tolerance) -> None:
-        self._model = model
-        # Angle by which a PTZ head may have moved although its reading shows rest.
-        self._moved = (tolerance.angle_deg, tolerance.angle_deg)
-
-    def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
-        return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
-
-
-def direction_of_ptz(
-    site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None
-) -> CameraDirection:
-    """Return the pose source of a PTZ camera, without connecting. Without `ptz`, directions come with the images.
-    Raises as `MountConfig.model`."""
-    model = mount.model(site.open_dem(), site.frame)
-    lens = None if mount.lens is None else mount.lens.lens()
-    if ptz is None:
-        return CameraDirection(model=MountPoses(model, Tolerance()), lens=lens)
-    tolerance = tolerance_of(ptz)
-    direction = PtzDirection(lambda: open_ptz(ptz, source))
-    return CameraDirection(
-        direction=direction,
-        model=MountPoses(model, tolerance),
-        tolerance=tolerance,
-        lens=lens,
-        patrol=None if ptz.patrol is None else PtzPatrol(direction, ptz.patrol, tolerance),
-    )
 
 
 def calibration_of(camera: CameraConfig, name: str) -> Camera:
@@ -108,9 +64,17 @@ def calibration_of(camera: CameraConfig, name: str) -> Camera:
 
 
 def direction_of(site: Site, camera: CameraConfig) -> CameraDirection:
-    """Return the pose source: the stated pose of a fixed camera, or poses from the readings of a PTZ head."""
+    """Return the pose source, without connecting: the stated pose of a fixed camera, or poses from the readings of a
+    PTZ head. Raises as `MountConfig.model`."""
     if camera.mount is not None:
-        return direction_of_ptz(site, camera.mount, camera.ptz, camera.source)
+        ptz, source = camera.ptz, camera.source
+        tolerance = Tolerance() if ptz is None else tolerance_of(ptz)
+        return CameraDirection(
+            direction=None if ptz is None else PtzDirection(lambda: open_ptz(ptz, source), tolerance),
+            mount=camera.mount.model(site.open_dem(), site.frame),
+            tolerance=tolerance,
+            lens=None if camera.mount.lens is None else camera.mount.lens.lens(),
+        )
     if camera.pose is None:
         return CameraDirection()
     pose = camera.pose.pose(site.open_dem(), site.frame)
@@ -128,8 +92,6 @@ def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraRe
             return MjpegReader(config, most_bytes)
         case RtspConfig():
             return RtspReader(config)
-        case V4l2Config():
-            return V4l2Reader(config)
         case FolderConfig():
             return FolderReader(config, most_bytes, clock)
         case CameraListConfig():
@@ -171,23 +133,20 @@ class SourceThread:
     def _step(self) -> float:
         try:
             pause = self._source.step()
+            self._crashes.succeeded()
+            return pause
         except LtmError as error:
-            self._health.drop(cause_of(error), str(error))
-            self._source.crashed(str(error))
-            pause = self._crashes.failed()
+            cause, why = cause_of(error), str(error)
         except Exception as error:
             self._tell(error)
-            why = f"{type(error).__name__}: internal error, see the log; the camera is tried again"
-            self._health.drop("crash", why)
-            self._source.crashed(why)
+            cause, why = "crash", f"{type(error).__name__}: internal error, see the log; the camera is tried again"
             try:
                 self._source.close()
             except Exception as another:  # a connection left incomplete by the bug is dropped all the same
                 self._tell(another)
-            pause = self._crashes.failed()
-        else:
-            self._crashes.succeeded()
-        return pause
+        self._health.drop(cause, why)
+        self._source.crashed(why)
+        return self._crashes.failed()
 
     @staticmethod
     def _tell(error: Exception) -> None:

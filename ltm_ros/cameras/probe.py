@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,24 +13,19 @@ from pydantic import TypeAdapter
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.redaction import redacted, url_without_secrets
-from ltm_core.site.source_config import (
-    HttpSettings,
-    MjpegConfig,
-    PtzConfig,
-    RtspConfig,
-    SecretConfig,
-)
+from ltm_core.site.source_config import HttpSettings, MjpegConfig, PtzConfig, RtspConfig, SecretConfig
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.exposure import OffsetBounds
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzHead, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.head import PtzHead, host_of, with_configured_host
+from ltm_ros.cameras.ptz.head import host_of, with_configured_host
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
-MOST_BYTES, MOST_WORDS = 32 << 20, 64 << 10
+MOST_BYTES = 32 << 20
 LISTENS_S = 4.0
 """Seconds for which a stream is read to count its images."""
 FEW = 3
@@ -55,7 +50,6 @@ PTZ_KINDS: tuple[dict[str, Any], ...] = (
 class PtzFound:
     config: dict[str, Any]
     reading: PtzReading
-    presets: tuple[str, ...]
 
 
 @dataclass
@@ -92,27 +86,33 @@ def probe(
     Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures."""
     found = Found()
     login = {"user": user, "password": password, "timeout": timeout}
-    if url.startswith(("rtsp://", "rtsps://")):
-        say("the stream")
-        _try(found, url, lambda: _video(found, url, login))
-        base = f"http://{host_of(url)}"
+    web = login | {"ca": ca, "check_name": check_name}
+
+    def attempt(what: str, ask: Callable[..., str], *given: Any) -> None:
+        say(what)
+        try:
+            said = ask(found, *given)
+        except UnauthorisedError:
+            raise
+        except (SourceError, ImageError) as error:
+            said = str(error)
+        found.tried.append((what, said))
+
+    parts = urlsplit(url)
+    if parts.scheme in ("rtsp", "rtsps"):
+        base, places = f"http://{host_of(url)}", [url]
     else:
-        parts = urlsplit(url)
         base = f"{parts.scheme}://{parts.netloc}"
-        tls = login | {"ca": ca, "check_name": check_name}
-        paths = [url] if parts.path not in ("", "/") else [base + path for path in SNAPSHOT_PATHS]
-        for place in paths:
-            if found.source is None:
-                say(f"an image at {urlsplit(place).path}")
-                _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
-    web = {"url": base, **login, "ca": ca, "check_name": check_name}
+        places = [url] if parts.path not in ("", "/") else [base + path for path in SNAPSHOT_PATHS]
+    for place in places:
+        if found.source is None:
+            attempt(place, _image_at, place, web)
     for given in PTZ_KINDS:
         if found.ptz is None:
-            say(f"a PTZ head by {given['kind']}")
-            _try(found, f"PTZ head by {' '.join(given.values())}", lambda given=given: _try_ptz(found, given, web))  # type: ignore[misc]
+            attempt(f"PTZ head by {' '.join(given.values())}", _ptz, given, web | {"url": base})
     for stated in found.stated:
         if found.source is None:
-            _try(found, redacted(stated), lambda stated=stated: _stated(found, base, stated, web))  # type: ignore[misc]
+            attempt(redacted(stated), _stated, base, stated, web)
     if found.source is not None and str(found.source["url"]).startswith("https"):
         found.source |= {} if ca is None else {"ca": str(ca.resolve())}
         found.source |= {} if check_name else {"check_name": False}
@@ -120,65 +120,51 @@ def probe(
 
 
 def _stated(found: Found, base: str, stated: str, web: dict[str, Any]) -> str:
-    url, login = _address_at(base, stated), {key: value for key, value in web.items() if key != "url"}
-    if url.startswith("http"):
-        return _picture(found, url, login)
-    return _video(found, url, {key: login[key] for key in ("user", "password", "timeout")})
-
-
-def _address_at(base: str, stated: str) -> str:
-    """Return an address that the camera at `base` reports. Raises SourceError if it is invalid, or would put a password
+    """Request an image at an address that the camera at `base` reports, unless it is invalid or would put a password
     into the site file."""
     try:
-        return url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
+        url = url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
         raise SourceError(f"invalid address reported by the camera: {error}") from None
+    return _image_at(found, url, web)
 
 
-def _try(found: Found, what: str, ask: Callable[[], str]) -> None:
-    try:
-        found.tried.append((what, ask()))
-    except UnauthorisedError:
-        raise
-    except (SourceError, ImageError) as error:
-        found.tried.append((what, str(error)))
-
-
-def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
+def _image_at(found: Found, url: str, web: dict[str, Any]) -> str:
     """Read one image per request, or a stream."""
-    client = HttpClient(HttpSettings(url=url, **login), most_bytes=MOST_BYTES)
+    if url.startswith("rtsp"):
+        login = {key: web[key] for key in ("user", "password", "timeout")}
+        told = _stream(found, RtspReader(RtspConfig(kind="rtsp", url=url, frames="all", **login)))
+        found.source = {"kind": "rtsp", "url": url}
+        return told
+    client = HttpClient(HttpSettings(url=url, **web), most_bytes=MOST_BYTES)
     try:
         with client.stream(url) as (response, _, _):
             kind = response.headers.get("content-type", "")
         if "multipart" in kind.lower():
-            told = _stream(found, MjpegReader(MjpegConfig(kind="mjpeg", url=url, **login), MOST_BYTES))
+            told = _stream(found, MjpegReader(MjpegConfig(kind="mjpeg", url=url, **web), MOST_BYTES))
             found.source = {"kind": "mjpeg", "url": url}
             return told
         answers = [client.get(url) for _ in range(FEW)]
     finally:
         client.close()
-    last = answers[-1]
-    picture = picture_in(last)
+    picture = picture_in(answers[-1])
     found.size, found.bytes_each = picture_size(picture), len(picture)
     found.seconds_each = min(answer.arrived - answer.asked for answer in answers)
-    found.fresh = answers[0].body != last.body
+    found.fresh = answers[0].body != answers[-1].body
     _clock_of(found, answers)
     found.source = {"kind": "snapshot", "url": url}
     return f"an image of {found.size[0]} x {found.size[1]} pixels"
 
 
-def _video(found: Found, url: str, login: dict[str, Any]) -> str:
-    told = _stream(found, RtspReader(RtspConfig(kind="rtsp", url=url, frames="all", **login)))
-    found.source = {"kind": "rtsp", "url": url}
-    return told
-
-
 def _stream(found: Found, reader: CameraReader) -> str:
-    count, first, last = 0, 0.0, 0.0
+    """Read a stream for a while."""
+    arrivals = []
+    until = time.monotonic() + LISTENS_S
     try:
-        for picture in _pictures(reader):
-            count, last = count + 1, picture.timing.arrived
-            first = first or last
+        while time.monotonic() < until:
+            if not isinstance(picture := reader.read(), CameraImage):
+                continue
+            arrivals.append(picture.timing.arrived)
             if picture.rgb is not None:
                 found.size = picture.rgb.shape[1], picture.rgb.shape[0]
             elif picture.jpeg is not None:
@@ -188,34 +174,26 @@ def _stream(found: Found, reader: CameraReader) -> str:
                 found.clock_ahead_s, found.clock_known_to_s = picture.timing.taken.epoch - now, 0.5
     finally:
         reader.close()
-    if not count:
+    if not arrivals:
         raise SourceError(f"no image within {LISTENS_S:g} s")
-    found.rate_hz = (count - 1) / (last - first) if count > 1 and last > first else None
-    return f"{count} images in {LISTENS_S:g} s"
-
-
-def _pictures(reader: CameraReader) -> Iterator[CameraImage]:
-    until = time.monotonic() + LISTENS_S
-    while time.monotonic() < until:
-        item = reader.read()
-        if isinstance(item, CameraImage):
-            yield item
+    if (lasted := arrivals[-1] - arrivals[0]) > 0:
+        found.rate_hz = (len(arrivals) - 1) / lasted
+    return f"{len(arrivals)} images in {LISTENS_S:g} s"
 
 
 def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
     """Estimate the camera's clock from all answers together, because each has only whole seconds."""
-    low, high = -float("inf"), float("inf")
+    bounds = OffsetBounds()
     for answer in answers:
-        stated = http_time(answer.headers, "Date")
-        if stated is None:
+        if (stated := http_time(answer.headers, "Date")) is None:
             return
-        ours = time.time() - (time.monotonic() - answer.arrived)
-        low = max(low, stated.epoch - ours)
-        high = min(high, stated.epoch + stated.resolution - (ours - (answer.arrived - answer.asked)))
-    found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2, max(high - low, 0.0) / 2
+        bounds.add(stated.epoch - answer.arrived, stated.epoch + stated.resolution - answer.asked, answer.arrived)
+    low, high = bounds.at(answers[-1].arrived)
+    ours = time.time() - time.monotonic()
+    found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2 - ours, (high - low) / 2
 
 
-def _try_ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
+def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
     adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
     ptz: PtzHead = open_ptz(adapter.validate_python(given | web), None)
     try:
@@ -223,16 +201,9 @@ def _try_ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
             found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
             found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
-        presets: tuple[str, ...] = ()
-        try:
-            presets = tuple(ptz.presets())
-        except UnauthorisedError:
-            raise
-        except SourceError as error:
-            found.tried.append((f"presets by {given['kind']}", str(error)))
-        found.ptz = PtzFound(given, reading, presets)
     finally:
         ptz.close()
+    found.ptz = PtzFound(given, reading)
     return f"pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}, zoom {reading.zoom:g}"
 
 
@@ -261,33 +232,22 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
         if user is not None:
             entry["source"]["user"] = user
         if password is not None:
-            place = password.model_dump(exclude_none=True)
-            entry["source"]["password"] = {key: str(value) for key, value in place.items()}
-    where: dict[str, Any] = {}
-    if placing.lon is not None and placing.height_above_ground is not None and placing.azimuth_deg is not None:
-        where = {
-            "lon": placing.lon,
-            "lat": placing.lat,
-            "height_above_ground": placing.height_above_ground,
-            "azimuth_deg": placing.azimuth_deg,
-        }
+            entry["source"]["password"] = password.model_dump(mode="json", exclude_none=True)
+    known = placing.lon is not None and placing.height_above_ground is not None and placing.azimuth_deg is not None
+    names = ("lon", "lat", "height_above_ground", "azimuth_deg") if known else ()
+    where: dict[str, Any] = {name: getattr(placing, name) for name in names}
+    size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
-        entry["ptz"] = dict(found.ptz.config)
-    if found.ptz is not None and found.size is not None:
-        mount: dict[str, Any] = dict(where)
-        if found.ptz.config["kind"] == "isapi":
-            mount["tilt_sign"] = -1
-        width, height = found.size
-        if found.ptz.config["kind"] == "vapix" and placing.hfov_deg is None:
-            # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
-            mount["lens"] = {"width": width, "height": height}
-        elif placing.hfov_deg is not None:
-            entry["calibration"] = {"width": width, "height": height, "hfov_deg": placing.hfov_deg}
-        entry["mount"] = mount
+        entry["ptz"], kind = dict(found.ptz.config), found.ptz.config["kind"]
+        if size:
+            entry["mount"] = where | ({"tilt_sign": -1} if kind == "isapi" else {})
+            if kind == "vapix" and placing.hfov_deg is None:
+                # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
+                entry["mount"]["lens"] = size
     elif where:
         entry["pose"] = where | {"pitch_deg": placing.pitch_deg}
-    if found.ptz is None and found.size is not None and placing.hfov_deg is not None:
-        entry["calibration"] = {"width": found.size[0], "height": found.size[1], "hfov_deg": placing.hfov_deg}
+    if size and placing.hfov_deg is not None:
+        entry["calibration"] = size | {"hfov_deg": placing.hfov_deg}
     return entry
 
 

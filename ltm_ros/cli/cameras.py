@@ -56,6 +56,7 @@ def probe(
     from rich.console import Console
     from rich.markup import escape
 
+    from ltm_core.base.redaction import plain
     from ltm_core.site.site_io import dumped, stated_sections, write_camera
     from ltm_ros.cameras.probe import completed, lacking, site_entry
     from ltm_ros.cameras.probe import probe as ask
@@ -69,10 +70,12 @@ def probe(
     secret, kept = _secret(user, password_env, password_file, camera)
     console = Console()
     with console.status("asking") as status:
+
+        def say(what: str) -> None:
+            status.update(f"requesting {escape(plain(what))}")
+
         try:
-            found = ask(
-                address, user, secret, ca, check_name, timeout, lambda what: status.update(f"requesting {what}")
-            )
+            found = ask(address, user, secret, ca, check_name, timeout, say)
         except UnauthorisedError as error:
             raise UnauthorisedError(
                 f"{error}. Probing stopped here, because cameras lock an account after a few wrong passwords"
@@ -213,7 +216,6 @@ def _print_found(console: Console, found: Found) -> None:
         rows.append(("pan", f"{reading.pan_deg:.2f} deg"))
         rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
         rows.append(("zoom", f"{reading.zoom:g}"))
-        row("presets", ", ".join(found.ptz.presets) or "none")
     for what, told in found.tried:
         rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
     print_table(console, "camera", ("what", "found"), rows)

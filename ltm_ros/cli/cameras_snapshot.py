@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -83,8 +82,7 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
     source = CameraSource(
         settings,
         calibration_of(camera, name),
-        # The PTZ head is only read, not moved: the site's running graph may be moving it.
-        replace(direction_of(site, camera), patrol=None),
+        direction_of(site, camera),
         partial(open_reader, settings, site.limits.image_bytes, clock),
         frames.append,
         Health(),

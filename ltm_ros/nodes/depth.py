@@ -52,15 +52,13 @@ class DepthHandler(JoiningHandler[DepthConfig]):
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
         parts = {"info": topics.POSED_CAMERA_INFO, "pose": topics.POSED_POSE}
-        self._join = StampJoin(parts, self._trace, health, max_wait=config.max_wait)
+        self._joins = [StampJoin(parts, self._trace, health, max_wait=config.max_wait)]
         compile_kernels("depth", site)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        found: dict[Any, Callable[[Any], None]] = {**self._join.subscriptions}
-        if self.config.surfaces:
-            found[self._surface] = self._follower.on_message
-        return found
+        follower = {self._surface: self._follower.on_message} if self.config.surfaces else {}
+        return {**super().subscriptions, **follower}
 
     def tick(self, waited: float) -> None:
         super().tick(waited)

@@ -39,7 +39,7 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
             "confidence": topics.LABELS_CONFIDENCE,
             "pose": topics.POSED_POSE,
         }
-        self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
+        self._joins = [StampJoin(parts, self._vote, health, max_wait=config.max_wait)]
 
     def start(self) -> None:
         """Compile the kernels, so that the first frame is not delayed."""

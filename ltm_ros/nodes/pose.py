@@ -60,7 +60,7 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
             "pose": topics.STATED_POSE,
             "labels": topics.LABELS_IMAGE,
         }
-        self._join = StampJoin(parts, self._look, health, max_wait=config.max_wait)
+        self._joins = [StampJoin(parts, self._look, health, max_wait=config.max_wait)]
 
     def start(self) -> None:
         camera = self._site.camera(self.config.camera)

@@ -40,11 +40,11 @@ class SegmentationHandler(JoiningHandler[SegmentationConfig]):
         self._step = LabellingStep(site, config.camera, config)
         self._assumed = site.assumed_pose_error.covariance()
         parts = {"image": topics.POSED_IMAGE, "info": topics.POSED_CAMERA_INFO, "pose": topics.POSED_POSE}
-        self._join = StampJoin(parts, self._label, health, max_wait=config.max_wait)
+        self._joins = [StampJoin(parts, self._label, health, max_wait=config.max_wait)]
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {of_site(self._site.name, topics.PROMPT): self.on_prompt} | self._join.subscriptions
+        return {**super().subscriptions, of_site(self._site.name, topics.PROMPT): self.on_prompt}
 
     def start(self) -> None:
         step = self._step

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,19 +16,18 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.change import Changed
-from ltm_core.surface.surface_io import BANDS, write_export
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import Confirmation, TerrainPublisher
 from ltm_ros.runtime import topics
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
-from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, Part, StampJoin
 from ltm_ros.runtime.topics import of_camera
 
 GRID_CELLS_PER_S = 1_000_000
@@ -47,8 +46,8 @@ class TerrainNodeConfig(JoinConfig, StampLimits):
     max_wait: float = Field(120.0, gt=0)
     """Seconds for which a frame's pose waits for its measured depth, which may have waited in `topodepth` before."""
     folder: str = ""
-    """Folder in which the surface is kept between runs and written on request, relative to the site file. Empty: not
-    kept. Never set by a message."""
+    """Folder in which the surface is kept between runs, relative to the site file. Empty: not kept. Never set by a
+    message."""
     commit_every: float = Field(10.0, gt=0)
     """Seconds of frames that a power cut may lose."""
     surfaces: str = ""
@@ -58,7 +57,7 @@ class TerrainNodeConfig(JoinConfig, StampLimits):
     at any size."""
 
 
-class TerrainHandler(Handler[TerrainNodeConfig]):
+class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
     """Publishes changed cells after they are confirmed and stored, and the whole grid of changes (latched)."""
 
     publications: Sequence[Topic] = (topics.TERRAIN_UPDATE, topics.TERRAIN_CHANGE, topics.TERRAIN_INFO)
@@ -82,14 +81,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
             self.publications = (*self.publications, topics.TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
-        required = [Part(name, topic=topic) for name, topic in _PARTS.items()]
-        labels_too = [*required, Part("labels", wait_s=0.0, remembered=_WAITING, topic=topics.LABELS_IMAGE)]
-        self._joins = {
-            camera: StampJoin(
-                labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera
-            )
-            for camera in site.cameras
-        }
+        self._joins = [self._join_of(camera) for camera in site.cameras]
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
@@ -97,18 +89,13 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         self._pace = Backoff()
         compile_kernels("terrain", site)
 
-    @property
-    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        found: dict[Topic, Callable[[Any], None]] = {}
-        for camera in self._site.cameras:
-            for name, topic in _PARTS.items():
-                found[of_camera(self._site.name, camera, topic)] = partial(self._part, camera, name)
-            found[of_camera(self._site.name, camera, topics.LABELS_IMAGE)] = partial(self._part, camera, "labels")
-        return found
-
-    @property
-    def services(self) -> Mapping[str, Callable[[], str]]:
-        return {"terrain/save": self.save}
+    def _join_of(self, camera: str) -> StampJoin:
+        named = {name: of_camera(self._site.name, camera, topic) for name, topic in _PARTS.items()}
+        labels = of_camera(self._site.name, camera, topics.LABELS_IMAGE)
+        parts = [Part(name, topic=topic) for name, topic in named.items()]
+        parts.append(Part("labels", wait_s=0.0, remembered=_WAITING, topic=labels))
+        take, wait = partial(self._take, camera), self.config.max_wait
+        return StampJoin(parts, take, self.health, _WAITING, max_wait=wait, camera=camera)
 
     def start(self) -> None:
         self._publisher.info()
@@ -121,8 +108,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._store_what_is_due()
 
     def tick(self, waited: float) -> None:
-        for join in self._joins.values():
-            join.tick(waited)
+        super().tick(waited)
         self._paced = True
         self._since_grid += waited
         self._since_commit += waited
@@ -143,8 +129,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
 
     def finish(self) -> None:
         """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
-        for join in self._joins.values():
-            join.finish()
+        super().finish()
         try:
             self._store_the_last()
             if self._confirmation is not None:
@@ -152,22 +137,6 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         finally:
             self._publish_grid()
             self._store.close()
-
-    def save(self) -> str:
-        """Write the layers to the configured folder. Raises ConfigError without one."""
-        if self._folder is None:
-            raise ConfigError("no folder is configured for the terrain: set the node's parameter folder")
-        self._settle()
-        if self._map.seen_window() is None:
-            raise ConfigError("no frame has updated the terrain yet; there is nothing to write")
-        self._map.commit()
-        for what in BANDS:
-            path = self._folder / f"terrain_{what}.tif"
-            write_export(path, self._map, what, self._site.in_crs(self._map.reference.geometry))
-        return f"written: {', '.join(f'terrain_{what}.tif' for what in BANDS)}"
-
-    def _part(self, camera: str, name: str, message: Any) -> None:
-        self._joins[camera].add(name, stamp_of(message), message)
 
     def _take(self, camera: str, depth: Any, sigma: Any, info: Any, pose: Any, labels: Any) -> None:
         stamp = stamp_of(depth)

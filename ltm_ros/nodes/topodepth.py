@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
-from ltm_msgs_py.cells import msg_to_traced
+from ltm_msgs_py.cells import msg_to_version
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
@@ -64,33 +64,27 @@ class TopoDepthHandler(JoiningHandler[TopoDepthConfig]):
         self._site = site
         self._versions = surface_versions(site, Path(config.surfaces)) if config.surfaces else None
         self._version = AS_GIVEN
-        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting, topic=topics.LABELS_IMAGE)
-        needed = {
-            "image": topics.POSED_IMAGE,
-            "info": topics.POSED_CAMERA_INFO,
-            "pose": topics.POSED_POSE,
-            "depth": topics.DEPTH_IMAGE,
-        }
-        required = [Part(name, topic=topic) for name, topic in needed.items()]
-        parts: list[Part | str] = [*required, *(["traced"] if config.surfaces else []), labels]
-        self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
+        parts = [
+            Part("image", topic=topics.POSED_IMAGE),
+            Part("info", topic=topics.POSED_CAMERA_INFO),
+            Part("pose", topic=topics.POSED_POSE),
+            Part("depth", topic=topics.DEPTH_IMAGE),
+            *([Part("traced", topic=topics.DEPTH_INFO)] if config.surfaces else []),
+            Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting, topic=topics.LABELS_IMAGE),
+        ]
+        join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
+        self._joins = [join]
         self._frame_id = f"{config.camera}_optical"
         self._stated_ns = -STATED_EVERY_NS
         compile_kernels("topodepth", site)
 
-    @property
-    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        found: dict[Any, Callable[[Any], None]] = {**self._join.subscriptions}
-        if self.config.surfaces:
-            found[topics.DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
-        return found
-
-    def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
-        """Fuse a frame. `traced`: the version of the surface that it was traced to."""
-        if self._versions is not None and traced != self._version:
-            over = confirmed_terrain(self._site, self._versions, traced)
+    def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: Any = None) -> None:
+        """Fuse a frame. `traced`: states the version of the surface that it was traced to."""
+        version = AS_GIVEN if traced is None else msg_to_version(traced)
+        if self._versions is not None and version != self._version:
+            over = confirmed_terrain(self._site, self._versions, version)
             self._step.trace_to(None if over.top is over.ground else over.ground)
-            self._version = traced
+            self._version = version
         if labels is None:
             self.health.note("unlabelled")
         stamp, where = stamp_of(image), msg_to_pose(pose, "map")

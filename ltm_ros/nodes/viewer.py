@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,10 @@ from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime import topics
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_join import JoiningHandler, Part, StampJoin
 from ltm_ros.runtime.topics import of_camera, of_site
 from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
@@ -57,7 +57,7 @@ class ViewerConfig(NodeConfig):
     """Port of the data on loopback."""
 
 
-class ViewerHandler(Handler[ViewerConfig]):
+class ViewerHandler(JoiningHandler[ViewerConfig]):
     def __init__(self, config: ViewerConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
@@ -72,43 +72,36 @@ class ViewerHandler(Handler[ViewerConfig]):
             web_port=config.web_port,
             grpc_port=config.grpc_port,
         )
-        names = ("image", "depth", "info", "labels", "pose")
-        self._joins = {
-            camera: StampJoin(names, partial(self._show, camera), health, camera=camera)
-            for camera in self._site.cameras
+        self._joins = [join for camera in self._site.cameras for join in self._joins_of(camera)]
+
+    def _joins_of(self, camera: str) -> Iterator[StampJoin]:
+        at = partial(of_camera, self._site.name, camera)
+        parts = {
+            "image": at(topics.POSED_IMAGE),
+            "depth": at(topics.DEPTH_IMAGE),
+            "info": at(topics.DEPTH_CAMERA_INFO),
+            "labels": at(topics.LABELS_IMAGE),
+            "pose": at(topics.POSED_POSE),
         }
-        cameras = self._site.cameras if self._site.depth_model else ()
-        self._fusions = {
-            c: StampJoin(("traced", "fused"), partial(self._show_fusion, c), health, camera=c) for c in cameras
-        }
-        self._network: dict[str, Any] = {}
+        yield StampJoin(parts, partial(self._show, camera), self.health, camera=camera)
+        if self._site.depth_model:
+            fusion = [
+                Part("traced", topic=at(topics.DEPTH_IMAGE)),
+                Part("fused", topic=at(topics.FUSED_DEPTH)),
+                # It is published before the fused depth, and not always.
+                Part("network", wait_s=0.0, remembered=2, topic=at(topics.NETWORK_DEPTH)),
+            ]
+            yield StampJoin(fusion, partial(self._show_fusion, camera), self.health, camera=camera)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        parts = {
-            "image": topics.POSED_IMAGE,
-            "depth": topics.DEPTH_IMAGE,
-            "info": topics.DEPTH_CAMERA_INFO,
-            "labels": topics.LABELS_IMAGE,
-            "pose": topics.POSED_POSE,
-        }
-        taken: dict[Topic, Callable[[Any], None]] = {
-            of_camera(self._site.name, camera, topic): partial(self._join, camera, part)
-            for camera in self._site.cameras
-            for part, topic in parts.items()
-        }
-        for camera in self._fusions:
-            both = topics.FUSED_DEPTH, topics.NETWORK_DEPTH
-            fused, network = (of_camera(self._site.name, camera, topic) for topic in both)
-            taken[fused] = partial(self._join_fusion, camera, "fused")
-            taken[network] = partial(self._network.__setitem__, camera)
+        taken = dict(super().subscriptions)
         for camera in self._site.cameras:
             taken[of_camera(self._site.name, camera, topics.LABELS_HEAT)] = partial(self.on_heat, camera)
         whole = {topics.FUEL_MAP: self.on_fuel_map}
         if self._site.terrain is not None:
             whole |= {topics.TERRAIN_CHANGE: self.on_change, topics.TERRAIN_UPDATE: self.on_changed_cells}
-        taken |= {of_site(self._site.name, topic): take for topic, take in whole.items()}
-        return taken
+        return taken | {of_site(self._site.name, topic): take for topic, take in whole.items()}
 
     def on_heat(self, camera: str, message: Any) -> None:
         self._view.log_heat(camera, stamp_of(message), msg_to_array(message, ("mono8",)))
@@ -124,28 +117,13 @@ class ViewerHandler(Handler[ViewerConfig]):
         cells = np.column_stack([changed.rows, changed.cols])
         self._view.log_changed_cells(stamp_of(message), cells, points, changed.kind)
 
-    def tick(self, waited: float) -> None:
-        for join in (*self._joins.values(), *self._fusions.values()):
-            join.tick(waited)
-
     def finish(self) -> None:
-        for join in (*self._joins.values(), *self._fusions.values()):
-            join.finish()
+        super().finish()
         self._view.close()
 
-    def _join(self, camera: str, part: str, message: Any) -> None:
-        self._joins[camera].add(part, stamp_of(message), message)
-        if part == "depth" and camera in self._fusions:
-            self._join_fusion(camera, "traced", message)
-
-    def _join_fusion(self, camera: str, part: str, message: Any) -> None:
-        self._fusions[camera].add(part, stamp_of(message), message)
-
-    def _show_fusion(self, camera: str, traced: Any, fused: Any) -> None:
-        """Show the fused depth, with the network's depth if it came; that is published earlier, and not always."""
-        stamp, network = stamp_of(fused), self._network.get(camera)
-        alone = msg_to_depth(network) if network is not None and stamp_of(network) == stamp else None
-        self._view.log_fusion(camera, stamp, msg_to_depth(fused), msg_to_depth(traced), alone)
+    def _show_fusion(self, camera: str, traced: Any, fused: Any, network: Any) -> None:
+        alone = None if network is None else msg_to_depth(network)
+        self._view.log_fusion(camera, stamp_of(fused), msg_to_depth(fused), msg_to_depth(traced), alone)
 
     def _show(self, camera: str, image: Any, depth: Any, info: Any, labels: Any, pose: Any) -> None:
         stamp, where, model = stamp_of(image), msg_to_pose(pose, "map"), msg_to_camera(info)

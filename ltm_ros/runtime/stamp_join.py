@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,27 +17,8 @@ from ltm_core.base.errors import LtmError
 from ltm_core.site.sections import MessageLimits
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, Topic
+from ltm_ros.runtime.handler import ConfigT, Handler, NodeConfig, Topic
 from ltm_ros.runtime.health import Health, cause_of
-
-_NONE = np.iinfo(np.int64).min
-
-
-class RecentStamps:
-    """The last `count` stamps, nanoseconds, in one block of memory: a set's small blocks would fragment the heap."""
-
-    def __init__(self, count: int) -> None:
-        self._stamps: NDArray[np.int64] = np.full(count, _NONE)
-        self._next = 0
-
-    def __contains__(self, stamp_ns: int) -> bool:
-        return bool((self._stamps == stamp_ns).any())
-
-    def add(self, stamp_ns: int) -> None:
-        """Replace the stamp that was added `count` stamps ago."""
-        self._stamps[self._next] = stamp_ns
-        self._next = (self._next + 1) % len(self._stamps)
-
 
 WAITING_BYTES = MessageLimits().waiting_bytes
 REMEMBERED = 1000
@@ -101,14 +82,14 @@ class _FrameParts:
     """Seconds since it had all required parts."""
     whole: bool = False
 
-    @property
-    def bytes(self) -> int:
-        return sum(data_bytes(message) for message in self.parts.values())
-
 
 def data_bytes(message: Any) -> int:
     """Return the bytes of a message's `data`."""
     return len(getattr(message, "data", ()))
+
+
+def _held(messages: Mapping[Any, Any]) -> int:
+    return sum(map(data_bytes, messages.values()))
 
 
 class StampJoin:
@@ -144,7 +125,9 @@ class StampJoin:
         self._capacity_bytes, self._camera = capacity_bytes, camera
         self._give_up = self._count_unjoined if give_up is None else give_up
         self._waiting: OrderedDict[int, _FrameParts] = OrderedDict()
-        self._done = RecentStamps(REMEMBERED)
+        # In one block of memory: a set's small blocks would fragment the heap.
+        self._done: NDArray[np.int64] = np.full(REMEMBERED, np.iinfo(np.int64).min)
+        self._finished = 0
         self._memory: dict[str, OrderedDict[int, Any]] = {
             name: OrderedDict() for name, part in self._parts.items() if not part.begins
         }
@@ -161,23 +144,22 @@ class StampJoin:
     def known(self, name: str, stamp_ns: int) -> bool:
         """Return whether a message of this part and stamp would be a duplicate."""
         frame = self._waiting.get(stamp_ns)
-        return self._parts[name].begins and (stamp_ns in self._done or (frame is not None and name in frame.parts))
+        has = name in frame.parts if frame is not None else bool((self._done == stamp_ns).any())
+        return self._parts[name].begins and has
 
     def add(self, name: str, stamp_ns: int, message: Any) -> None:
         """Add a message and complete each frame that has all parts. Raises the last of their errors."""
-        if self.known(name, stamp_ns):
-            self._health.drop(
-                "duplicate",
-                f"a second {self._parts[name].shown} of stamp {stamp_ns} ns; stamps of a camera must be unique",
-            )
-            return
         part = self._parts[name]
+        if self.known(name, stamp_ns):
+            why = f"a second {part.shown} of stamp {stamp_ns} ns; stamps of a camera must be unique"
+            self._health.drop("duplicate", why)
+            return
         if part.begins:
             self._waiting.setdefault(stamp_ns, _FrameParts()).parts[name] = message
         else:
             memory = self._memory[name]
             memory[stamp_ns] = message
-            while len(memory) > part.remembered or (len(memory) > 1 and self._bytes_in(memory) > self._capacity_bytes):
+            while len(memory) > part.remembered or (len(memory) > 1 and _held(memory) > self._capacity_bytes):
                 memory.popitem(last=False)
         concerned = [stamp_ns] if part.match is Match.EXACT else sorted(self._waiting)
         self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
@@ -202,106 +184,98 @@ class StampJoin:
             self._drop(stamp, "the recording or the node ended")
 
     def _complete_ready(self, stamps: Sequence[int], at_once: bool = False) -> None:
-        errors: list[LtmError] = []
-        for stamp in stamps:
-            self._try(stamp, at_once, errors)
+        errors = [self._try(stamp, at_once) for stamp in stamps]
         whole = [stamp for stamp, frame in self._waiting.items() if frame.whole]
-        for stamp in whole[: max(0, len(whole) - self._whole_capacity)]:
-            self._try(stamp, True, errors)
+        errors += [self._try(stamp, True) for stamp in whole[: max(0, len(whole) - self._whole_capacity)]]
         incomplete = sorted(stamp for stamp, frame in self._waiting.items() if not frame.whole)
         for stamp in incomplete[: max(0, len(incomplete) - self._capacity)]:
             self._drop(stamp, f"{self._capacity} later ones are queued")
-        self._make_room()
-        for earlier in errors[:-1]:
+        held = {stamp: _held(frame.parts) for stamp, frame in self._waiting.items()}
+        while len(held) > 1 and sum(held.values()) > self._capacity_bytes:
+            del held[oldest := min(held)]  # whatever it lacks
+            self._drop(oldest, f"later ones with {sum(held.values()) >> 20} MB of data are queued")
+        raised = [error for error in errors if error is not None]
+        for earlier in raised[:-1]:
             self._health.drop(cause_of(earlier), str(earlier))
-        if errors:
-            raise errors[-1]
+        if raised:
+            raise raised[-1]
 
-    def _make_room(self) -> None:
-        """Drop the oldest frames, whatever they lack, while too many bytes are queued."""
-        held = sum(frame.bytes for frame in self._waiting.values())
-        for stamp in sorted(self._waiting):
-            if held <= self._capacity_bytes or len(self._waiting) <= 1:
-                return
-            held -= self._waiting[stamp].bytes
-            self._drop(stamp, f"later ones with {held >> 20} MB of data are queued")
-
-    @staticmethod
-    def _bytes_in(memory: OrderedDict[int, Any]) -> int:
-        return sum(data_bytes(message) for message in memory.values())
-
-    def _try(self, stamp: int, at_once: bool, errors: list[LtmError]) -> None:
-        """Complete the frame if it has its required parts, and no optional part must be waited for."""
+    def _try(self, stamp: int, at_once: bool) -> LtmError | None:
+        """Complete the frame if it has its required parts, and no optional part must be waited for; return its
+        error."""
         frame = self._waiting[stamp]
         found = frame.parts | {name: self._matched(name, stamp) for name in self._memory}
-        missing = [name for name in self._parts if found.get(name) is None]
-        frame.whole = all(self._parts[name].wait_s is not None for name in missing)
-        patience = max((self._parts[name].wait_s or 0.0 for name in missing), default=0.0)
+        missing = [part for name, part in self._parts.items() if found.get(name) is None]
+        frame.whole = all(part.wait_s is not None for part in missing)
+        patience = max((part.wait_s or 0.0 for part in missing), default=0.0)
         if not frame.whole or not (at_once or patience == 0.0 or frame.lacking_optional > patience):
-            return
+            return None
         del self._waiting[stamp]
-        self._done.add(stamp)
+        self._done[self._finished % REMEMBERED] = stamp
+        self._finished += 1
         for name, memory in self._memory.items():
             if self._parts[name].match is Match.EXACT:
                 memory.pop(stamp, None)
         try:
             self._complete(**{name: found.get(name) for name in self._parts})
         except LtmError as error:
-            errors.append(error)
+            return error
+        return None
 
     def _matched(self, name: str, stamp: int) -> Any:
         part, memory = self._parts[name], self._memory[name]
-        if part.match is Match.LATEST and memory:
-            past = [other for other in memory if other <= stamp]
-            return memory[max(past) if past else min(memory)]
         if part.match is Match.EXACT or stamp in memory or not memory:
             return memory.get(stamp)
-        if part.between is not None:
-            before = max((other for other in memory if other < stamp), default=stamp)
-            after = min((other for other in memory if other > stamp), default=stamp)
-            if before < stamp < after <= before + MAX_GAP_NS:
-                return part.between(memory[before], memory[after], (stamp - before) / (after - before))
-        if part.tolerance_ns == 0:
-            return None
+        before = max((other for other in memory if other < stamp), default=None)
+        if part.match is Match.LATEST:
+            return memory[min(memory) if before is None else before]
+        after = min((other for other in memory if other > stamp), default=None)
+        if part.between is not None and before is not None and after is not None and after <= before + MAX_GAP_NS:
+            return part.between(memory[before], memory[after], (stamp - before) / (after - before))
         # A nearer one may still come until there is one from after the frame.
         nearest = min(memory, key=lambda other: abs(other - stamp))
-        settled = max(memory) >= stamp
-        return memory[nearest] if settled and abs(nearest - stamp) <= part.tolerance_ns else None
+        return memory[nearest] if after is not None and abs(nearest - stamp) <= part.tolerance_ns else None
 
     def _drop(self, stamp: int, why: str) -> None:
         frame = self._waiting.pop(stamp)
-        lacking = [
-            name
-            for name, part in self._parts.items()
-            if part.wait_s is None and name not in frame.parts and (part.begins or self._matched(name, stamp) is None)
-        ]
+        found = frame.parts | {name: self._matched(name, stamp) for name in self._memory}
+        lacking = [name for name, part in self._parts.items() if part.wait_s is None and found.get(name) is None]
         self._give_up(stamp, lacking, why)
 
     def _count_unjoined(self, stamp: int, lacking: list[str], why: str) -> None:
-        whose = f"{self._camera}: " if self._camera else ""
+        whose, key = (f"{self._camera}: ", f"{self._camera}.") if self._camera else ("", "")
         parts = ", ".join(self._parts[name].shown for name in lacking)
         self._health.drop("unjoined", f"{whose}stamp {stamp} ns is incomplete, without {parts} ({why})")
         for name in lacking:
-            self._health.note(f"unjoined.{self._camera}.{name}" if self._camera else f"unjoined.{name}")
+            self._health.note(f"unjoined.{key}{name}")
 
 
-JoinConfigT = TypeVar("JoinConfigT", bound=JoinConfig)
+class JoiningHandler(Handler[ConfigT]):
+    """A handler that works on frames; subclasses set `_joins`, which collect them."""
 
-
-class JoiningHandler(Handler[JoinConfigT]):
-    """A handler that works on frames; subclasses set `_join`, which collects them."""
-
-    _join: StampJoin
+    _joins: Sequence[StampJoin]
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return self._join.subscriptions
+        found: defaultdict[Topic, list[Callable[[Any], None]]] = defaultdict(list)
+        for join in self._joins:
+            for topic, take in join.subscriptions.items():
+                found[topic].append(take)
+        return {topic: takes[0] if len(takes) == 1 else partial(_each, takes) for topic, takes in found.items()}
 
     def discard(self, stamp_ns: int) -> None:
-        self._join.discard(stamp_ns)
+        for join in self._joins:
+            join.discard(stamp_ns)
 
     def tick(self, waited: float) -> None:
-        self._join.tick(waited)
+        for join in self._joins:
+            join.tick(waited)
 
     def finish(self) -> None:
-        self._join.finish()
+        for join in self._joins:
+            join.finish()
+
+
+def _each(takes: Sequence[Callable[[Any], None]], message: Any) -> None:
+    for take in takes:
+        take(message)

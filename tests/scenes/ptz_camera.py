@@ -1,4 +1,4 @@
-"""A pan-tilt-zoom camera on loopback: a PTZ head that takes its time to turn, asked and driven as those of Axis
+"""A pan-tilt-zoom camera on loopback: a PTZ head that takes its time to turn, asked as those of Axis
 (VAPIX), Hikvision (ISAPI) and ONVIF are; its pictures show where it really looks."""
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import threading
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from urllib.parse import parse_qs, unquote
+from dataclasses import dataclass
+from urllib.parse import parse_qs
 
 from ltm_core.base.types import UInt8Array
 from scenes.http_camera import HttpCamera, Request, Route
@@ -33,17 +33,8 @@ class FakeHead:
 
     place: Place = (0.0, 0.0, 1.0)
     rate: float = 200.0
-    presets: dict[str, Place] = field(
-        default_factory=lambda: {
-            "north": (10.0, -5.0, 1.0),
-            "east": (95.0, -2.0, 1.0),
-            "south ridge": (190.0, 1.0, 1.0),
-        }
-    )
     starts_after_s: float = 0.05
     """After a command, during which it still reads as before."""
-    dead: bool = False
-    """It takes commands and stays where it is."""
     turret_stuck: bool = False
     """Its encoders go on and its picture stays, as with a broken gear."""
     digits: int = 4
@@ -62,16 +53,12 @@ class FakeHead:
     """By ONVIF."""
     stated_picture: str = "http://{}/snapshot.jpg"
     """By ONVIF; its own host in place of {}."""
-    commands: list[str] = field(default_factory=list)
-    """Presets that it was sent to, in their order."""
 
     def __post_init__(self) -> None:
         self._from, self._to, self._begun = self.place, self.place, 0.0
         self._lock = threading.Lock()
 
     def send(self, place: Place) -> None:
-        if self.dead:
-            return
         now = time.monotonic()
         with self._lock:
             self._from, self._to, self._begun = self._at(now), place, now + self.starts_after_s
@@ -99,28 +86,17 @@ class FakeHead:
         (p0, t0, z0), (p1, t1, z1) = self._from, self._to
         return moved(p0, p1, way), moved(t0, t1, way), moved(z0, z1, 50 * way)
 
-    def go_to(self, preset: str) -> bool:
-        if preset not in self.presets:
-            return False
-        self.commands.append(preset)
-        self.send(self.presets[preset])
-        return True
-
     def routes(self) -> dict[str, Route]:
         base = "/ISAPI/PTZCtrl/channels/1"
-        found: dict[str, Route] = {
+        return {
             "/axis-cgi/com/ptz.cgi": self._vapix,
             "/axis-cgi/jpg/image.cgi": Request.snapshot,
             f"{base}/status": self._isapi_status,
             f"{base}/absoluteEx": self._isapi_absolute,
-            f"{base}/presets": self._isapi_presets,
             "/onvif/device_service": self._onvif,
             "/onvif/media": self._onvif,
             "/onvif/ptz": self._onvif,
         }
-        for number, preset in enumerate(self.presets, 1):
-            found[f"{base}/presets/{number}/goto"] = self._isapi_goto(preset)
-        return found
 
     # --- VAPIX
 
@@ -136,14 +112,6 @@ class FakeHead:
                 f"zoom={zoom:.0f}",
                 "autofocus=on",
             ]
-        elif kind == "presetposall":
-            lines = [f"presetposno{k}={name}" for k, name in enumerate(self.presets, 1)]
-        elif "gotoserverpresetname" in query:
-            if self.go_to(unquote(query["gotoserverpresetname"])):
-                request.answer(204, b"", "text/plain")
-            else:
-                request.answer(200, b"Error: preset not found", "text/plain")
-            return
         else:
             lines = ["Error: unknown query"]
         request.answer(200, "\r\n".join([*lines, ""]).encode(), "text/plain")
@@ -163,21 +131,6 @@ class FakeHead:
         inside = f"<elevation>{-tilt:.2f}</elevation><azimuth>{pan % 360:.2f}</azimuth>"
         inside += f"<absoluteZoom>{zoom:.2f}</absoluteZoom>"
         self._xml(request, f"<PTZAbsoluteEx{_HIK}>{inside}</PTZAbsoluteEx>")
-
-    def _isapi_presets(self, request: Request) -> None:
-        rows = "".join(
-            f"<PTZPreset><enabled>true</enabled><id>{k}</id><presetName>{name}</presetName></PTZPreset>"
-            for k, name in enumerate(self.presets, 1)
-        )
-        rows += "<PTZPreset><enabled>false</enabled><id>99</id><presetName>unused</presetName></PTZPreset>"
-        self._xml(request, f"<PTZPresetList{_HIK}>{rows}</PTZPresetList>")
-
-    def _isapi_goto(self, preset: str) -> Route:
-        def answer(request: Request) -> None:
-            self.go_to(preset)
-            self._xml(request, f"<ResponseStatus{_HIK}><statusCode>1</statusCode></ResponseStatus>")
-
-        return answer
 
     def _xml(self, request: Request, body: str, status: int = 200) -> None:
         request.answer(status, f'<?xml version="1.0" encoding="UTF-8"?>{body}'.encode(), "application/xml")
@@ -229,14 +182,6 @@ class FakeHead:
                 f'<tptz:PTZStatus><tt:Position><tt:PanTilt x="{x:.6f}" y="{tilt / 90:.6f}"/>'
                 f'<tt:Zoom x="{(zoom - 1) / 9998:.6f}"/></tt:Position>{status}</tptz:PTZStatus>'
             )
-        elif name == "GetPresets":
-            inside = "".join(
-                f'<tptz:Preset token="{k}"><tt:Name>{preset}</tt:Name></tptz:Preset>'
-                for k, preset in enumerate(self.presets, 1)
-            )
-        elif name == "GotoPreset":
-            self.go_to(list(self.presets)[int(address["PresetToken"]) - 1])
-            inside = ""
         else:
             self._soap(request, "<s:Fault><s:Reason><s:Text>ActionNotSupported</s:Text></s:Reason></s:Fault>", 500)
             return

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import os
-from pathlib import Path
 from urllib.parse import quote, quote_plus
 
 from ltm_core.base.errors import LtmError
@@ -19,10 +18,6 @@ class SourceError(LtmError):
 
 class UnauthorisedError(SourceError):
     """A camera rejected the user or password; early retries would lock the account."""
-
-
-class StuckPtzError(SourceError):
-    """A PTZ head did not follow a command."""
 
 
 class PictureError(SourceError):
@@ -53,11 +48,15 @@ def read_secret(config: SecretConfig) -> Secret:
     """Read the password again for each connection, so that a change needs no restart. Raises UnauthorisedError that
     names the place."""
     if config.environment is not None:
-        value = os.environ.get(config.environment)
-        if not value:
-            raise UnauthorisedError(f"{config.place} is not set: set it for the service that runs `ltm run`")
-        return Secret(value)
-    path = _path(config)
+        if value := os.environ.get(config.environment):
+            return Secret(value)
+        raise UnauthorisedError(f"{config.place} is not set: set it for the service that runs `ltm run`")
+    path = config.file or service_credential(config.credential or "")
+    if path is None:
+        raise UnauthorisedError(
+            f"{config.place} was not passed to this process ({FOLDER_VARIABLE}): put the file into "
+            "/etc/ltm/credentials and restart the service, or add a LoadCredential="
+        )
     try:
         with path.open(encoding="utf-8") as file:
             value = file.read(LONGEST).rstrip("\r\n")
@@ -69,24 +68,17 @@ def read_secret(config: SecretConfig) -> Secret:
     return Secret(value)
 
 
-def _path(config: SecretConfig) -> Path:
-    if config.file is not None:
-        return config.file
-    found = service_credential(config.credential or "")
-    if found is None:
-        raise UnauthorisedError(
-            f"{config.place} was not passed to this process ({FOLDER_VARIABLE}): put the file into "
-            "/etc/ltm/credentials and restart the service, or add a LoadCredential="
-        )
-    return found
-
-
 class Login:
     """A camera's user and password, and texts without them."""
 
     def __init__(self, user: str | None, password: Secret | None) -> None:
-        self.user, self.password = user, password
-        self._hidden = _spellings(user or "", password.reveal()) if password is not None else ()
+        self.user, self._password = user, password
+        self._hidden = _spellings(user or "", self.secret) if password is not None else ()
+
+    @property
+    def secret(self) -> str:
+        """Return the password itself; empty: none."""
+        return "" if self._password is None else self._password.reveal()
 
     @classmethod
     def of(cls, settings: NetworkSettings) -> Login:
@@ -101,8 +93,7 @@ class Login:
 
     def filled(self, url: str) -> str:
         """Return `url` with user and password inserted; the result is secret."""
-        password = self.password.reveal() if self.password is not None else ""
-        return url.replace("{user}", quote(self.user or "", safe="")).replace("{password}", quote(password, safe=""))
+        return url.replace("{user}", quote(self.user or "", safe="")).replace("{password}", quote(self.secret, safe=""))
 
     def redact(self, text: object) -> str:
         """Return a message of another library without the password in any encoding, and without similar secrets."""

@@ -30,34 +30,24 @@ class OffsetBounds:
     observed at all phases of its second."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
-
-    @property
-    def known(self) -> bool:
-        return bool(self._seen)
+        self.seen: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
 
     def add(self, low: float, high: float, now: float) -> bool:
         """Add the observation that the offset was within [low, high] at `now`. Returns True if it contradicts earlier
         ones: then the clock was set, and they are dropped."""
-        contradicts = False
-        if self._seen:
-            known_low, known_high = self.at(now)
-            contradicts = low > known_high or high < known_low
+        known_low, known_high = self.at(now) if self.seen else (low, high)
+        contradicts = low > known_high or high < known_low
         if contradicts:
-            self._seen.clear()
-        self._seen.append((low, high, now))
+            self.seen.clear()
+        self.seen.append((low, high, now))
         return contradicts
 
     def at(self, now: float) -> tuple[float, float]:
         """Return the interval that contains the offset now."""
-        low = max(low - DRIFT * (now - then) for low, _, then in self._seen)
-        high = min(high + DRIFT * (now - then) for _, high, then in self._seen)
+        low = max(low - DRIFT * (now - then) for low, _, then in self.seen)
+        high = min(high + DRIFT * (now - then) for _, high, then in self.seen)
         # Two clocks that drift faster than assumed can leave an empty interval.
         return (low, high) if low <= high else ((low + high) / 2,) * 2
-
-    def middle(self, now: float) -> float:
-        low, high = self.at(now)
-        return (low + high) / 2
 
 
 class FastestArrival:
@@ -78,17 +68,13 @@ class FastestArrival:
         while len(self._delays) > LEAST and self._delays[0][0] < arrived - WINDOW_S:
             self._delays.popleft()
         latest = list(self._delays)[-1 if begins else -STEP_AFTER :]
-        if len(self._delays) > len(latest) and min(d for _, d in latest) > self._fastest() + STEP_S:
-            self._delays = deque(latest)
-            self.count = len(latest)
-            return True
-        return False
+        set_back = len(self._delays) > len(latest) and min(d for _, d in latest) > self.delay() + STEP_S
+        if set_back:
+            self._delays, self.count = deque(latest), len(latest)
+        return set_back
 
-    def offset(self) -> float:
-        """Return the offset without the delay of the fastest image."""
-        return -self._fastest()
-
-    def _fastest(self) -> float:
+    def delay(self) -> float:
+        """Return arrival minus stated time of the fastest image."""
         return min(delay for _, delay in self._delays)
 
 
@@ -139,17 +125,22 @@ class ExposureClock:
 
     def estimate(self, timing: Timing, wall_less_monotonic: float) -> Exposure:
         """Return the best estimate for one image; call it for each image, in order."""
+        taken, arrived = timing.taken, timing.arrived
         if timing.answered is not None and timing.asked is not None:
-            self._learn(self._answers, timing.answered.epoch, timing.answered.resolution, timing.asked, timing.arrived)
-            self._offset = self._answers.middle(timing.arrived)
-        if timing.taken is not None and timing.trusted:
-            at = timing.taken.epoch + timing.taken.resolution / 2 - wall_less_monotonic
-            return Exposure(
-                min(at, timing.arrived), timing.taken.resolution / 2 + TRUSTED_UNCERTAINTY_S, timing.taken.told_by
-            )
+            self._offset = self._learn(self._answers, timing.answered, timing.asked, arrived)
+        if taken is not None and timing.trusted:
+            at = taken.epoch + taken.resolution / 2 - wall_less_monotonic
+            return Exposure(min(at, arrived), taken.resolution / 2 + TRUSTED_UNCERTAINTY_S, taken.told_by)
         if timing.stream is not None:
             return self._of_stream(timing, timing.stream)
-        return _arrival(timing) if timing.taken is None else self._of_clock(timing, timing.taken)
+        # Taken between its greatest possible age and its arrival.
+        first = (arrived if timing.asked is None else timing.asked) - timing.oldest
+        if taken is None:
+            return Exposure((first + arrived) / 2, (arrived - first) / 2, "arrival")
+        low, high = self._bounds_of(taken, first, arrived).at(arrived)
+        latest = min(taken.epoch + taken.resolution - low, arrived)
+        earliest = min(taken.epoch - high, latest)
+        return Exposure((earliest + latest) / 2, (latest - earliest) / 2, taken.told_by)
 
     def _of_stream(self, timing: Timing, stream: float) -> Exposure:
         """Use the stream's own time, or the clock of its sender reports if more of these were seen, because it
@@ -163,41 +154,30 @@ class ExposureClock:
             self._reported, told_by = True, timing.taken.told_by
             if self._reports.count >= fastest.count:
                 stated, fastest = timing.taken.epoch, self._reports
-        at = min(stated - fastest.offset() - timing.least_delay, timing.arrived)
+        at = min(stated + fastest.delay() - timing.least_delay, timing.arrived)
         if timing.taken is not None:
             self._offset = timing.taken.epoch - at
         unknown = UNKNOWN_DELAY_S / fastest.count if fastest.count < SETTLED else 0.0
         return Exposure(at, STREAM_UNCERTAINTY_S + unknown, told_by)
 
-    def _of_clock(self, timing: Timing, taken: CameraTime) -> Exposure:
-        """Use a time with a resolution, such as whole seconds, of a camera that answers requests or writes files."""
-        first = (timing.arrived if timing.asked is None else timing.asked) - timing.oldest
+    def _bounds_of(self, taken: CameraTime, first: float, arrived: float) -> OffsetBounds:
+        """Return the offset of the clock that stated the time of an image taken in [first, arrived]; it has a
+        resolution, such as whole seconds, and is of a camera that answers requests or writes files."""
         own = self._own.setdefault(taken.told_by, OffsetBounds())
-        self._learn(own, taken.epoch, taken.resolution, first, timing.arrived)
-        bounds = own
-        if self._answers.known:
-            # Another clock (EXIF in local time, an image from a recorder) differs by hours; an image only seconds old
-            # has a correct time.
-            low, high = self._answers.at(timing.arrived)
-            if taken.epoch - high <= timing.arrived and taken.epoch + taken.resolution - low >= first - PLAUSIBLE_S:
-                bounds = self._answers
-        else:
-            self._offset = own.middle(timing.arrived)
-        low, high = bounds.at(timing.arrived)
-        latest = min(taken.epoch + taken.resolution - low, timing.arrived)
-        earliest = min(taken.epoch - high, latest)
-        return Exposure((earliest + latest) / 2, (latest - earliest) / 2, taken.told_by)
+        middle = self._learn(own, taken, first, arrived)
+        if not self._answers.seen:
+            self._offset = middle
+            return own
+        # Another clock (EXIF in local time, an image from a recorder) differs by hours; an image only seconds old has
+        # a correct time.
+        low, high = self._answers.at(arrived)
+        plausible = taken.epoch - high <= arrived and taken.epoch + taken.resolution - low >= first - PLAUSIBLE_S
+        return self._answers if plausible else own
 
-    def _learn(self, bounds: OffsetBounds, epoch: float, resolution: float, first: float, last: float) -> None:
-        """Learn that the clock read [epoch, epoch + resolution] at some moment of [first, last]."""
-        if bounds.add(epoch - last, epoch + resolution - first, last):
-            self.resets += 1
-
-
-def _arrival(timing: Timing) -> Exposure:
-    """Use only the arrival: the image was taken between its greatest possible age and its arrival."""
-    first = (timing.arrived if timing.asked is None else timing.asked) - timing.oldest
-    return Exposure((first + timing.arrived) / 2, (timing.arrived - first) / 2, "arrival")
+    def _learn(self, bounds: OffsetBounds, stated: CameraTime, first: float, last: float) -> float:
+        """Learn that the clock had the stated time at some moment of [first, last]; return the middle of its offset."""
+        self.resets += bounds.add(stated.epoch - last, stated.epoch + stated.resolution - first, last)
+        return sum(bounds.at(last)) / 2
 
 
 _HEAD = 64 << 10

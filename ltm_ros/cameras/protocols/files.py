@@ -9,7 +9,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,15 @@ MOST_FILES = 20_000
 """Maximum number of recent files that are checked, so that a faulty camera cannot fill the memory."""
 
 
-@dataclass(frozen=True)
-class _FileState:
-    """State of a file at one check; a file in progress changes its size or time until the next."""
+@dataclass
+class _Upload:
+    """A file, as it was at the last check; one in progress changes until the next."""
 
-    size: int
-    modified_ns: int
+    since: float
+    """Monotonic seconds of the check that first saw it."""
+    state: tuple[int, int] = (-1, -1)
+    """Time of the last change in nanoseconds, and size in bytes."""
+    done: bool = False
 
 
 class FolderReader:
@@ -59,31 +62,28 @@ class FolderReader:
             self._zone = ZoneInfo(config.zone)
         except (ZoneInfoNotFoundError, ValueError, OSError):
             raise SourceError(f"unknown zone {config.zone!r}; give one such as America/Los_Angeles") from None
-        self._waiting: dict[Path, tuple[_FileState, float]] = {}
-        self._done: dict[Path, _FileState] = {}
+        self._uploads: dict[Path, _Upload] = {}
 
     def read(self) -> CameraImage | Nothing:
         now, wall = self._clock.monotonic(), self._clock.wall()
         files = self._look(wall)
         # Deleted files are forgotten, so that a name can be used again.
-        self._done = {path: seen for path, seen in self._done.items() if path in files}
-        self._waiting = {path: entry for path, entry in self._waiting.items() if path in files}
-        new = [(seen.modified_ns, path, seen) for path, seen in files.items() if self._done.get(path) != seen]
-        for modified_ns, path, seen in sorted(new):
-            former, since = self._waiting.get(path, (None, now))
-            self._waiting[path] = seen, since
-            if former != seen:
-                continue
-            data = self._whole(path, seen, now - since)
-            if data is not None:
-                self._finish(path, seen)
-                return self._picture(path, data, now - (wall - modified_ns / 1e9))
+        self._uploads = {path: upload for path, upload in self._uploads.items() if path in files}
+        for path, state in sorted(files.items(), key=lambda item: item[1]):
+            upload = self._uploads.setdefault(path, _Upload(now))
+            if upload.state != state:
+                if upload.done:
+                    upload.since, upload.done = now, False
+                upload.state = state
+            elif not upload.done and (data := self._whole(path, upload, now - upload.since)) is not None:
+                self._finish(path, upload)
+                return self._picture(path, data, now - (wall - state[0] / 1e9))
         return Nothing.YET
 
     def close(self) -> None:
         """Do nothing; no file is open."""
 
-    def _look(self, wall: float) -> dict[Path, _FileState]:
+    def _look(self, wall: float) -> dict[Path, tuple[int, int]]:
         try:
             if not is_folder(self._folder):
                 raise SourceError(f"{self._folder} does not exist any more: mount it, or correct path")
@@ -91,43 +91,42 @@ class FolderReader:
         except OSError as error:
             raise SourceError(f"{self._folder} cannot be read: {error.strerror}") from None
 
-    def _files(self, wall: float) -> Iterator[tuple[Path, _FileState]]:
+    def _files(self, wall: float) -> Iterator[tuple[Path, tuple[int, int]]]:
         home = self._folder.resolve()
         for path in self._folder.glob(self._config.pattern):
             with contextlib.suppress(OSError):
-                state = path.lstat()
+                state, upload = path.lstat(), self._uploads.get(path)
                 # First, because most files of a folder that is never cleared are old.
-                if wall - state.st_mtime > self._config.oldest and path not in self._waiting:
+                if wall - state.st_mtime > self._config.oldest and (upload is None or upload.done):
                     continue
                 # A camera might write links, which could point anywhere.
                 if stat.S_ISREG(state.st_mode) and path.resolve().is_relative_to(home):
-                    yield path, _FileState(state.st_size, state.st_mtime_ns)
+                    yield path, (state.st_mtime_ns, state.st_size)
 
-    def _whole(self, path: Path, seen: _FileState, waited: float) -> bytes | None:
+    def _whole(self, path: Path, upload: _Upload, waited: float) -> bytes | None:
         """Return the file's bytes; None if it may still grow. Raises PictureError if it will never be complete."""
-        if seen.size > self._most_bytes:
-            self._finish(path, seen)
-            raise PictureError(f"{path.name} has {seen.size} bytes; the maximum is {self._most_bytes}")
+        size = upload.state[1]
+        if size > self._most_bytes:
+            self._finish(path, upload)
+            raise PictureError(f"{path.name} has {size} bytes; the maximum is {self._most_bytes}")
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
             with open(descriptor, "rb") as file:  # noqa: PTH123 # of a descriptor, so that no link is followed
                 data = file.read(self._most_bytes + 1)
         except OSError:
             return None  # moved or deleted meanwhile; the next check shows it
-        if data[:3] == b"\xff\xd8\xff" and data.rstrip(b"\0\r\n")[-2:] == b"\xff\xd9":
-            return data
-        if data[:8] == b"\x89PNG\r\n\x1a\n" and b"IEND" in data[-16:]:
+        jpeg = data[:3] == b"\xff\xd8\xff" and data.rstrip(b"\0\r\n")[-2:] == b"\xff\xd9"
+        if jpeg or (data[:8] == b"\x89PNG\r\n\x1a\n" and b"IEND" in data[-16:]):
             return data
         if waited < self._config.complete_within:
             return None
-        self._finish(path, seen)
+        self._finish(path, upload)
         raise PictureError(
             f"{path.name} has {len(data)} bytes and no end of image after {waited:.0f} s: its upload was interrupted"
         )
 
-    def _finish(self, path: Path, seen: _FileState) -> None:
-        self._waiting.pop(path, None)
-        self._done[path] = seen
+    def _finish(self, path: Path, upload: _Upload) -> None:
+        upload.done = True
         if self._config.delete:
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -186,9 +185,8 @@ class CameraListReader:
         if entry.get(self._config.time_key) != stated:
             raise PictureError("the list already has a newer image than the one read; the next one is used")
         self._given = stated
-        direction = after
         if before is not None and after is not None and not at_rest(before, after, Tolerance()):
-            direction = PtzReading(after.pan_deg, after.tilt_deg, after.zoom, True, after.at)
+            after = replace(after, moving=True)
         timing = Timing(
             arrived=answer.arrived,
             asked=answer.asked,
@@ -196,7 +194,7 @@ class CameraListReader:
             taken=time_of(stated) or http_time(answer.headers, "Last-Modified"),
             answered=http_time(answer.headers, "Date"),
         )
-        return CameraImage(timing, jpeg=picture, direction=direction)
+        return CameraImage(timing, jpeg=picture, direction=after)
 
     def close(self) -> None:
         self._client.close()

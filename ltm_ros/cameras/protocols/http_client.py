@@ -48,16 +48,21 @@ class HttpResponse:
 
 
 class HttpClient:
-    """A connection to one camera, for one thread. Raises UnauthorisedError if the password cannot be read, SourceError
-    if the certificates cannot."""
+    """A connection to one camera, for one thread. An address without host is one of `settings.url`.
+
+    Raises UnauthorisedError if the password cannot be read, SourceError if the certificates cannot."""
 
     def __init__(self, settings: HttpSettings, *, most_bytes: int) -> None:
-        self._login = Login.of(settings)
+        self.login, self.url = Login.of(settings), settings.url
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
         self._deadline = Deadline()
+        auth = None
+        if settings.user is not None and "{password}" not in settings.url:
+            kind = settings.authentication
+            auth = CameraAuth(settings.user, self.login.secret, ("digest", "basic") if kind == "auto" else (kind,))
         self._client = httpx.Client(
-            auth=self._auth(settings),
+            auth=auth,
             transport=CameraTransport(_certificates(settings), KEEP_S, self._deadline),
             timeout=settings.timeout,
             # A redirect would send the password to another host.
@@ -69,20 +74,16 @@ class HttpClient:
     def close(self) -> None:
         self._client.close()
 
-    def get(self, url: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
-        """Return the whole answer with status 200 or 304. Raises SourceError, UnauthorisedError, PictureError if it is
-        too large."""
-        return self.send("GET", url, headers)
-
-    def send(
+    def get(
         self,
-        method: str,
         url: str,
         headers: Mapping[str, str] | None = None,
+        method: str = "GET",
         body: bytes | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> HttpResponse:
-        """Like `get`; `accepted`: statuses that are no errors."""
+        """Return the whole answer. `accepted`: statuses that are no errors. Raises SourceError, UnauthorisedError,
+        PictureError if it is too large."""
         with (
             self.within(self._whole_s),
             self.stream(url, headers, method, body, accepted) as (response, asked, arrived),
@@ -115,22 +116,17 @@ class HttpClient:
     ) -> Iterator[tuple[httpx.Response, float, float]]:
         """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
         `get`."""
+        url = self.login.filled(url if "://" in url else self.url + url)
+        asked = [time.monotonic()]
+        # The time of the last request after a challenge counts: its answer holds the image.
+        self._client.event_hooks = {"request": [lambda _: asked.append(time.monotonic())], "response": []}
         with self._said(), contextlib.ExitStack() as stack:
-            # Time of the last request after a challenge: its answer holds the image.
-            asked = time.monotonic()
-
-            def note(_: httpx.Request) -> None:
-                nonlocal asked
-                asked = time.monotonic()
-
-            self._client.event_hooks = {"request": [note], "response": []}
             with self.within(self._whole_s):
-                response = stack.enter_context(
-                    self._client.stream(method, self._login.filled(url), headers=dict(headers or {}), content=body)
-                )
+                sent = self._client.stream(method, url, headers=dict(headers or {}), content=body)
+                response = stack.enter_context(sent)
             arrived = time.monotonic()
             self._check(response, accepted)
-            yield response, asked, arrived
+            yield response, asked[-1], arrived
 
     @contextlib.contextmanager
     def within(self, seconds: float) -> Iterator[None]:
@@ -148,23 +144,17 @@ class HttpClient:
         finally:
             self._deadline.until = former
 
-    def _auth(self, settings: HttpSettings) -> httpx.Auth | None:
-        if settings.user is None or "{password}" in settings.url:
-            return None
-        password = self._login.password.reveal() if self._login.password is not None else ""
-        kind = settings.authentication
-        return CameraAuth(settings.user, password, ("digest", "basic") if kind == "auto" else (kind,))
-
     def _check(self, response: httpx.Response, accepted: Collection[int]) -> None:
         status = response.status_code
         if status in accepted:
             return
         if status in REFUSED:
-            raise self._login.rejected(f"HTTP {status}")
+            raise self.login.rejected(f"HTTP {status}")
         if 300 <= status < 400:
-            place = self._login.redact(response.headers.get("location", "elsewhere"))
-            remedy = "check the url and the authentication" if _LOGIN.search(place) else "set this address as url"
-            page = "its login page " if _LOGIN.search(place) else ""
+            place = self.login.redact(response.headers.get("location", "elsewhere"))
+            page, remedy = "", "set this address as url"
+            if _LOGIN.search(place):
+                page, remedy = "its login page ", "check the url and the authentication"
             raise SourceError(f"the camera redirects to {page}{place} (HTTP {status}): {remedy}")
         raise SourceError(f"the camera answered HTTP {status} {response.reason_phrase}".rstrip())
 
@@ -173,18 +163,20 @@ class HttpClient:
         """Return an httpx error as SourceError without secrets."""
         try:
             yield
-        except httpx.TimeoutException as error:
-            what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
-            raise SourceError(f"the camera does not respond: no {what} in time") from None
-        except httpx.ConnectError as error:
-            raise SourceError(f"no connection: {self._login.redact(error)}{_remedy(str(error))}") from None
-        except (httpx.InvalidURL, UnicodeError) as error:
-            raise SourceError(f"the url is invalid: {self._login.redact(error)}") from None
-        except (httpx.HTTPError, httpx.StreamError, OSError, ValueError) as error:
-            kind = type(error).__name__
-            raise SourceError(
-                f"the camera closed the connection or did not answer HTTP ({kind}): {self._login.redact(error)}"
-            ) from None
+        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
+            why = self.login.redact(error)
+            match error:
+                case httpx.ConnectTimeout():
+                    said = "the camera does not respond: no connection in time"
+                case httpx.TimeoutException():
+                    said = "the camera does not respond: no answer in time"
+                case httpx.ConnectError():
+                    said = f"no connection: {why}{_remedy(str(error))}"
+                case httpx.InvalidURL() | UnicodeError():
+                    said = f"the url is invalid: {why}"
+                case _:
+                    said = f"the camera closed the connection or did not answer HTTP ({type(error).__name__}): {why}"
+            raise SourceError(said) from None
 
 
 def is_whole_jpeg(data: bytes | bytearray) -> bool:
@@ -207,16 +199,17 @@ def page_in(body: bytes) -> str:
     return kind + named + (f" that redirects to {plain(redacted(place[1]), 100)}" if place else "")
 
 
+_REMEDIES = {
+    r"hostname mismatch|ip address mismatch": "the certificate is for another host; set check_name: false (--any-name)",
+    r"self.signed|unable to get": "save the camera's certificate as a PEM file, and name this file as ca (--ca)",
+    r"expired|not yet valid": "renew the certificate in the camera, and check both clocks",
+    r"wrong_version_number": "the port does not speak https; use http://, or another port",
+}
+"""What to do about an error of TLS, by its text."""
+
+
 def _remedy(why: str) -> str:
-    """Return what to do about an error of TLS; empty: it is none."""
-    why = why.lower()
-    if "hostname mismatch" in why or "ip address mismatch" in why:
-        return ": the certificate is for another host; set check_name: false (--any-name)"
-    if "self-signed" in why or "self signed" in why or "unable to get" in why:
-        return ": save the camera's certificate as a PEM file, and name this file as ca (--ca)"
-    if "expired" in why or "not yet valid" in why:
-        return ": renew the certificate in the camera, and check both clocks"
-    return ": the port does not speak https; use http://, or another port" if "wrong_version_number" in why else ""
+    return next((f": {remedy}" for text, remedy in _REMEDIES.items() if re.search(text, why, re.IGNORECASE)), "")
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:

@@ -11,15 +11,14 @@ import cv2
 import numpy as np
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.geometry.pose import Pose
+from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.protocols.credentials import PictureError
 
 
 @dataclass(frozen=True)
 class PtzReading:
-    """A reading of a PTZ head's encoders. Signs and zeros are the adapter's; `PoseModel` converts them."""
+    """A reading of a PTZ head's encoders. Signs and zeros are the adapter's; the mount converts them."""
 
     pan_deg: float
     tilt_deg: float
@@ -31,34 +30,14 @@ class PtzReading:
     """Time of the reading in seconds of `time.monotonic`."""
 
 
-class Direction(Protocol):
+class PtzHead(Protocol):
     """Reads a PTZ head's encoders over the network; may block up to its time limit."""
 
     def read(self) -> PtzReading:
-        """Return a reading. Raises `SourceError` (`ltm_ros.cameras.protocols.credentials`) without an answer."""
+        """Return a reading. Raises SourceError without an answer, UnauthorisedError if the password is rejected."""
         ...
 
-    def close(self) -> None:
-        """Close the connection; `read` opens a new one."""
-        ...
-
-
-class Patrol(Protocol):
-    """Moves a PTZ head from preset to preset."""
-
-    def advance(self) -> None:
-        """Go to the next preset and wait until it rests there. Raises SourceError; StuckPtzError if it does
-        not arrive."""
-        ...
-
-
-class PoseModel(Protocol):
-    """Computes a camera's pose from readings of its PTZ head."""
-
-    def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
-        """Return the pose of the optical frame in `map`, and its (6, 6) covariance: position in metres, then rotation
-        about the map's axes in radians."""
-        ...
+    def close(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -166,7 +145,6 @@ BRIGHT_SHARE = 0.02
 """Share of the pixels that are bright at night, too: lamps, the moon, a caption."""
 GREY = 3
 """Difference of colour channels that compression alone causes."""
-HASH_SIZE = 8
 
 
 def thumbnail_of_bytes(data: bytes) -> UInt8Array:
@@ -178,53 +156,34 @@ def thumbnail_of_bytes(data: bytes) -> UInt8Array:
         raise PictureError(str(error)) from None
 
 
-def thumbnail_of_rgb(rgb: UInt8Array) -> UInt8Array:
-    """Like `thumbnail_of_bytes`, from every eighth pixel."""
-    return np.ascontiguousarray(rgb[4::8, 4::8, ::-1]) if min(rgb.shape[:2]) >= 8 else rgb[..., ::-1]
-
-
 def is_night(thumbnail: UInt8Array) -> bool:
     """Return whether the image is dark apart from some lamps, or has no colour (infrared)."""
     brightest = thumbnail.max(axis=2)
-    if (brightest > DARK).mean() <= BRIGHT_SHARE:
-        return True
     colour = brightest - thumbnail.min(axis=2)
-    return bool((colour > GREY).mean() <= BRIGHT_SHARE)
+    return bool((brightest > DARK).mean() <= BRIGHT_SHARE or (colour > GREY).mean() <= BRIGHT_SHARE)
 
 
-def difference_hash(thumbnail: UInt8Array) -> int:
+def difference_hash(grey: UInt8Array) -> int:
     """Return 64 bits: whether each of 8 x 8 cells is brighter than its left neighbour. Similar images differ in few
     bits (Krawetz's dHash)."""
-    grey = cv2.resize(_grey(thumbnail), (HASH_SIZE + 1, HASH_SIZE), interpolation=cv2.INTER_AREA)
-    bits = np.packbits(grey[:, 1:] > grey[:, :-1])
-    return int.from_bytes(bits.tobytes(), "big")
-
-
-def same_share(first: UInt8Array, second: UInt8Array) -> float:
-    """Return the share of exactly equal pixels of two thumbnails; noise and light change most pixels between exposures.
-    0 if sizes differ."""
-    if first.shape != second.shape:
-        return 0.0
-    return float((first == second).all(axis=2).mean())
-
-
-def contrast(thumbnail: UInt8Array) -> float:
-    """Return the standard deviation of grey levels: close to zero in fog and darkness."""
-    return float(_grey(thumbnail).std())
-
-
-def _grey(thumbnail: UInt8Array) -> UInt8Array:
-    return np.asarray(cv2.cvtColor(thumbnail, cv2.COLOR_BGR2GRAY), np.uint8)
+    small = cv2.resize(grey, (9, 8), interpolation=cv2.INTER_AREA)
+    return int.from_bytes(np.packbits(small[:, 1:] > small[:, :-1]).tobytes(), "big")
 
 
 SAME_SHARE = 0.99
-"""Share of exactly equal thumbnail pixels in a frozen image, whose caption may still change."""
+"""Share of exactly equal thumbnail pixels in a frozen image, whose caption may still change; noise and light change
+most pixels between exposures."""
 LEAST_CONTRAST = 4.0
-"""Contrast below which (fog, darkness) an unchanged image proves nothing."""
+"""Standard deviation of grey levels below which (fog, darkness) an unchanged image proves nothing."""
 TURNED_DEG = 5.0
 """Degrees of a PTZ turn after which the image must change."""
 SAME_BITS = 4
 """Maximum of differing bits (of 64) in the hashes of two images of one view."""
+
+
+def same_share(first: UInt8Array, second: UInt8Array) -> float:
+    """Return the share of exactly equal pixels of two thumbnails; 0 if sizes differ."""
+    return float((first == second).all(axis=2).mean()) if first.shape == second.shape else 0.0
 
 
 class StuckPicture:
@@ -235,18 +194,19 @@ class StuckPicture:
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
-        self._first: UInt8Array | None = None
+        self._first = np.empty((0, 0, 3), np.uint8)
         self._same_since: float | None = None
         self._turned_from: tuple[int, PtzReading] | None = None
         self._turns_unseen = 0
 
     def look(self, thumbnail: UInt8Array, direction: PtzReading | None, now: float) -> None:
         """Take an image, with the PTZ head's `direction` at rest, if any."""
-        telling = contrast(thumbnail) >= LEAST_CONTRAST
-        if self._first is None or not telling or same_share(self._first, thumbnail) < SAME_SHARE:
+        grey = np.asarray(cv2.cvtColor(thumbnail, cv2.COLOR_BGR2GRAY), np.uint8)
+        telling = float(grey.std()) >= LEAST_CONTRAST
+        if not telling or same_share(self._first, thumbnail) < SAME_SHARE:
             self._first, self._same_since = thumbnail, now
         if direction is not None and telling:
-            self._compare_turn(difference_hash(thumbnail), direction)
+            self._compare_turn(difference_hash(grey), direction)
 
     def repeated(self, now: float) -> None:
         """Record that the camera sent the same bytes, or reported no change."""
@@ -262,17 +222,12 @@ class StuckPicture:
         return ""
 
     def _compare_turn(self, bits: int, direction: PtzReading) -> None:
-        if self._turned_from is None:
-            self._turned_from = bits, direction
-            return
-        former, before = self._turned_from
-        turn = max(
-            difference_deg(before.pan_deg, direction.pan_deg), difference_deg(before.tilt_deg, direction.tilt_deg)
-        )
+        former, before = self._turned_from or (bits, direction)
         unseen = (former ^ bits).bit_count() <= SAME_BITS
-        if turn < TURNED_DEG:
-            if not unseen:
-                self._turns_unseen = 0
-            return
-        self._turned_from = bits, direction
-        self._turns_unseen = self._turns_unseen + 1 if unseen else 0
+        turned = not at_rest(before, direction, Tolerance(TURNED_DEG, math.inf))
+        if turned or self._turned_from is None:
+            self._turned_from = bits, direction
+        if not unseen:
+            self._turns_unseen = 0
+        elif turned:
+            self._turns_unseen += 1

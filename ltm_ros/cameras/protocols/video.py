@@ -1,4 +1,4 @@
-"""Read images of video streams (RTSP) and of USB cameras (Video4Linux)."""
+"""Read images of video streams (RTSP)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import re
 import socket
 import time
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote, urlsplit, urlunsplit
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.site.source_config import RtspConfig, V4l2Config
+from ltm_core.site.source_config import RtspConfig
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.http_wire import Challenge, challenges
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
@@ -22,36 +22,21 @@ TURN_S = 2.0
 _HELD_BACK = ("h264", "hevc")
 """Codecs for which FFmpeg detects a complete image only when the next one begins: an image began to arrive when the
 previous one was returned, one period before it is returned itself."""
+_MOST_HEAD = 16 << 10
+_READ_S = 5.0
+"""Seconds without a packet after which FFmpeg gives a stream up; cameras send several per second."""
+_STATUS = re.compile(r"method (\w+) failed: (\d{3}) \(([^)\n]{0,60})")
+"""What FFmpeg logs if the camera rejects a request."""
 
 
-class VideoOrigin(Protocol):
-    """The source of a video."""
+class RtspReader:
+    """Raises SourceError if PyAV is missing or there is no video, UnauthorisedError if the password is wrong or cannot
+    be read."""
 
-    def opened(self, av: Any) -> Any:
-        """Open a container of PyAV. Raises SourceError."""
-        ...
-
-    def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
-        """Return the timing of an image that began to arrive at `arrived`. `stream`: its time in the video, seconds;
-        `begun`: epoch seconds of time 0; None: unknown."""
-        ...
-
-    def said(self, error: BaseException) -> str:
-        """Return an error of FFmpeg in words, without secrets."""
-        ...
-
-
-class VideoReader:
-    """Raises SourceError if PyAV is missing, and what `origin` raises.
-
-    Args: keys_only: use only key frames, each decoded alone. every: seconds between images; 0: all. stall_s: seconds
-    without an image, while packets come, after which the video is given up."""
-
-    def __init__(self, origin: VideoOrigin, keys_only: bool, every: float, stall_s: float) -> None:
+    def __init__(self, config: RtspConfig) -> None:
         self.pause = 0.0
-        self._origin, self._keys_only, self._every, self._stall_s = origin, keys_only, every, stall_s
-        self._av = _pyav()
-        self._container = origin.opened(self._av)
+        self._config, self._login, self._av = config, Login.of(config), _pyav()
+        self._container = self._opened()
         try:
             if not self._container.streams.video:
                 raise SourceError("the stream contains no video")
@@ -83,7 +68,7 @@ class VideoReader:
             if picture is not None:
                 self._last = arrived
                 return picture
-            if arrived - self._last > self._stall_s:
+            if arrived - self._last > self._config.stall_s:
                 raise SourceError(f"the stream sends packets, but no image for {arrived - self._last:.0f} s")
             if arrived > until:
                 return Nothing.YET
@@ -93,11 +78,9 @@ class VideoReader:
 
     def _packet(self) -> Any:
         try:
-            packet = next(self._packets)
-        except StopIteration:
-            packet = None
+            packet = next(self._packets, None)
         except (self._av.error.FFmpegError, OSError) as error:
-            raise SourceError(f"the stream was interrupted: {self._origin.said(error)}") from None
+            raise SourceError(f"the stream was interrupted: {self._said(error)}") from None
         # FFmpeg ends a stream whose server vanished with an empty packet.
         if packet is None or (packet.dts is None and packet.size == 0):
             raise SourceError("the stream has ended: the camera closed it or is not reachable")
@@ -105,96 +88,63 @@ class VideoReader:
 
     def _picture(self, packet: Any, arrived: float) -> CameraImage | None:
         self._whole |= packet.is_keyframe
-        due = arrived >= self._due
-        if not self._whole or (self._keys_only and not (packet.is_keyframe and due)):
+        alone, due = self._config.frames == "key", arrived >= self._due
+        if not self._whole or (alone and not (packet.is_keyframe and due)):
             return None
-        frames = self._decoded(packet, self._keys_only)
-        if not frames or not due:
-            return None
-        frame = frames[-1]
-        if packet.is_corrupt or frame.is_corrupt:
-            raise PictureError("an image of the stream is corrupt")
-        self._due = arrived + self._every
-        stream = None if frame.pts is None else float(frame.pts * frame.time_base)
-        begun = self._container.start_time_realtime
-        try:
-            rgb: UInt8Array = frame.to_ndarray(format="rgb24")
-        except (self._av.error.FFmpegError, ValueError, MemoryError) as error:
-            raise PictureError(f"an image of the stream cannot be converted: {self._origin.said(error)}") from None
-        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=rgb)
-
-    def _decoded(self, packet: Any, alone: bool) -> list[Any]:
         try:
             frames = list(self._codec.decode(packet))
             if alone:
                 # Key frames need not wait for later frames that are out of order.
                 frames += self._codec.decode(None)
                 self._codec.flush_buffers()
-        except (self._av.error.FFmpegError, ValueError) as error:
-            raise PictureError(f"an image of the stream cannot be decoded: {self._origin.said(error)}") from None
-        return frames
+            if not frames or not due:
+                return None
+            frame = frames[-1]
+            if packet.is_corrupt or frame.is_corrupt:
+                raise PictureError("an image of the stream is corrupt")
+            self._due = arrived + self._config.every
+            rgb: UInt8Array = frame.to_ndarray(format="rgb24")
+        except (self._av.error.FFmpegError, ValueError, MemoryError) as error:
+            raise PictureError(f"an image of the stream cannot be decoded: {self._said(error)}") from None
+        stream = None if frame.pts is None else float(frame.pts * frame.time_base)
+        begun = self._container.start_time_realtime
+        taken = None
+        if stream is not None and begun:
+            taken = CameraTime(begun / 1e6 + stream, 0.0, "sender-report")
+        timing = Timing(
+            arrived=arrived,
+            oldest=0.5,
+            taken=taken,
+            stream=stream,
+            least_delay=self._config.least_delay,
+            trusted=self._config.clock == "trusted",
+        )
+        return CameraImage(timing, rgb=rgb)
 
-
-def _pyav() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise SourceError('video needs PyAV: pip install "ltm[rtsp]"') from None
-    av.logging.set_level(None)
-    # Its log lines contain URLs.
-    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
-    return av
-
-
-_MOST_HEAD = 16 << 10
-_READ_S = 5.0
-"""Seconds without a packet after which FFmpeg gives a stream up; cameras send several per second."""
-_ANALYSE_US = "1000000"
-_STATUS = re.compile(r"method (\w+) failed: (\d{3}) \(([^)\n]{0,60})")
-"""What FFmpeg logs if the camera rejects a request."""
-
-
-class RtspReader(VideoReader):
-    """Raises SourceError if PyAV is missing, UnauthorisedError if the password is wrong or cannot be read."""
-
-    def __init__(self, config: RtspConfig) -> None:
-        super().__init__(_Stream(config), config.frames == "key", config.every, config.stall_s)
-
-
-class _Stream:
-    """The `VideoOrigin` of a stream."""
-
-    def __init__(self, config: RtspConfig) -> None:
-        self._config = config
-        self._login = Login.of(config)
-
-    def opened(self, av: Any) -> Any:
+    def _opened(self) -> Any:
+        av, config = self._av, self._config
         options = {
-            "rtsp_transport": self._config.transport,
+            "rtsp_transport": config.transport,
             "allowed_media_types": "video",
             "fflags": "nobuffer",
-            "analyzeduration": _ANALYSE_US,
+            "analyzeduration": "1000000",
         }
-        timeouts = self._config.timeout, min(self._config.timeout, _READ_S)
         av.logging.set_level(av.logging.ERROR)  # for the status of the camera's answer, which no exception holds
         try:
-            return av.open(self._address(), options=options, timeout=timeouts)
+            return av.open(self._address(), options=options, timeout=(config.timeout, min(config.timeout, _READ_S)))
         except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError):
             raise self._rejected() from None
         except (av.error.FFmpegError, OSError, ValueError) as error:
             status = _STATUS.search(str((getattr(error, "log", None) or ("", "", ""))[2]))
             if status is None:
-                raise SourceError(f"no stream: {self.said(error)}") from None
+                raise SourceError(f"no stream: {self._said(error)}") from None
             method, code, words = status.groups()
+            other = "tcp" if config.transport == "udp" else "udp"
+            remedies = {"461": f"; set transport: {other}", "453": "; too many viewers: close other streams"}
             said = f"the camera answered {code} {self._login.redact(words)} to RTSP {method}"
-            raise SourceError(f"no stream: {said}{self._remedy(code)}") from None
+            raise SourceError(f"no stream: {said}{remedies.get(code, '')}") from None
         finally:
             av.logging.set_level(None)
-
-    def _remedy(self, status: str) -> str:
-        if status == "461":
-            return f"; set transport: {'tcp' if self._config.transport == 'udp' else 'udp'}"
-        return "; too many viewers: close other streams" if status == "453" else ""
 
     def _rejected(self) -> UnauthorisedError:
         """Return the error of a rejected login. FFmpeg knows MD5 alone, and uses the last challenge of several."""
@@ -214,25 +164,23 @@ class _Stream:
         if self._config.user is None or "{password}" in self._config.url:
             return url
         parts = urlsplit(url)
-        password = self._login.password.reveal() if self._login.password is not None else ""
-        user_info = f"{quote(self._config.user, safe='')}:{quote(password, safe='')}"
+        user_info = f"{quote(self._config.user, safe='')}:{quote(self._login.secret, safe='')}"
         return urlunsplit(parts._replace(netloc=f"{user_info}@{parts.netloc}"))
 
-    def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
-        taken = None
-        if stream is not None and begun is not None:
-            taken = CameraTime(begun + stream, 0.0, "sender-report")
-        return Timing(
-            arrived=arrived,
-            oldest=0.5,
-            taken=taken,
-            stream=stream,
-            least_delay=self._config.least_delay,
-            trusted=self._config.clock == "trusted",
-        )
-
-    def said(self, error: BaseException) -> str:
+    def _said(self, error: BaseException) -> str:
+        """Return an error of FFmpeg in words, without secrets."""
         return self._login.redact(getattr(error, "strerror", None) or type(error).__name__)
+
+
+def _pyav() -> Any:
+    try:
+        import av
+    except ImportError:
+        raise SourceError('video needs PyAV: pip install "ltm[rtsp]"') from None
+    av.logging.set_level(None)
+    # Its log lines contain URLs.
+    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
+    return av
 
 
 def _challenges_of(config: RtspConfig) -> list[Challenge]:
@@ -249,39 +197,3 @@ def _challenges_of(config: RtspConfig) -> list[Challenge]:
                 head += part
     lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n"))
     return challenges(value for name, _, value in lines if name.lower() == "www-authenticate")
-
-
-class V4l2Reader(VideoReader):
-    """Raises SourceError if PyAV or the device is missing, or the device is in use."""
-
-    def __init__(self, config: V4l2Config) -> None:
-        super().__init__(_Device(config), keys_only=True, every=config.every, stall_s=config.stall_s)
-
-
-class _Device:
-    """The `VideoOrigin` of a device. Its image times are from a monotonic clock, like a stream's."""
-
-    def __init__(self, config: V4l2Config) -> None:
-        self._config = config
-
-    def opened(self, av: Any) -> Any:
-        config = self._config
-        asked = {
-            "video_size": None if config.size is None else f"{config.size[0]}x{config.size[1]}",
-            "framerate": None if config.rate is None else f"{config.rate:g}",
-            "input_format": config.format,
-        }
-        options = {name: value for name, value in asked.items() if value is not None}
-        try:
-            return av.open(str(config.device), format="v4l2", options=options)
-        except PermissionError:
-            raise SourceError(f"{config.device} is not readable: add the user to the group video") from None
-        except (av.error.FFmpegError, OSError, ValueError) as error:
-            asked_for = "".join(f"; requested {name} {value}" for name, value in options.items())
-            raise SourceError(f"{config.device}: {self.said(error)}{asked_for}") from None
-
-    def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
-        return Timing(arrived=arrived, oldest=0.5, stream=stream, least_delay=self._config.least_delay)
-
-    def said(self, error: BaseException) -> str:
-        return getattr(error, "strerror", None) or type(error).__name__

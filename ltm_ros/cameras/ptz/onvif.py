@@ -17,21 +17,11 @@ import xml.etree.ElementTree as ElementTree  # nosec B405 # parsed by `parsed_xm
 from collections.abc import Mapping
 from xml.sax.saxutils import escape  # nosec B406 # writes only
 
-from ltm_core.site.source_config import OnvifConfig, SourceConfig
-from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
+from ltm_core.site.source_config import OnvifConfig
+from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.http_client import HttpClient
 from ltm_ros.cameras.protocols.picture import PtzReading
-from ltm_ros.cameras.ptz.head import (
-    Connection,
-    found,
-    local,
-    number,
-    parsed_xml,
-    settings_of,
-    spacing_for,
-    token_of,
-    tolerance_of,
-    with_configured_host,
-)
+from ltm_ros.cameras.ptz.head import found, local, number, parsed_xml, with_configured_host
 
 DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 MEDIA = "http://www.onvif.org/ver10/media/wsdl"
@@ -56,9 +46,8 @@ class SoapClient:
     """Signs with the camera's own time, which it requests first: a token older than some seconds is rejected, and
     cameras' clocks are off by minutes."""
 
-    def __init__(self, connection: Connection, device: str) -> None:
-        self._connection, self._device = connection, device
-        self._login = Login.of(connection.settings)
+    def __init__(self, client: HttpClient, device: str) -> None:
+        self._client, self._device, self._login = client, device, client.login
         self._ahead: float | None = None
 
     def clock_ahead(self) -> float | None:
@@ -75,10 +64,8 @@ class SoapClient:
         if utc is None:
             self._ahead = 0.0
             return None
-        fields = []
-        for name in ("Year", "Month", "Day", "Hour", "Minute", "Second"):
-            element = found(utc, name)
-            fields.append(int(number(element.text if element is not None else None, name)))
+        names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
+        fields = [int(number(getattr(found(utc, name), "text", None), name)) for name in names]
         try:
             # It reports whole seconds, at their start.
             self._ahead = calendar.timegm((*fields, 0, 0, 0)) + 0.5 - middle
@@ -113,7 +100,7 @@ class SoapClient:
             f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
         )
         kind = {"content-type": "application/soap+xml; charset=utf-8"}
-        answer = self._connection.ask(address, "POST", envelope.encode(), kind, accepted=_TOLD)
+        answer = self._client.get(address, kind, "POST", envelope.encode(), accepted=_TOLD)
         if answer.status in (401, 403) and b"Envelope" not in answer.body:
             raise self._login.rejected(f"ONVIF, HTTP {answer.status}")
         root = parsed_xml(answer.body)
@@ -131,9 +118,8 @@ class SoapClient:
     def _security(self) -> str:
         nonce = secrets.token_bytes(16)
         created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + (self._ahead or 0.0)))
-        password = self._login.password.reveal() if self._login.password is not None else ""
         # The standard requires SHA-1 here.
-        digest = hashlib.sha1(nonce + created.encode() + password.encode(), usedforsecurity=False).digest()
+        digest = hashlib.sha1(nonce + created.encode() + self._login.secret.encode(), usedforsecurity=False).digest()
         return (
             f'<wsse:Security xmlns:wsse="{_WSSE}" xmlns:wsu="{_WSU}"><wsse:UsernameToken>'
             f"<wsse:Username>{escape(self._login.user or '')}</wsse:Username>"
@@ -155,17 +141,15 @@ class OnvifPtzHead:
     """The directions of its axes differ between makers, even from its own velocities: calibrate the mount's signs (`ltm
     pose`). MoveStatus is often missing or constant, so it is used only if it reports motion."""
 
-    def __init__(self, config: OnvifConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
-        self._config = config
-        self._connection = connection or Connection(settings_of(config, source))
-        self._device = self._connection.settings.url + config.path
-        self.soap = SoapClient(self._connection, self._device)
-        self.spacing = spacing_for(tolerance_of(config).angle_deg)
+    def __init__(self, config: OnvifConfig, client: HttpClient) -> None:
+        self._config, self._client = config, client
+        self._device = client.url + config.path
+        self.soap = SoapClient(client, self._device)
         self._addresses: dict[str, str] = {}
         self._profile = config.profile
 
     def read(self) -> PtzReading:
-        root = self._ask("GetStatus")
+        root = self.soap.call(self._service("PTZ"), PTZ, "GetStatus", {"ProfileToken": self._token()})
         at = time.monotonic()
         turn, zoom = found(root, "Position", "PanTilt"), found(root, "Position", "Zoom")
         if turn is None:
@@ -178,17 +162,6 @@ class OnvifPtzHead:
         status = found(root, "MoveStatus", "PanTilt")
         moving = True if status is not None and (status.text or "").strip() == "MOVING" else None
         return PtzReading(x, y, 0.0 if zoom is None else number(zoom.get("x"), "zoom"), moving, at)
-
-    def presets(self) -> Mapping[str, str]:
-        known = {}
-        for element in self._ask("GetPresets").iter():
-            if local(element) == "Preset" and (token := element.get("token")):
-                name = found(element, "Name")
-                known[(name.text if name is not None else None) or token] = token
-        return known
-
-    def go_to(self, preset: str) -> None:
-        self._ask("GotoPreset", {"PresetToken": token_of(self.presets(), preset)})
 
     def picture_addresses(self) -> tuple[str | None, str | None]:
         """Return the URLs of a snapshot and of a stream that the camera reports."""
@@ -205,10 +178,7 @@ class OnvifPtzHead:
         return found_at[0], found_at[1]
 
     def close(self) -> None:
-        self._connection.close()
-
-    def _ask(self, name: str, arguments: Mapping[str, str] | None = None) -> ElementTree.Element:
-        return self.soap.call(self._service("PTZ"), PTZ, name, {"ProfileToken": self._token(), **(arguments or {})})
+        self._client.close()
 
     def _service(self, name: str) -> str:
         """Return the address of a service, at the configured host. Raises SourceError if the camera lacks it."""
@@ -217,7 +187,7 @@ class OnvifPtzHead:
             for known in ("Media", "PTZ"):
                 address = found(root, known, "XAddr")
                 if address is not None and address.text:
-                    self._addresses[known] = with_configured_host(address.text, self._connection.settings.url)
+                    self._addresses[known] = with_configured_host(address.text, self._client.url)
         if name not in self._addresses:
             what = "no PTZ head" if name == "PTZ" else "no images"
             raise SourceError(f"the camera has {what} by ONVIF (no service {name})")

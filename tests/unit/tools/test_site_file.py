@@ -30,7 +30,7 @@ def test_the_committed_file_is_what_the_tool_writes() -> None:
 
 def test_it_loads_and_has_every_key() -> None:
     site, text = load_site(FILE), FILE.read_text(encoding="utf-8")
-    assert {camera.source.kind for camera in site.cameras.values() if camera.source} >= {"snapshot", "rtsp", "v4l2"}
+    assert {camera.source.kind for camera in site.cameras.values() if camera.source} >= {"snapshot", "rtsp", "folder"}
     given = set(re.findall(r"^ *(?:- |# )?(\w+):", text, re.MULTILINE))
     assert len(given) > 200
     assert set(keys(Site)) - given == {"coarser"}  # the rest of a list of DEMs

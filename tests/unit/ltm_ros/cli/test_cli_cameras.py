@@ -125,9 +125,10 @@ def test_an_address_that_cannot_be_asked_is_told_and_the_head_is_found_all_the_s
         assert "pwd=hidden" not in said
 
 
-def test_what_a_camera_calls_its_presets_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
-    head.presets = {"[/] [bold]north": (10.0, -5.0, 1.0)}
-    assert "[/] [bold]north" in run("probe", camera.url(""))
+def test_what_a_camera_says_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
+    head.stated_picture = "http://{}/[/][bold]north.jpg"
+    assert "[/][bold]north.jpg" in run("probe", camera.url("/none.jpg"))
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
@@ -189,7 +190,7 @@ def test_snapshot_writes_picture_pose_and_reading(tmp_path: Path, head: FakeHead
     head.place = (95.0, -14.0, 1.0)
     head.send(head.place)
     with running(ptz_camera(head, lambda place: seen)) as camera:
-        write_label_head(small, camera, patrol={"presets": ["north"]})
+        write_label_head(small, camera)
         mount = load_site(small.path).camera("tower").mount
         assert mount is not None
         model = mount.model(small.dem, small.site.frame)
@@ -202,7 +203,6 @@ def test_snapshot_writes_picture_pose_and_reading(tmp_path: Path, head: FakeHead
         with pytest.raises(ConfigError, match="exists already"):
             run("snapshot", small.path, "tower", "--out", out, "--name", "east")
     assert "pan 95.000, tilt -14.000" in said
-    assert not head.commands, "a patrol is for the graph: by hand nothing is driven"
     assert read_readings(out / "readings.csv") == {"east.jpg": (95.0, -14.0, 1.0), "again.jpg": (95.0, -14.0, 1.0)}
     config = load_picture_config(out / "east.yaml")
     # The mount pitches up by 0.4 deg at pan 0, and so hardly at pan 95.

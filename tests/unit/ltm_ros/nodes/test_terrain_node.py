@@ -12,7 +12,7 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, MAST, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
-from ltm_core.base.errors import ConfigError, LtmError, StoreError
+from ltm_core.base.errors import LtmError, StoreError
 from ltm_core.pipeline.site_surface import STORE_FILE
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
@@ -147,12 +147,10 @@ def test_depth_may_be_of_a_networks_size(small: SmallSite) -> None:
     assert 0.3 * len(whole) < len(part) < len(whole)
 
 
-def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> None:
+def test_the_surface_is_kept(small: SmallSite, tmp_path: Path) -> None:
     folder = tmp_path / "kept"
     truth = sunk(small)
     terrain, _, _ = node(small, folder=str(folder))
-    with pytest.raises(ConfigError, match="nothing to write"):
-        terrain.save()
     feed(terrain, measured_messages(small, truth, BEGIN_NS))
     terrain.finish()
     terrain, outlet, health = node(small, folder=str(folder))
@@ -160,13 +158,7 @@ def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> No
     assert health.dropped == {"duplicate": 1}
     feed(terrain, measured_messages(small, truth, BEGIN_NS + 2 * HOUR))
     assert len(outlet.on(TERRAIN_UPDATE)) == 1
-    assert "terrain_surface.tif" in terrain.save()
     terrain.finish()
-    with rasterio.open(folder / "terrain_change.tif") as file:
-        assert str(file.crs) == "EPSG:26911"
-        assert json.loads(file.tags()["kinds"])["grown"] == 2
-        assert json.loads(file.tags()["cameras"]) == ["mast", "tower"]
-        assert (file.read(3) == 3).sum() > 50
 
 
 def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(

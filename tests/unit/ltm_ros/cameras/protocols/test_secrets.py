@@ -43,9 +43,8 @@ def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> 
     place = place.partition(" ")[0]
     where = {"environment": "NORTH", "file": str(file), "credential": "north"}[place]
     config = settings(kind="snapshot", url="http://127.0.0.1/", user="viewer", password={place: where})
-    secret = Login.of(config).password
-    assert secret is not None
-    assert secret.reveal() == PASSWORD
+    secret = read_secret(config.password)
+    assert Login.of(config).secret == secret.reveal() == PASSWORD
     assert f"{secret} {secret!r} {[secret]}" == "*** *** [***]"
     monkeypatch.delenv("NORTH")
     monkeypatch.delenv("CREDENTIALS_DIRECTORY")

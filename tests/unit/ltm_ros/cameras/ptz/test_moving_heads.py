@@ -4,7 +4,6 @@ import io
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -17,11 +16,10 @@ from scenes.timed_picture import jpeg, scene
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
-from ltm_core.site.source_config import PatrolConfig, VapixConfig
+from ltm_core.site.source_config import VapixConfig
 from ltm_ros.cameras.camera_source import CameraDirection, Frame
-from ltm_ros.cameras.opening import MountPoses
-from ltm_ros.cameras.protocols.picture import CameraImage, PtzReading, Timing, Tolerance
-from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
+from ltm_ros.cameras.protocols.picture import CameraImage, PtzReading, Timing
+from ltm_ros.cameras.ptz.head import PtzDirection, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.runtime.clocks import SystemClock
 
@@ -30,19 +28,11 @@ TABLE = (ZoomPoint(zoom=1, hfov_deg=62.0), ZoomPoint(zoom=9999, hfov_deg=2.3))
 LENS = LensConfig(width=320, height=180, zoom=TABLE).lens()
 
 
-def sourced(camera: HttpCamera, patrol: tuple[str, ...] = (), lens: bool = False, **given: Any) -> Sourced:
-    source = settings(kind="snapshot", url=camera.url(), every=0.01, **given)
-    config = VapixConfig(kind="vapix")
+def sourced(camera: HttpCamera, lens: bool = False) -> Sourced:
+    source, config = settings(kind="snapshot", url=camera.url(), every=0.01), VapixConfig(kind="vapix")
     tolerance = tolerance_of(config)
-    direction = PtzDirection(lambda: open_ptz(config, source))
-    driven = PatrolConfig(presets=patrol, arrive_within=3.0, settle=0.1) if patrol else None
-    gaze = CameraDirection(
-        direction=direction,
-        model=MountPoses(MODEL, tolerance),
-        tolerance=tolerance,
-        lens=LENS if lens else None,
-        patrol=PtzPatrol(direction, driven, tolerance) if driven is not None else None,
-    )
+    direction = PtzDirection(lambda: open_ptz(config, source), tolerance)
+    gaze = CameraDirection(direction=direction, mount=MODEL, tolerance=tolerance, lens=LENS if lens else None)
     return Sourced(source, SystemClock(), gaze=gaze)
 
 
@@ -110,45 +100,6 @@ def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> No
     assert long.camera.fx > 5 * wide.camera.fx
 
 
-def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) -> None:
-    head.rate = 600.0
-    tested = sourced(camera, ("north", "south ridge"))
-    tested.steps(5)
-    pans = [seen(frame)[0] for frame in tested.frames]
-    assert pans == pytest.approx([10.0, 190.0, 10.0, 190.0, 10.0], abs=0.02)
-    assert head.commands == ["north", "south ridge"] * 2 + ["north"]
-    assert max(off_deg(frame) for frame in tested.frames) < 0.02
-    assert not tested.health.dropped
-
-
-@pytest.mark.slow
-def test_a_head_that_does_not_go_is_told_and_no_picture_is_published(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, ("north", "east"))
-    tested.steps(2)
-    head.dead = True
-    tested.steps(1)
-    assert len(tested.frames) == 2
-    assert tested.state == "stuck"
-    assert "sent to preset 'north'" in tested.why
-    assert "stays at pan 95.00" in tested.why
-    head.dead = False
-    tested.steps(1)
-    assert tested.state == "alive"
-    assert len(tested.frames) == 3
-
-
-@pytest.mark.slow
-def test_a_preset_that_was_changed_is_told_once_and_then_taken(camera: HttpCamera, head: FakeHead) -> None:
-    tested = sourced(camera, ("north", "east"))
-    tested.steps(2)
-    head.presets["north"] = (14.0, -5.0, 1.0)
-    tested.steps(1)
-    assert len(tested.frames) == 2
-    assert "preset 'north' was at pan 10.00" in tested.why
-    tested.steps(1)
-    assert seen(tested.frames[-1])[0] == pytest.approx(14.0, abs=0.02)
-
-
 def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
     reading = PtzReading(123.4, -7.2, 4000.0, None, 0.0)
     pictures = [jpeg(scene(seed=k)) for k in range(3)]
@@ -163,7 +114,7 @@ def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
         def close(self) -> None:
             """It has no connection."""
 
-    gaze = CameraDirection(model=MountPoses(MODEL, Tolerance()), lens=LENS)
+    gaze = CameraDirection(mount=MODEL, lens=LENS)
     tested = Sourced(settings(kind="snapshot", url="http://127.0.0.1"), SystemClock(), gaze=gaze, reader=Listed)
     tested.steps(2)
     frame = tested.frames[-1]
