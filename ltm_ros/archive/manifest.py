@@ -22,7 +22,6 @@ from ltm_msgs_py.bag.reader import BagReader, by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage, picture_digest
 from ltm_ros.recordings.inputs import decoded_input
-from ltm_ros.runtime.admission import RepeatCheck
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_check import StampCheck
@@ -130,7 +129,8 @@ def _join_camera(
 ) -> None:
     health, frames = Health(), dict[int, ArchiveFrame]()
     log_time = 0
-    stamps, pictures = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind), RepeatCheck()
+    stamps = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind)
+    last = ""
 
     def complete(joined: JoinedFrame) -> None:
         image: _Picture = joined.image
@@ -158,7 +158,8 @@ def _join_camera(
                                                 "the first is used: remove the wrong archive")  # fmt: skip
             elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
                 known[message.stamp_ns] = message.content
-                if pictures.repeats(message.content):
+                same, last = message.content == last, message.content
+                if same:
                     manifest.unchanged += 1
                     if rules.join.drop_repeated:
                         continue

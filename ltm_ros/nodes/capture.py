@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.camera import Camera
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
@@ -19,7 +18,7 @@ from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction
 from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime import topics
-from ltm_ros.runtime.admission import Admission, RepeatCheck
+from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -63,35 +62,34 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._correction: PoseCorrection | None = None
         self._correction_parts: dict[Topic, Any] = {}
         """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
-        self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
+        self._stamps, self._digest = StampCheck(outlet.now_ns, health), b""
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
+        most = site.limits.waiting_bytes
         self._admission = Admission[JoinedFrame](
-            self._send,
-            health,
-            config.shed,
-            lambda frame: data_bytes(frame.image),
-            site.limits.waiting_bytes,
-            outlet.more_waits,
+            self._send, health, config.shed, lambda frame: data_bytes(frame.image), most, outlet.more_waits
         )
         self._newest = -1
         self._takes_raw = False
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        found: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
-        if self._refines:
-            found |= {topic: partial(self.on_correction, topic) for topic in (topics.POSE_CORRECTION, topics.POSE_INFO)}
-        others = dict(self._join.others)
-        poses = [topic for topic in others if topic.counted_name == topics.POSE.name]
-        if poses and self._own_inputs.topics.pose is not None:
-            others |= dict.fromkeys(poses, lambda message: self._join_poses(self._poses.of_pose(message)))
+        found = dict(self._join.others)
+        named = self._own_inputs.topics.pose is not None
+        by_transforms = False
+        for topic in found:
+            if topic.counted_name == topics.CAMERA_INFO.name:
+                found[topic] = self.on_camera_info
+            elif topic.counted_name == topics.POSE.name and named:
+                found[topic] = lambda message: self._join_poses(self._poses.of_pose(message))
+                by_transforms = True
+        if by_transforms and TF is not None and TF_STATIC is not None:
             moving, static = transform_topics(self._own_inputs)
-            if TF is not None and TF_STATIC is not None:
-                others[replace(TF_STATIC, name=static)] = partial(self._on_transforms, static=True)
-                if moving:
-                    others[replace(TF, name=moving)] = partial(self._on_transforms, static=False)
-        infos = (topic for topic in others if topic.counted_name == topics.CAMERA_INFO.name)
-        return {**others, **found, **dict.fromkeys(infos, self.on_camera_info)}
+            found[replace(TF_STATIC, name=static)] = partial(self._on_transforms, static=True)
+            if moving:
+                found[replace(TF, name=moving)] = partial(self._on_transforms, static=False)
+        corrections = (topics.POSE_CORRECTION, topics.POSE_INFO) if self._refines else ()
+        found |= {topic: partial(self.on_correction, topic) for topic in corrections}
+        return found | dict.fromkeys(self._join.image_topics, self.on_image)
 
     def on_image(self, message: Any) -> None:
         stamp = stamp_of(message)
@@ -109,11 +107,12 @@ class CaptureHandler(Handler[CaptureConfig]):
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
-        drops = self.config.drop_repeated and not known
-        if drops and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest()):
-            why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
-            self.health.drop("repeated", why)
-            return
+        if self.config.drop_repeated and not known:
+            last, self._digest = self._digest, hashlib.blake2b(message.data).digest()
+            if last == self._digest:
+                why = f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen"
+                self.health.drop("repeated", why)
+                return
         self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
         self._join.add_image(stamp, message)
 
@@ -147,9 +146,12 @@ class CaptureHandler(Handler[CaptureConfig]):
         return stamp_of(image), (int(image.width), int(image.height)) if _is_raw(image) else compressed_size(image)
 
     def _offer(self, frame: JoinedFrame) -> None:
-        # A JPEG or PNG of the wrong size, by its first bytes, takes no place in the queue.
-        if _is_raw(frame.image) or self._fits(frame.image, frame.camera):
-            self._admission.offer(stamp_of(frame.image), frame)
+        if not _is_raw(frame.image):  # one of the wrong size, by its first bytes, takes no place in the queue
+            size = compressed_size(frame.image)
+            if self._too_many_pixels("image", *size):
+                return
+            self._join.check_size(size, frame.camera)
+        self._admission.offer(stamp_of(frame.image), frame)
 
     def _publish_frames(self, posed: Any) -> None:
         """Publish the camera's frames for RViz and Foxglove, if anything listens; recorders write them themselves."""
@@ -206,15 +208,6 @@ class CaptureHandler(Handler[CaptureConfig]):
 
     def _drop_large(self, what: str, key: str) -> None:
         self.health.drop("too_large", f"{what}; reduce the size, or raise {key} under `expert.limits` in the site file")
-
-    def _fits(self, image: Any, camera: Camera) -> bool:
-        """Return whether the image has a valid size, before it is decoded. Raises ImageError if the calibration has
-        another."""
-        width, height = compressed_size(image)
-        if self._too_many_pixels("image", width, height):
-            return False
-        self._join.check_size((width, height), camera)
-        return True
 
 
 NODE = NodeType("capture", CaptureConfig, CaptureHandler)

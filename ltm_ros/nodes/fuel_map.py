@@ -12,6 +12,7 @@ from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.site_surface import terrain_grid
@@ -42,7 +43,7 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
 from ltm_ros.runtime.stamp_check import StampCheck
-from ltm_ros.runtime.topics import of_camera
+from ltm_ros.runtime.topics import of_cameras
 
 BURN_SOURCE = "fuel_map/burn"
 """Source name of burns in the store; no camera can have this name."""
@@ -57,7 +58,9 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        self._folder = _folder(config)
+        if (folder := config.beside_site(config.folder)) is not None:
+            make_folder(folder)  # only if its parent exists, so that a missing disk is noticed
+        self._folder = folder
         self._site = with_live_record(load_site(config.site), self._folder)
         self._labels = LabelSet.load(config_path(self._site.labels))
         self._classes = life_form_labels(self._labels)
@@ -66,12 +69,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._measuring = SelfMeasurement(self._site, self._geometry, self._labels, self._folder)
         self._drift = DriftWatch(self._labels, self._folder, health)
         self._measured: LabelErrors | None = None
-        self.persistence = FuelMapPersistence(
-            lambda: empty_maps(self._site, self._geometry, self._labels, self._measured)(),
-            self._open_store,
-            health,
-            durable=self._folder is not None,
-        )
+        self.persistence = FuelMapPersistence(self._empty, self._open_store, health, durable=folder is not None)
         self._publisher = FuelPublisher(outlet, health, self.persistence, self._geometry, dem)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         self._surface: SurfaceListener | None = None
@@ -84,24 +82,15 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        found: dict[Topic, Callable[[Any], None]] = {
-            topics.FUEL_MAP_QUERY: self.on_query,
-            topics.FUEL_MAP_REGION: self.on_region,
-        }
-        for camera in self._site.cameras:
-            votes, labels = (of_camera(self._site.name, camera, t) for t in (topics.FUEL_VOTES, topics.LABELS_INFO))
-            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
+        found = of_cameras(self._site, {topics.FUEL_VOTES: self.on_votes, topics.LABELS_INFO: self.on_label_info})
+        found |= {topics.FUEL_MAP_QUERY: self.on_query, topics.FUEL_MAP_REGION: self.on_region}
         if self._surface is not None:
             found |= {topics.TERRAIN_UPDATE: self._surface.on_update, topics.TERRAIN_CHANGE: self.on_surface_change}
         return found
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        return {
-            "fuel_map/save": self.save,
-            "fuel_map/export": self.export,
-            "fuel_map/burn": self.burn,
-        }
+        return {"fuel_map/save": self.save, "fuel_map/export": self.export, "fuel_map/burn": self.burn}
 
     def start(self) -> None:
         self._send_info()
@@ -139,10 +128,8 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         elif counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"duplicate votes of {camera} of stamp {stamp} ns; counted once")
         elif counting is Counting.TOO_OLD:
-            self.health.drop(
-                "too_old",
-                f"votes of {camera} of stamp {stamp} ns are older than the remembered stamps; check the camera's clock",
-            )
+            why = "are older than the remembered stamps; check the camera's clock"
+            self.health.drop("too_old", f"votes of {camera} of stamp {stamp} ns {why}")
         elif counting is Counting.EMPTY:
             self.health.note("empty_votes")
 
@@ -201,8 +188,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def save(self) -> str:
         """Write the map to the configured file. Raises ConfigError without one."""
         self._settle(write_tiles=True)
-        path = self._write()
-        return f"fuel map of {self.persistence.saved_frames} frames written to {path.name}"
+        return f"fuel map of {self.persistence.saved_frames} frames written to {self._write().name}"
 
     def export(self) -> str:
         """Write landscapes for fire models into the node's folder. Raises ConfigError without one."""
@@ -218,7 +204,9 @@ class FuelMapHandler(Handler[FuelMapConfig]):
                 "fuel_map/burn is disabled: set `allow_burn: true` under `nodes: fuel_map:` in the site file, and "
                 "restart the node"
             )
-        region = self._take_region()
+        if self._region is None:
+            raise ConfigError("no region is selected: first publish its corners on fuel_map/region, in the frame map")
+        region, self._region = self._region, None
         stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.ahead("the burned region", stamp):
             raise MessageError(f"the burn stamp {stamp} ns is in the future of this node's clock")
@@ -227,12 +215,6 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
-
-    def _take_region(self) -> DrawnRegion:
-        if self._region is None:
-            raise ConfigError("no region is selected: first publish its corners on fuel_map/region, in the frame map")
-        region, self._region = self._region, None
-        return region
 
     def _measure(self, at_once: bool) -> None:
         """Measure unmeasured labels when there are enough frames, and count these again with the result."""
@@ -252,22 +234,15 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
     def _write(self) -> Path:
         name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")
-        layers = self.persistence.map.layers()
-        grid, tags = self._site.in_crs(self._geometry), {"labels": self._reliability}
-        return write_fuel_map(name, layers.life_form, grid, self._classes, tags)
+        life_form, grid = self.persistence.map.layers().life_form, self._site.in_crs(self._geometry)
+        return write_fuel_map(name, life_form, grid, self._classes, {"labels": self._reliability})
+
+    def _empty(self) -> LivingFuelMap:
+        return empty_maps(self._site, self._geometry, self._labels, self._measured)()
 
     def _open_store(self) -> TileStore:
-        schema = fuel_schema(self._site, self._geometry)
-        return (
-            TileStore.in_memory(schema) if self._folder is None else TileStore.open(self._folder / STORE_FILE, schema)
-        )
-
-
-def _folder(config: FuelMapConfig) -> Path | None:
-    """Return the node's folder; created only if its parent exists, so that a missing disk is noticed."""
-    if (folder := config.beside_site(config.folder)) is not None:
-        make_folder(folder)
-    return folder
+        schema, folder = fuel_schema(self._site, self._geometry), self._folder
+        return TileStore.in_memory(schema) if folder is None else TileStore.open(folder / STORE_FILE, schema)
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMapHandler)

@@ -41,7 +41,9 @@ from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
-from ltm_ros.runtime.topics import of_camera
+from ltm_ros.runtime.topics import of_camera, of_cameras
+
+_OF_CAMERAS = topics.LOCATE_ESTIMATE, topics.LOCATE_FIX, topics.LOCATE_AREA
 
 
 class LocateConfig(StampLimits):
@@ -79,22 +81,18 @@ class LocateHandler(Handler[LocateConfig]):
         self._scenes = {name: site_scene_filter(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._poses = {name: KnownPoses() for name in site.cameras}
-        per_camera = (topics.LOCATE_ESTIMATE, topics.LOCATE_FIX, topics.LOCATE_AREA)
-        self.publications = (
-            *(of_camera(self._site.name, name, topic) for name in site.cameras for topic in per_camera),
-            topics.LOCATE_FUSED,
-            topics.LOCATE_TRACKS,
-        )
+        self._own = {(name, topic): of_camera(site.name, name, topic) for name in site.cameras for topic in _OF_CAMERAS}
+        self.publications = (*self._own.values(), topics.LOCATE_FUSED, topics.LOCATE_TRACKS)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        found: dict[Topic, Callable[[Any], None]] = {}
-        for name in self._site.cameras:
-            found[of_camera(self._site.name, name, topics.POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
-            found[of_camera(self._site.name, name, topics.POSED_POSE)] = partial(self.on_pose, name)
-            found[of_camera(self._site.name, name, topics.LOCATE_REGION)] = partial(self.on_region, name, "detector")
-            found[of_camera(self._site.name, name, topics.LOCATE_POINT)] = partial(self.on_region, name, "person")
-        return found
+        takes: dict[Topic, Callable[[str, Any], None]] = {
+            topics.POSED_CAMERA_INFO: self.on_camera_info,
+            topics.POSED_POSE: self.on_pose,
+            topics.LOCATE_REGION: lambda name, message: self.on_region(name, "detector", message),
+            topics.LOCATE_POINT: lambda name, message: self.on_region(name, "person", message),
+        }
+        return of_cameras(self._site, takes)
 
     def start(self) -> None:
         compile_kernels("locate", self._site)
@@ -103,13 +101,10 @@ class LocateHandler(Handler[LocateConfig]):
     def on_camera_info(self, name: str, message: Any) -> None:
         camera, most = msg_to_camera(message), self._site.limits.pixels
         if camera.width * camera.height > most:
-            self.health.drop(
-                "too_large",
-                f"calibration of {camera.width} x {camera.height} pixels of {name}; the maximum is {most}; raise "
-                "pixels under `expert.limits` in the site file",
-            )
-            return
-        self._cameras[name] = camera
+            what = f"calibration of {camera.width} x {camera.height} pixels of {name}; the maximum is {most}"
+            self.health.drop("too_large", f"{what}; raise pixels under `expert.limits` in the site file")
+        else:
+            self._cameras[name] = camera
 
     def on_pose(self, name: str, message: Any) -> None:
         covariance = msg_to_covariance(message, self._assumed)
@@ -124,17 +119,15 @@ class LocateHandler(Handler[LocateConfig]):
         pose, covariance, stamp = self._pose_at(name, stated)
         if not stated and self._stamps.refuses(f"the pose for a region of {name} without a stamp", stamp):
             return
-        camera = self._cameras.get(name)
+        config, camera, smoke = self._locator.config, self._cameras.get(name), self.config.smoke
         if camera is None:
-            raise MessageError(
-                f"a region of {name}, whose calibration has not been received: {topics.POSED_CAMERA_INFO.name}"
-            )
-        config = self._locator.config
+            missing = topics.POSED_CAMERA_INFO.name
+            raise MessageError(f"a region of {name}, whose calibration has not been received: {missing}")
         hidden = self._scenes[name].hidden(camera.width, camera.height, Looking.of(camera, pose))
         if len(outline) == 1:
             mark = marked_pixel(camera, outline[0], config.pixel_sigma, hidden)
         else:
-            mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke, hidden)
+            mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, smoke, hidden)
         seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
         track, alone = self._tracks.add(seen)
         self._publish_estimate(name, alone, stamp)
@@ -161,21 +154,16 @@ class LocateHandler(Handler[LocateConfig]):
         return *known, stamp
 
     def _said(self, location: Location) -> LocateResult:
-        cameras = [
-            PosedCamera(name, self._cameras[name], poses.newest[0])
-            for name, poses in self._poses.items()
-            if poses and name in self._cameras
-        ]
+        known = ((name, self._cameras.get(name), poses) for name, poses in self._poses.items() if poses)
+        cameras = [PosedCamera(name, camera, poses.newest[0]) for name, camera, poses in known if camera is not None]
         return answer(location, self._sight, self._site.frame, cameras, self._prior, self.config.smoke)
 
     def _publish_estimate(self, name: str, alone: Location, stamp: int) -> None:
         said = self._said(alone)
-        self.outlet.publish(of_camera(self._site.name, name, topics.LOCATE_ESTIMATE), _place_msg(said, stamp))
         fix = place_to_fix(said.name.lon, said.name.lat, alone.posterior.covariance, stamp, "map")
-        self.outlet.publish(of_camera(self._site.name, name, topics.LOCATE_FIX), fix)
-        self.outlet.publish(
-            of_camera(self._site.name, name, topics.LOCATE_AREA), outline_to_msg(said.ellipses[-1].outline(), stamp)
-        )
+        area = outline_to_msg(said.ellipses[-1].outline(), stamp)
+        for topic, message in zip(_OF_CAMERAS, (_place_msg(said, stamp), fix, area), strict=True):
+            self.outlet.publish(self._own[name, topic], message)
 
     def _publish_tracks(self, stamp: int) -> None:
         features: list[Any] = []
@@ -208,12 +196,9 @@ def _mark_data(sighting: Sighting) -> dict[str, Any]:
 
 
 def _place_msg(said: LocateResult, stamp: int) -> Any:
-    posterior = said.location.posterior
-    x, y = posterior.mean
-    height = said.name.elevation
-    place = np.array([x, y, 0.0 if height is None else height])
+    posterior, height = said.location.posterior, said.name.elevation
     variance = said.elevation_sigma**2 if height is not None else 1e9
-    return place_to_msg(place, posterior.covariance, variance, stamp)
+    return place_to_msg(np.array([*posterior.mean, height or 0.0]), posterior.covariance, variance, stamp)
 
 
 NODE = NodeType("locate", LocateConfig, LocateHandler)

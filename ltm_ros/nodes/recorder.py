@@ -19,7 +19,7 @@ from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
-from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, loss_report, with_info, writers_of
+from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, with_info
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import TRAFFIC
@@ -63,11 +63,9 @@ class Recorder(Node):  # type: ignore[misc]
         site = load_site(config.site)
         poses = {} if config.topics else {camera_topic(site.name, name, POSED_POSE): name for name in site.cameras}
         self._poses, self._frames = frozenset(poses), CameraFrames(poses)
-        path = Path(config.bag)
-        limits = RecordingLimits.of(
-            path, config.max_bytes, config.min_free_bytes, config.file_bytes, config.file_seconds
-        )
-        tell = self.get_logger().warning
+        path, tell = Path(config.bag), self.get_logger().warning
+        given = config.max_bytes, config.min_free_bytes, config.file_bytes, config.file_seconds
+        limits = RecordingLimits.of(path, *given)
         recording = BoundedRecording(path, self.get_fully_qualified_name(), limits, self.health, tell)
         self._disk = RecordingThread(recording, self.health, partial(tell, throttle_duration_sec=5.0))
         # Flushed to the operating system every second, to survive a kill.
@@ -93,29 +91,28 @@ class Recorder(Node):  # type: ignore[misc]
             self._taken.add(topic)
             try:
                 message_type = message_class(types[0])
-                latched = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
-                reliable = all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers)
             except LtmError as error:
                 self.health.drop(cause_of(error), f"{topic}: {error}")
                 continue
+            latched = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
+            reliable = all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers)
             self._disk.add_topic(topic, types[0], latched)
             qos = QoSProfile(
                 depth=100 if types[0] in _FREQUENT else 10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
-            losses = None if latched else LossCounter(writers_of(self, topic))
-            taker = with_info(self._taker(topic, types[0], losses))
+            taker = with_info(self._taker(topic, types[0], latched))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
         self.health.gauge("discovered", known)
 
-    def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
-        heard = TRAFFIC.listener(topic)
+    def _taker(self, topic: str, type_name: str, latched: bool) -> Callable[[bytes, Any], None]:
+        heard, losses = TRAFFIC.listener(topic), LossCounter(self, topic, self.health)
 
         def take(cdr: bytes, info: Any) -> None:
             heard.messages += 1
-            if losses and (lost := losses.lost(info)):
-                self.health.drop("lost", loss_report(lost, topic), lost)
+            if not latched:
+                losses.take(info)
             self._take(topic, type_name, cdr)
 
         return take

@@ -27,7 +27,7 @@ from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, of_camera
+from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, of_cameras
 
 OUTBOX_FILE: Final = "outbox.sqlite"
 SECTORS: Final = 24
@@ -58,11 +58,7 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        found: dict[Topic, Callable[[Any], None]] = {}
-        for camera in self._site.cameras:
-            votes, labels = (of_camera(self._site.name, camera, topic) for topic in (FUEL_VOTES, LABELS_INFO))
-            found |= {votes: partial(self.on_votes, camera), labels: partial(self.on_label_info, camera)}
-        return found
+        return of_cameras(self._site, {FUEL_VOTES: self.on_votes, LABELS_INFO: self.on_label_info})
 
     def start(self) -> None:
         self._link.start()

@@ -26,7 +26,7 @@ from ltm_ros.runtime.handler import NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoiningHandler, Part, StampJoin
-from ltm_ros.runtime.topics import of_camera, of_site
+from ltm_ros.runtime.topics import of_camera, of_cameras, of_site
 from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 
@@ -95,9 +95,7 @@ class ViewerHandler(JoiningHandler[ViewerConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        taken = dict(super().subscriptions)
-        for camera in self._site.cameras:
-            taken[of_camera(self._site.name, camera, topics.LABELS_HEAT)] = partial(self.on_heat, camera)
+        taken = {**super().subscriptions, **of_cameras(self._site, {topics.LABELS_HEAT: self.on_heat})}
         whole = {topics.FUEL_MAP: self.on_fuel_map}
         if self._site.terrain is not None:
             whole |= {topics.TERRAIN_CHANGE: self.on_change, topics.TERRAIN_UPDATE: self.on_changed_cells}

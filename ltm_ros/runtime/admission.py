@@ -38,12 +38,14 @@ class Admission(Generic[FrameT]):
             self._admit(frame)
             return
         self._waiting[stamp_ns] = frame
-        while self._shed and len(self._waiting) > 1:
-            self._drop(min(self._waiting), "a newer one is queued; reduce the frame rate or add cores")
-        while (
-            len(self._waiting) > 1 and (held := sum(map(self._size_of, self._waiting.values()))) > self._waiting_bytes
-        ):
-            self._drop(next(iter(self._waiting)), f"{held >> 20} MB are queued; reduce the frame rate or add cores")
+        while len(self._waiting) > 1:
+            held = sum(map(self._size_of, self._waiting.values()))
+            if self._shed:
+                self._drop(min(self._waiting), "a newer one is queued; reduce the frame rate or add cores")
+            elif held > self._waiting_bytes:
+                self._drop(next(iter(self._waiting)), f"{held >> 20} MB are queued; reduce the frame rate or add cores")
+            else:
+                break
         self._health.gauge("waiting", len(self._waiting))
 
     def idle(self) -> None:
@@ -62,15 +64,3 @@ class Admission(Generic[FrameT]):
     def _drop(self, stamp: int, why: str) -> None:
         del self._waiting[stamp]
         self._health.drop("shed", f"the frame of stamp {stamp} ns: {why}")
-
-
-class RepeatCheck:
-    """Detects repeated images of one camera, in order of arrival; sensor noise makes working cameras' images differ."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def repeats(self, content: str) -> bool:
-        """Return whether an image equals the previous one; `content`: its digest."""
-        same, self._last = content == self._last, content
-        return same

@@ -37,43 +37,32 @@ NUMBER = "publication_sequence_number"
 UNKNOWN = 2**64 - 1
 """Sequence number of a middleware that does not number messages."""
 
-Writers = Callable[[], frozenset[bytes]]
-"""Returns the identities of the topic's current publishers."""
-
 
 class LossCounter:
-    """Counts lost messages of one topic, only while there is a single publisher, because each numbers its
-    own messages."""
+    """Counts lost messages of one topic, only while there is a single publisher, because each numbers its own messages.
 
-    def __init__(self, writers: Writers) -> None:
-        self._writers = writers
-        self._writer: frozenset[bytes] = frozenset()
+    `topic`: as `node` gives it to `create_subscription`. `health`: counts them as `lost`."""
+
+    def __init__(self, node: Node, topic: str, health: Health) -> None:
+        self._node, self._topic, self._health = node, topic, health
+        self._writers: frozenset[bytes] = frozenset()
         self._last = 0
 
-    def lost(self, info: Mapping[str, Any]) -> int:
-        """Return the number of messages missing between the last one and the one with this rclpy `info`."""
+    def take(self, info: Mapping[str, Any]) -> None:
+        """Count the messages missing between the last one and the one with this rclpy `info`."""
         number, last = int(info.get(NUMBER) or UNKNOWN), self._last
         if number == UNKNOWN:
-            return 0
+            return
         self._last = number
         # The query is expensive: only a gap in the numbers requires a check that the publisher is the same.
         if number == last + 1 and last:
-            return 0
-        former, self._writer = self._writer, self._writers()
-        return max(0, number - last - 1) if last and len(former) == 1 and former == self._writer else 0
-
-
-def loss_report(lost: int, topic: str) -> str:
-    """Return cause and remedy for `Health.drop`."""
-    return (
-        f"{lost} messages of {topic} were lost: this node was too slow (reduce the frame rate or add cores), "
-        "/dev/shm was full, or they were invalid"
-    )
-
-
-def writers_of(node: Any, topic: str) -> Writers:
-    """Return the function that `LossCounter` needs; `topic` as given to `create_subscription`."""
-    return lambda: frozenset(bytes(end.endpoint_gid) for end in node.get_publishers_info_by_topic(topic))
+            return
+        ends = self._node.get_publishers_info_by_topic(self._topic)
+        former, self._writers = self._writers, frozenset(bytes(end.endpoint_gid) for end in ends)
+        lost = number - last - 1
+        if lost > 0 and last and len(former) == 1 and former == self._writers:
+            why = "this node was too slow (reduce the frame rate or add cores), /dev/shm was full, or they were invalid"
+            self._health.drop("lost", f"{lost} messages of {self._topic} were lost: {why}", lost)
 
 
 LISTENERS = "listeners."
@@ -95,18 +84,16 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
             found.append(name)
         namespace = name.rpartition("/")[0]
         for key, value in summary.items():
-            if key.startswith(LISTENERS):
-                topic = key.removeprefix(LISTENERS)
-                topic = topic if topic.startswith("/") else f"{namespace}/{topic}"
-                listeners = [
-                    f"{end.node_namespace.rstrip('/')}/{end.node_name}"
-                    for end in node.get_subscriptions_info_by_topic(topic)
-                ]
-                # One whose name is unknown yet may be any node.
-                ours = sum(listener in summaries or "_UNKNOWN_" in listener for listener in listeners)
-                matched = int(value)
-                if matched < ours or (matched != ours and ours == len(listeners)):
-                    found.append(topic)
+            if not key.startswith(LISTENERS):
+                continue
+            topic = key.removeprefix(LISTENERS)
+            topic = topic if topic.startswith("/") else f"{namespace}/{topic}"
+            ends = node.get_subscriptions_info_by_topic(topic)
+            listeners = [f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends]
+            # One whose name is unknown yet may be any node.
+            ours, matched = sum(one in summaries or "_UNKNOWN_" in one for one in listeners), int(value)
+            if matched < ours or (matched != ours and ours == len(listeners)):
+                found.append(topic)
     return found
 
 

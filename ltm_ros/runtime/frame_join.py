@@ -75,32 +75,27 @@ class FrameJoin:
     ) -> None:
         camera = site.camera(name)
         self._site_name, self._name, self._complete, self._health = site.name, name, complete, health
-        self._stamp_and_size = stamp_and_size
+        self._stamp_and_size, self._sensors, self._frame = stamp_and_size, camera.sensors, site.frame
         self.image_topics = image_topics(camera)
         self._other_inputs = other_inputs(camera)
-        self._fixed_pose: Pose | None = None
-        self._fixed_covariance: Float64Array | None = None
-        if camera.pose is not None:
-            self._fixed_pose = camera.pose.pose(site.open_dem(), site.frame)
-            assumed = site.assumed_pose_error
-            self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
-        self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
-        self._last_pose: _StatedPose | None = None
-        self._last_calibration: Camera | None = None
-        self._sensors, self._frame = camera.sensors, site.frame
-        self._dem = site.open_dem() if camera.sensors is not None else None
+        self._dem = site.open_dem() if camera.sensors is not None or camera.pose is not None else None
+        self._calibration = camera.calibration.camera() if camera.calibration else None
+        """The site's calibration, or the last one that came."""
+        self._pose: _StatedPose | None = None
+        """The site's pose, or the last one that came."""
+        if camera.pose is not None and self._dem is not None:
+            pose, assumed = camera.pose.pose(self._dem, site.frame), site.assumed_pose_error
+            self._pose = pose, camera.pose.covariance(pose, assumed.position, assumed.angle_deg)
         self.assumed = site.assumed_pose_error.covariance()
         """Covariance (6, 6) of poses that state none."""
-        parts = [Part("image")]
-        if camera.sensors is not None:
-            parts.append(Part("fix", Match.LATEST))
-            parts.append(Part("attitude", Match.NEAREST, round(camera.sensors.attitude_age * 1e9)))
-        elif self._fixed_pose is None:
-            parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9), between=_between))
-        if self._fixed_calibration is None:
-            parts.append(Part("calibration", Match.LATEST))
+        needed = {
+            FIX.name: Part(FIX.name, Match.LATEST),
+            IMU.name: Part(IMU.name, Match.NEAREST, round(camera.sensors.attitude_age * 1e9) if camera.sensors else 0),
+            POSE.name: Part(POSE.name, Match.NEAREST, round(config.pose_tolerance * 1e9), between=_between),
+            CAMERA_INFO.name: Part(CAMERA_INFO.name, Match.LATEST),
+        }
         self._join = StampJoin(
-            parts,
+            [Part("image"), *(needed[topic.counted_name] for topic in self._other_inputs)],
             self._joined,
             health,
             config.max_waiting,
@@ -112,9 +107,13 @@ class FrameJoin:
     @property
     def others(self) -> Mapping[Topic, Callable[[Any], None]]:
         """Return the other topics to join, by the site file, with their callbacks."""
-        takes = {CAMERA_INFO: self.on_camera_info, POSE: self.on_pose, FIX: self.on_fix, IMU: self.on_imu}
-        by_name = {topic.name: take for topic, take in takes.items()}
-        found = {topic: by_name[topic.counted_name] for topic in self._other_inputs}
+        takes = {
+            CAMERA_INFO.name: self.on_camera_info,
+            POSE.name: self.on_pose,
+            FIX.name: lambda message: self._join.add(FIX.name, stamp_of(message), msg_to_fix(message)),
+            IMU.name: lambda message: self._join.add(IMU.name, stamp_of(message), msg_to_attitude(message)),
+        }
+        found = {topic: takes[topic.counted_name] for topic in self._other_inputs}
         if any(topic.any_pose for topic in found):  # replays send them, if transforms lead on from the named ones
             found[replace(POSE, counted=False)] = self.on_pose
         return found
@@ -144,9 +143,9 @@ class FrameJoin:
 
     def on_camera_info(self, message: Any) -> None:
         camera = msg_to_camera(message)
-        if camera != self._last_calibration:
-            self._last_calibration = camera
-        self._join.add("calibration", stamp_of(message), self._last_calibration)
+        if camera != self._calibration:
+            self._calibration = camera
+        self._join.add(CAMERA_INFO.name, stamp_of(message), self._calibration)
 
     def on_pose(self, message: Any) -> None:
         pose = msg_to_pose(message, "map")
@@ -154,43 +153,35 @@ class FrameJoin:
         if covariance is None and np.any(message.pose.covariance):
             self._health.note("unknown_covariance")
             covariance = msg_to_covariance(message, self.assumed)
-        if self._last_pose is None or pose != self._last_pose[0] or not _equal(covariance, self._last_pose[1]):
-            self._last_pose = pose, covariance
-        self._join.add("pose", stamp_of(message), self._last_pose)
-
-    def on_fix(self, message: Any) -> None:
-        self._join.add("fix", stamp_of(message), msg_to_fix(message))
-
-    def on_imu(self, message: Any) -> None:
-        self._join.add("attitude", stamp_of(message), msg_to_attitude(message))
+        if self._pose is None or pose != self._pose[0] or not _equal(covariance, self._pose[1]):
+            self._pose = pose, covariance
+        self._join.add(POSE.name, stamp_of(message), self._pose)
 
     def _joined(
         self,
         image: Any,
         pose: _StatedPose | None = None,
-        calibration: Camera | None = None,
+        camera_info: Camera | None = None,
         fix: Fix | None = None,
-        attitude: Attitude | None = None,
+        imu: Attitude | None = None,
     ) -> None:
-        where, covariance = (self._fixed_pose, self._fixed_covariance) if pose is None else pose
-        if fix is not None and attitude is not None and self._sensors is not None and self._dem is not None:
+        stated, camera = pose or self._pose, camera_info or self._calibration
+        if fix is not None and imu is not None and self._sensors is not None and self._dem is not None:
             stamp, size = self._stamp_and_size(image)
-            where, covariance = sensed_pose(fix, attitude, stamp, size, self._frame, self._dem, self._sensors)
-        camera = self._fixed_calibration if calibration is None else calibration
-        assert where is not None  # nosec B101 # tells the type checker what holds
+            stated = sensed_pose(fix, imu, stamp, size, self._frame, self._dem, self._sensors)
+        assert stated is not None  # nosec B101 # tells the type checker what holds
         assert camera is not None  # nosec B101 # tells the type checker what holds
-        self._complete(JoinedFrame(image, where, covariance, camera))
+        self._complete(JoinedFrame(image, *stated, camera))
 
     def _give_up(self, stamp: int, lacking: list[str], why: str) -> None:
-        name = next((part for part in ("pose", "fix", "attitude") if part in lacking), "calibration")
-        cause = "no_calibration" if name == "calibration" else "no_pose"
-        missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
-        topics = {topic.counted_name: topic for topic in self._other_inputs}
-        name = camera_topic(self._site_name, self._name, topics[missing])
-        what = f"{type_name_of(topics[missing].type())} on {name}"
-        more = _FASTER if missing == "pose" else ""
+        poses_first = sorted(self._other_inputs, key=lambda topic: topic.counted_name == CAMERA_INFO.name)
+        missing = next(topic for topic in poses_first if topic.counted_name in lacking)
+        name = missing.counted_name
+        what = f"{type_name_of(missing.type())} on {camera_topic(self._site_name, self._name, missing)}"
         self._health.drop(
-            cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish {what} with the image's stamp{more}"
+            "no_calibration" if name == CAMERA_INFO.name else "no_pose",
+            f"image of stamp {stamp} ns has no {name} ({why}); publish {what} with the image's "
+            f"stamp{_FASTER if name == POSE.name else ''}",
         )
 
 
@@ -228,15 +219,13 @@ class _Edge:
 
     def at(self, stamp: int) -> Pose | None:
         """Return the pose at a time; None if the stamps around it are more than `MAX_GAP_NS` apart."""
-        if self.static:
-            return self.poses[0]
-        n = bisect_left(self.stamps, stamp)
-        if n < len(self.stamps) and self.stamps[n] == stamp:
+        n = 0 if self.static else bisect_left(self.stamps, stamp)
+        if self.static or self.stamps[n : n + 1] == [stamp]:
             return self.poses[n]
         if not 0 < n < len(self.stamps) or self.stamps[n] - self.stamps[n - 1] > MAX_GAP_NS:
             return None
-        begin, end = self.stamps[n - 1], self.stamps[n]
-        return self.poses[n - 1].towards(self.poses[n], (stamp - begin) / (end - begin))
+        share = (stamp - self.stamps[n - 1]) / (self.stamps[n] - self.stamps[n - 1])
+        return self.poses[n - 1].towards(self.poses[n], share)
 
 
 _KEPT_NS = 10_000_000_000

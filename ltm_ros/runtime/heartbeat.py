@@ -14,7 +14,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 
 class TrafficCounts(TypedDict):
@@ -25,11 +25,10 @@ class TrafficCounts(TypedDict):
 
 
 class TopicCount:
-    """Count of one publisher or subscription; written by one thread at a time."""
+    """Count of one publisher or subscription (`way`: said or heard); written by one thread at a time."""
 
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.messages = 0
+    def __init__(self, topic: str, way: Literal["said", "heard"]) -> None:
+        self.topic, self.way, self.messages = topic, way, 0
 
 
 class Traffic:
@@ -37,41 +36,35 @@ class Traffic:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._said: list[TopicCount] = []
-        self._heard: list[TopicCount] = []
+        self._counts: list[TopicCount] = []
 
     def speaker(self, topic: str) -> TopicCount:
         """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
         message, too."""
-        return self._add(self._said, topic)
+        return self._add(TopicCount(topic, "said"))
 
     def listener(self, topic: str) -> TopicCount:
         """Return the count of a subscription."""
-        return self._add(self._heard, topic)
+        return self._add(TopicCount(topic, "heard"))
 
     def forget(self, counts: Iterable[TopicCount]) -> None:
         """Remove these publishers and subscriptions."""
         gone = set(counts)
         with self._lock:
-            self._said[:] = [count for count in self._said if count not in gone]
-            self._heard[:] = [count for count in self._heard if count not in gone]
+            self._counts = [count for count in self._counts if count not in gone]
 
     def counts(self) -> TrafficCounts:
+        found: TrafficCounts = {"said": {}, "heard": {}}
         with self._lock:
-            said, heard = list(self._said), list(self._heard)
-        return {"said": _by_topic(said), "heard": _by_topic(heard)}
+            for count in self._counts:
+                of_way = found[count.way]
+                of_way[count.topic] = of_way.get(count.topic, 0) + count.messages
+        return found
 
-    def _add(self, counts: list[TopicCount], topic: str) -> TopicCount:
+    def _add(self, made: TopicCount) -> TopicCount:
         with self._lock:
-            counts.append(made := TopicCount(topic))
+            self._counts.append(made)
         return made
-
-
-def _by_topic(counts: list[TopicCount]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for count in counts:
-        found[count.topic] = found.get(count.topic, 0) + count.messages
-    return found
 
 
 TRAFFIC = Traffic()
@@ -147,35 +140,26 @@ class Heartbeat:
     def start(self, descriptor: int, reader_gone: Callable[[], None]) -> None:
         """Start a thread that writes to the pipe, and at the end calls `reader_gone`."""
         os.set_blocking(descriptor, False)
+        threading.Thread(target=self._tell, args=(descriptor, reader_gone), name="heartbeat", daemon=True).start()
 
-        def run() -> None:
-            self._tell(descriptor)
-            reader_gone()
-
-        threading.Thread(target=run, name="heartbeat", daemon=True).start()
-
-    def _tell(self, descriptor: int) -> None:
+    def _tell(self, descriptor: int, reader_gone: Callable[[], None]) -> None:
         poll = select.poll()
         poll.register(descriptor, 0)  # only errors: the reader has gone
         last, wait_s, rest = time.monotonic(), 0.0, b""
         while not poll.poll(wait_s * 1000):
-            wait_s = PERIOD_S
-            now = time.monotonic()
+            wait_s, now = PERIOD_S, time.monotonic()
             # At most the possible duration: this process or the machine may have been paused.
             elapsed_s, last = min(now - last, 2 * PERIOD_S), now
-            lines = self._lines(elapsed_s)
+            told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy()), **self._traffic.counts()}
+            # The rest of an incomplete line must be sent first, or the next line would be invalid.
+            lines = rest or f"{json.dumps(told)}\n".encode()
             try:
-                # The rest of an incomplete line must be sent first, or the next line would be invalid.
-                lines = rest or lines
                 rest = lines[os.write(descriptor, lines) :]
             except BlockingIOError:
                 continue  # the runner is paused; it will need only the newest
             except BrokenPipeError:
-                return
-
-    def _lines(self, elapsed_s: float) -> bytes:
-        told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy()), **self._traffic.counts()}
-        return f"{json.dumps(told)}\n".encode()
+                break
+        reader_gone()
 
 
 HEARTBEAT = Heartbeat(TRAFFIC)

@@ -23,7 +23,7 @@ from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import POSE_TYPES
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
+from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, unheard, with_info
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import TRAFFIC, TopicCount
@@ -99,15 +99,14 @@ class OutletNode(Node):  # type: ignore[misc]
     def listen(self, topic: Topic, offer: Callable[[Any], None]) -> None:
         """Pass messages of a topic to `offer`; lost messages are counted."""
         name = topic.name
-        losses = LossCounter(writers_of(self, name))
+        losses = LossCounter(self, name, self.health)
         heard = TRAFFIC.listener(self.resolve_topic_name(name))
         self._heard.append(heard)
 
         def take(message: Any, info: Any) -> None:
             heard.messages += 1
-            # For a latched topic only the last message counts.
-            if not topic.latched and (lost := losses.lost(info)):
-                self.health.drop("lost", loss_report(lost, name), lost)
+            if not topic.latched:  # of these only the last message counts
+                losses.take(info)
             offer(message)
 
         def subscribe(kind: type) -> None:
@@ -186,7 +185,9 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
             described.type = node.get_parameter(name).type_.value
             node.set_descriptor(name, described)
         elif field.default is not PydanticUndefined:
-            node.declare_parameter(name, _ros_value(getattr(config, name)), described)
+            value = getattr(config, name)
+            known = isinstance(value, bool | int | float | str | list)
+            node.declare_parameter(name, value if known else str(value), described)
     return config
 
 
@@ -206,18 +207,13 @@ def docstrings(model: type[BaseModel]) -> dict[str, str]:
 def _descriptor(field: FieldInfo, text: str) -> ParameterDescriptor:
     """Return description and limits of a parameter, as its configuration class states them."""
     described = ParameterDescriptor(description=" ".join(text.split()), read_only=True)
-    low = [float(v) for one in field.metadata if (v := getattr(one, "ge", getattr(one, "gt", None))) is not None]
-    high = [float(v) for one in field.metadata if (v := getattr(one, "le", getattr(one, "lt", None))) is not None]
+    low = [v for one in field.metadata if (v := getattr(one, "ge", getattr(one, "gt", None))) is not None]
+    high = [v for one in field.metadata if (v := getattr(one, "le", getattr(one, "lt", None))) is not None]
     if (low or high) and field.annotation is int:
-        limits = IntegerRange(from_value=int(max(low, default=-(2.0**63))), to_value=int(min(high, default=2**63 - 1)))
-        described.integer_range = [limits]
+        least, most = int(max(low, default=-(2**63))), int(min(high, default=2**63 - 1))
+        described.integer_range = [IntegerRange(from_value=least, to_value=most)]
     elif low or high:
         limit = sys.float_info.max
-        described.floating_point_range = [
-            FloatingPointRange(from_value=max(low, default=-limit), to_value=min(high, default=limit))
-        ]
+        bounds = float(max(low, default=-limit)), float(min(high, default=limit))
+        described.floating_point_range = [FloatingPointRange(from_value=bounds[0], to_value=bounds[1])]
     return described
-
-
-def _ros_value(value: object) -> object:
-    return value if isinstance(value, bool | int | float | str | list) else str(value)

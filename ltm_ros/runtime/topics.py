@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
@@ -17,6 +19,7 @@ from ltm_ros.runtime.handler import Topic
 
 if TYPE_CHECKING:
     from ltm_core.site.sections import CameraConfig
+    from ltm_core.site.site import Site
 
 IMAGE_RAW = Topic("image_raw", Image)
 IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)
@@ -187,6 +190,14 @@ def site_topic(site: str, topic: Topic) -> str:
 def of_camera(site: str, camera: str, topic: Topic) -> Topic:
     """Return a camera topic under its absolute name, for nodes of the whole site."""
     return replace(topic, name=camera_topic(site, camera, topic))
+
+
+def of_cameras(site: Site, takes: Mapping[Topic, Callable[[str, Any], None]]) -> dict[Topic, Callable[[Any], None]]:
+    """Return topics of all cameras of a site under their absolute names, with callbacks that take the camera's name and
+    the message."""
+    return {
+        of_camera(site.name, name, topic): partial(take, name) for name in site.cameras for topic, take in takes.items()
+    }
 
 
 def of_site(site: str, topic: Topic) -> Topic:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -8,6 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="the ROS extra is not installed")
 
 from ltm_ros.runtime.delivery_checks import NUMBER, LossCounter, unheard, unmatched
+from ltm_ros.runtime.health import Health
 
 
 @dataclass
@@ -89,11 +92,18 @@ class Topic:
     """A topic with its writers, and a counter that listens to it."""
 
     def __init__(self, *writers: bytes) -> None:
-        self.writers = frozenset(writers)
-        self.counter = LossCounter(lambda: self.writers)
+        self.writers, self.health = writers, Health()
+        self.counter = LossCounter(self, "/pose", self.health)
+
+    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
+        return [SimpleNamespace(endpoint_gid=writer) for writer in self.writers]
 
     def lost(self, *numbers: int | None) -> list[int]:
-        return [self.counter.lost({} if number is None else {NUMBER: number}) for number in numbers]
+        counts = [self.health.dropped.get("lost", 0)]
+        for number in numbers:
+            self.counter.take({} if number is None else {NUMBER: number})
+            counts.append(self.health.dropped.get("lost", 0))
+        return [after - before for before, after in itertools.pairwise(counts)]
 
 
 def test_counts_what_is_passed_over() -> None:
@@ -108,6 +118,6 @@ def test_what_was_sent_before_the_first_is_not_lost() -> None:
 def test_a_writer_that_comes_back_counts_anew(first_of_the_next: int) -> None:
     topic = Topic(b"a")
     assert topic.lost(1, 2, 3, 4, 5) == [0] * 5
-    topic.writers = frozenset([b"b"])
+    topic.writers = (b"b",)
     second = first_of_the_next + 1
     assert topic.lost(first_of_the_next, second, second + 3) == [0, 0, 2]
