@@ -6,7 +6,8 @@ import random
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.util import find_spec
 
 from ltm_core.base.errors import ConfigError, LtmError
@@ -25,7 +26,7 @@ from ltm_core.site.source_config import (
     SourceConfig,
 )
 from ltm_core.storage.disk_io import is_file, is_folder
-from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, camera_backoff
+from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, Frame, camera_backoff
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
 from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
@@ -33,7 +34,7 @@ from ltm_ros.cameras.protocols.picture import CameraReader, Tolerance
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.head import PtzDirection, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.runtime.clocks import Clock
+from ltm_ros.runtime.clocks import Clock, SystemClock
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import Activity
 
@@ -96,6 +97,17 @@ def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraRe
             return FolderReader(config, most_bytes, clock)
         case CameraListConfig():
             return CameraListReader(config, most_bytes)
+
+
+def source_of(
+    site: Site, name: str, config: SourceConfig, deliver: Callable[[Frame], None], health: Health
+) -> CameraSource:
+    """Return the source of a camera, which `deliver` gets frames from, without connecting. Raises ConfigError."""
+    camera, clock = site.camera(name), SystemClock()
+    reader = partial(open_reader, config, site.limits.image_bytes, clock)
+    return CameraSource(
+        config, calibration_of(camera, name), direction_of(site, camera), reader, deliver, health, clock
+    )
 
 
 SPREAD_S = 2.0

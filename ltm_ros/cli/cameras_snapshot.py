@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError
@@ -15,10 +14,9 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_core.tracing.trace_io import GuessConfig, write_pose_file
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
+from ltm_ros.cameras.camera_source import Frame
+from ltm_ros.cameras.opening import source_of
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import Health
 
 READINGS = "readings.csv"
@@ -76,18 +74,10 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
         raise ConfigError(
             f"camera {name} of site {site.name} has no section `source`, so no image can be requested from it"
         )
-    clock, frames = SystemClock(), list[Frame]()
+    frames = list[Frame]()
     # A snapshot at night is accepted, too.
     settings = camera.source.model_copy(update={"night": "publish"})
-    source = CameraSource(
-        settings,
-        calibration_of(camera, name),
-        direction_of(site, camera),
-        partial(open_reader, settings, site.limits.image_bytes, clock),
-        frames.append,
-        Health(),
-        clock,
-    )
+    source = source_of(site, name, settings, frames.append, Health())
     why = ""
     try:
         for _ in range(tries):

@@ -91,14 +91,26 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
         if watch.correction is not before:
             self.health.note(f"mount.{watch.state.value}")
             self._tell(stamp)
-            self._keep()
+            if self._file is not None and self._terms:
+                try:
+                    write_memory(self._file, watch, self._terms)
+                except StoreError as error:
+                    self.health.trouble("mount_memory", str(error))
         self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
 
     def _tell(self, stamp: int) -> None:
         watch = self._watch
+        rotation, angles = watch.correction.rotation, watch.correction.angles
+        info = {
+            "state": watch.state.value,
+            "reason": watch.reason,
+            "rotation_deg": np.degrees(rotation).round(4).tolist(),
+            "sigma_deg": None if angles is None else np.degrees(np.sqrt(angles.diagonal())).round(4).tolist(),
+            "slips": watch.slips,
+        } | correction_values(watch.correction)
         name, wrong = f"{self.config.camera}/pose", not watch.correction.known
-        self.outlet.publish(topics.POSE_INFO, status_to_msg(name, stamp, self._info(), watch.reason, wrong))
-        self.outlet.publish(topics.POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
+        self.outlet.publish(topics.POSE_INFO, status_to_msg(name, stamp, info, watch.reason, wrong))
+        self.outlet.publish(topics.POSE_CORRECTION, correction_to_msg(watch.correction, stamp))
 
     def _recall(self, seen: Camera | None) -> None:
         """Load the stored correction. `seen`: calibration of the images, if the site has none."""
@@ -112,25 +124,6 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
                 self._tell(max(self.outlet.now_ns(), 0))
         except StoreError as error:
             self.health.trouble("mount_memory", str(error))
-
-    def _keep(self) -> None:
-        if self._file is None or not self._terms:
-            return
-        try:
-            write_memory(self._file, self._watch, self._terms)
-        except StoreError as error:
-            self.health.trouble("mount_memory", str(error))
-
-    def _info(self) -> dict[str, object]:
-        watch = self._watch
-        rotation, angles = watch.correction.rotation, watch.correction.angles
-        return {
-            "state": watch.state.value,
-            "reason": watch.reason,
-            "rotation_deg": np.degrees(rotation).round(4).tolist(),
-            "sigma_deg": None if angles is None else np.degrees(np.sqrt(angles.diagonal())).round(4).tolist(),
-            "slips": watch.slips,
-        } | correction_values(watch.correction)
 
 
 NODE = NodeType("pose", PoseKeepingConfig, PoseHandler)

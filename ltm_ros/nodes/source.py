@@ -12,9 +12,8 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.status import status_to_msg
-from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import SourceThread, calibration_of, direction_of, open_reader
-from ltm_ros.runtime.clocks import SystemClock
+from ltm_ros.cameras.camera_source import Frame
+from ltm_ros.cameras.opening import SourceThread, source_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import HEARTBEAT
@@ -40,24 +39,14 @@ class SourceHandler(Handler[SourceNodeConfig]):
         camera = site.camera(config.camera)
         if camera.source is None:
             raise ConfigError(f"camera {config.camera} of site {site.name} has no section source")
-        calibration = calibration_of(camera, config.camera)
         self._raw = camera.image == "raw"
         if self._raw:
             self.publications = (IMAGE_RAW, CAMERA_INFO, POSE, SOURCE_INFO)
         self._frame_id = f"{config.camera}_optical"
-        clock = SystemClock()
-        self._source = CameraSource(
-            camera.source,
-            calibration,
-            direction_of(site, camera),
-            partial(open_reader, camera.source, site.limits.image_bytes, clock),
-            self._publish,
-            health,
-            clock,
-        )
+        self._source = source_of(site, config.camera, camera.source, self._publish, health)
         self._source.report()
-        activity = HEARTBEAT.activity(f"source {config.camera}")
         self._ended = False
+        activity = HEARTBEAT.activity(f"source {config.camera}")
         self._thread = SourceThread(config.camera, self._source, health, activity)
 
     def start(self) -> None:
@@ -87,8 +76,7 @@ class SourceHandler(Handler[SourceNodeConfig]):
         if self._raw and frame.rgb is not None:
             self.outlet.publish(IMAGE_RAW, image_to_msg(frame.rgb, "rgb8", stamp, self._frame_id))
             return
-        data = frame.jpeg if frame.rgb is None else encode_rgb(frame.rgb, "jpeg", JPEG_QUALITY)
-        data = data or b""
+        data = frame.jpeg or b"" if frame.rgb is None else encode_rgb(frame.rgb, "jpeg", JPEG_QUALITY)
         self.outlet.publish(IMAGE_COMPRESSED, compressed_to_msg(data, image_format(data), stamp, self._frame_id))
 
 

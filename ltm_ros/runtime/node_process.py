@@ -77,16 +77,14 @@ def run_until_stopped(name: str, make: Callable[[], Closable]) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         making = False
-    except LtmError as error:
+    except (LtmError, _StoppedEarly) as error:
         making = False
         limit_shutdown()
-        print(f"{name}: cannot start: {error}", file=sys.stderr)
+        if isinstance(error, LtmError):
+            print(f"{name}: cannot start: {error}", file=sys.stderr)
         rclpy.try_shutdown()
-        sys.exit(EX_CONFIG)
-    except _StoppedEarly:
-        making = False
-        limit_shutdown()
-        rclpy.try_shutdown()
+        if isinstance(error, LtmError):
+            sys.exit(EX_CONFIG)
         return
     nodes: Sequence[Any] = getattr(node, "members", [node])
     # It waits for events; other executors rebuild a list of everything for each event.

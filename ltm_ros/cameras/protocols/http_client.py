@@ -18,7 +18,7 @@ import httpx
 
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
-from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError
 from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
 from ltm_ros.cameras.protocols.picture import CameraTime
 
@@ -84,10 +84,7 @@ class HttpClient:
     ) -> HttpResponse:
         """Return the whole answer. `accepted`: statuses that are no errors. Raises SourceError, UnauthorisedError,
         PictureError if it is too large."""
-        with (
-            self.within(self._whole_s),
-            self.stream(url, headers, method, body, accepted) as (response, asked, arrived),
-        ):
+        with self.stream(url, headers, method, body, accepted) as (response, asked, arrived):
             if response.headers.get("content-type", "").lower().startswith("multipart/x-mixed-replace"):
                 raise SourceError("the camera answered with a stream of images: set kind: mjpeg")
             whole = bytearray()
@@ -120,29 +117,34 @@ class HttpClient:
         asked = [time.monotonic()]
         # The time of the last request after a challenge counts: its answer holds the image.
         self._client.event_hooks = {"request": [lambda _: asked.append(time.monotonic())], "response": []}
-        with self._said(), contextlib.ExitStack() as stack:
-            with self.within(self._whole_s):
-                sent = self._client.stream(method, url, headers=dict(headers or {}), content=body)
-                response = stack.enter_context(sent)
-            arrived = time.monotonic()
-            self._check(response, accepted)
-            yield response, asked[-1], arrived
+        with self.in_time():
+            request = self._client.stream(method, url, headers=dict(headers or {}), content=body)
+            with request as response:
+                arrived = time.monotonic()
+                self._check(response, accepted)
+                yield response, asked[-1], arrived
 
     @contextlib.contextmanager
-    def within(self, seconds: float) -> Iterator[None]:
-        """Raise SourceError in the body after the given seconds."""
-        former, until = self._deadline.until, time.monotonic() + seconds
-        self._deadline.until = min(former, until)
+    def in_time(self) -> Iterator[None]:
+        """Limit the body to the time of a whole answer. Raises SourceError without secrets for errors of httpx."""
+        self._deadline.until = time.monotonic() + self._whole_s
         try:
             yield
-        except UnauthorisedError:
-            raise
-        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError):
-            if time.monotonic() >= until:
-                raise SourceError(f"the camera took more than {seconds:g} s for one image") from None
-            raise
-        finally:
-            self._deadline.until = former
+        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
+            why = self.login.redact(error)
+            match error:
+                case _ if time.monotonic() >= self._deadline.until:
+                    said = f"the camera took more than {self._whole_s:g} s for one image"
+                case httpx.TimeoutException():
+                    what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
+                    said = f"the camera does not respond: no {what} in time"
+                case httpx.ConnectError():
+                    said = f"no connection: {why}{_remedy(str(error))}"
+                case httpx.InvalidURL() | UnicodeError():
+                    said = f"the url is invalid: {why}"
+                case _:
+                    said = f"the camera closed the connection or did not answer HTTP ({type(error).__name__}): {why}"
+            raise SourceError(said) from None
 
     def _check(self, response: httpx.Response, accepted: Collection[int]) -> None:
         status = response.status_code
@@ -157,26 +159,6 @@ class HttpClient:
                 page, remedy = "its login page ", "check the url and the authentication"
             raise SourceError(f"the camera redirects to {page}{place} (HTTP {status}): {remedy}")
         raise SourceError(f"the camera answered HTTP {status} {response.reason_phrase}".rstrip())
-
-    @contextlib.contextmanager
-    def _said(self) -> Iterator[None]:
-        """Return an httpx error as SourceError without secrets."""
-        try:
-            yield
-        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
-            why = self.login.redact(error)
-            match error:
-                case httpx.ConnectTimeout():
-                    said = "the camera does not respond: no connection in time"
-                case httpx.TimeoutException():
-                    said = "the camera does not respond: no answer in time"
-                case httpx.ConnectError():
-                    said = f"no connection: {why}{_remedy(str(error))}"
-                case httpx.InvalidURL() | UnicodeError():
-                    said = f"the url is invalid: {why}"
-                case _:
-                    said = f"the camera closed the connection or did not answer HTTP ({type(error).__name__}): {why}"
-            raise SourceError(said) from None
 
 
 def is_whole_jpeg(data: bytes | bytearray) -> bool:

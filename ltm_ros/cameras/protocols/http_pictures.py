@@ -14,7 +14,6 @@ from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
 from ltm_ros.cameras.protocols.http_client import (
-    WHOLE_FACTOR,
     HttpClient,
     HttpResponse,
     http_time,
@@ -109,8 +108,7 @@ _HEAD_BYTES = 4 << 10
 class MjpegReader:
     def __init__(self, config: MjpegConfig, most_bytes: int) -> None:
         self.pause = 0.0
-        self._every, self._most_bytes, self._silent_s = config.every, most_bytes, config.timeout
-        self._whole_s = WHOLE_FACTOR * config.timeout
+        self._every, self._most_bytes = config.every, most_bytes
         self._client = HttpClient(config, most_bytes=most_bytes)
         self._open = contextlib.ExitStack()
         try:
@@ -124,7 +122,11 @@ class MjpegReader:
 
     def read(self) -> CameraImage | Nothing:
         """Return the next due image; earlier ones are read and dropped."""
-        head, body, arrived = self._next()
+        with self._client.in_time():
+            part = next(self._parts, None)
+        if part is None:
+            raise SourceError("the camera ended its stream")
+        head, body, arrived = part
         if arrived < self._due:
             return Nothing.YET
         if not body.startswith(_BEGIN):
@@ -136,17 +138,6 @@ class MjpegReader:
         with contextlib.suppress(SourceError):
             self._open.close()
         self._client.close()
-
-    def _next(self) -> tuple[dict[str, str], bytes, float]:
-        try:
-            with self._client.within(self._whole_s):
-                return next(self._parts)
-        except StopIteration:
-            raise SourceError("the camera ended its stream") from None
-        except httpx.TimeoutException:
-            raise SourceError(f"the camera does not respond: no image for {self._silent_s:g} s") from None
-        except (httpx.HTTPError, httpx.StreamError, OSError) as error:
-            raise SourceError(f"the camera closed the connection ({type(error).__name__})") from None
 
     def _split(self, response: httpx.Response, boundary: bytes) -> Iterator[tuple[dict[str, str], bytes, float]]:
         """Yield each part's header, its body, and the arrival time of its last byte."""
