@@ -55,8 +55,9 @@ class HealthNode(Node):  # type: ignore[misc]
         self._folders = config.folders
         self._health = Health()
         cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
+        steady = DiagnosticsPublisher.steady_clock()
         self._pictures = LastPictures(self, site, cameras, self._health)
-        self.create_timer(1.0, self._pictures.tick, clock=DiagnosticsPublisher.steady_clock())
+        self.create_timer(1.0, self._pictures.tick, clock=steady)
         self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         own = {self.get_fully_qualified_name(): self._health}
@@ -84,7 +85,7 @@ class HealthNode(Node):  # type: ignore[misc]
         self._alerts = None
         if site.alerts is not None and not self.get_parameter("use_sim_time").value:  # no alerts of a replay
             self._alerts = AlertSender(site.alerts, site.name, site.watchdog.slow, self._health)
-            self.create_timer(5.0, self._send_alerts, clock=DiagnosticsPublisher.steady_clock())
+            self.create_timer(5.0, self._send_alerts, clock=steady)
         log = self.get_logger()
         self._server = PatientServer(site.health, routes, self._health, log.info, log.warning)
 
@@ -113,16 +114,10 @@ class HealthNode(Node):  # type: ignore[misc]
 
     def status(self) -> TowerStatus:
         """Return the current status; thread-safe."""
-        disks = machine.disks(self._folders)
+        now = time.monotonic(), self.get_clock().now().nanoseconds / 1e9
+        disks, versions, memory = machine.disks(self._folders), machine.versions(), machine.memory()
         with self._lock:
-            return self._watch.status(
-                time.monotonic(),
-                self.get_clock().now().nanoseconds / 1e9,
-                versions=machine.versions(),
-                clock=kernel_clock(),
-                disks=disks,
-                memory=machine.memory(),
-            )
+            return self._watch.status(*now, versions=versions, clock=kernel_clock(), disks=disks, memory=memory)
 
     def _camera_states(self) -> list[DiagnosticStatus]:
         """Return the status of each camera, named `/SITE/CAMERA`."""
@@ -149,10 +144,9 @@ def camera_diagnostic(site: str, camera: CameraStatus) -> DiagnosticStatus:
 
 def _verdict(status: TowerStatus, what: str) -> WebResponse:
     fine = status.alive if what == "alive" else status.ready
-    lines = [what if fine else f"not {what}", *status.wrong]
-    return WebResponse(
-        ("\n".join(lines) + "\n").encode(), status=HTTPStatus.OK if fine else HTTPStatus.SERVICE_UNAVAILABLE
-    )
+    lines = [what if fine else f"not {what}", *status.wrong, ""]
+    code = HTTPStatus.OK if fine else HTTPStatus.SERVICE_UNAVAILABLE
+    return WebResponse("\n".join(lines).encode(), status=code)
 
 
 def _picture(draw: Callable[[], bytes | None], kind: str, _: bytes) -> WebResponse:

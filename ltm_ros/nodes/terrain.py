@@ -13,6 +13,7 @@ from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_surface import STORE_FILE, UNCOMMITTED, SiteTerrain
 from ltm_core.site.site_io import load_site
+from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.change import Changed
@@ -72,7 +73,6 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
                 f"{config.site}: terrain needs measured depth, because traced depth agrees with the DEM by "
                 "construction: set `depth_model` to a depth network, or set the node's depth_from_elsewhere"
             )
-        self._folder = config.beside_site(config.folder)
         self._terrain = SiteTerrain(site, self._open_store)
         self._store, self._map = self._terrain.store, self._terrain.map
         self._publisher = TerrainPublisher(site, self._map, outlet, health)
@@ -82,8 +82,7 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
             self.publications = (*self.publications, topics.TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         self._joins = [self._join_of(camera) for camera in site.cameras]
-        self._paced = self._dirty = False
-        self._undecided = 0
+        self._paced = self._dirty = self._undecided = False
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
         self._pace = Backoff()
@@ -145,17 +144,10 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"duplicate frame of {camera} of stamp {stamp} ns; counted once")
             return
-        added = self._terrain.add(
-            msg_to_depth(depth),
-            msg_to_depth(sigma),
-            msg_to_camera(info),
-            msg_to_pose(pose, "map"),
-            stamp,
-            camera,
-            msg_to_covariance(pose),
-            None if labels is None else msg_to_array(labels, ("mono8",)),
-        )
-        self._undecided += 1
+        depths, where = (msg_to_depth(depth), msg_to_depth(sigma)), (msg_to_camera(info), msg_to_pose(pose, "map"))
+        labelled = None if labels is None else msg_to_array(labels, ("mono8",))
+        added = self._terrain.add(*depths, *where, stamp, camera, msg_to_covariance(pose), labelled)
+        self._undecided = True
         self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)
         self.health.gauge("tiles_in_memory", self._map.tiles_in_memory)
         if added.cells == 0:
@@ -186,14 +178,12 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
         until = time.monotonic() + LAST_TRIES_S
         while True:
             try:
-                self._settle(last=True)
-                return
+                return self._settle(last=True)
             except StoreError as error:
                 if time.monotonic() >= until:
-                    raise StoreError(
-                        f"{self._map.uncommitted} frames with unpublished changes are lost: {LAST_TRIES_S:.0f} s "
-                        f"more did not help ({error}); send them again"
-                    ) from error
+                    lost = f"{self._map.uncommitted} frames with unpublished changes are lost"
+                    why = f"{LAST_TRIES_S:.0f} s more did not help ({error})"
+                    raise StoreError(f"{lost}: {why}; send them again") from error
                 time.sleep(LAST_PAUSE_S)
 
     def _settle(self, last: bool = False) -> None:
@@ -201,7 +191,7 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
 
         `last`: write everything, because no more frames come. Raises StoreError."""
         if self._undecided:
-            self._undecided, self._dirty = 0, True
+            self._undecided, self._dirty = False, True
             self._untold = self._untold.joined(self._map.decide())
         if last or len(self._untold.rows):
             self._map.commit(last)
@@ -216,13 +206,10 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
         self._publisher.grid()
 
     def _open_store(self, schema: StoreSchema) -> TileStore:
-        if self._folder is None:
+        if (folder := self.config.beside_site(self.config.folder)) is None:
             return TileStore.in_memory(schema)
-        try:
-            self._folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{self._folder}: not a usable folder ({error.strerror})") from error
-        return TileStore.open(self._folder / STORE_FILE, schema)
+        make_folder(folder)
+        return TileStore.open(folder / STORE_FILE, schema)
 
 
 NODE = NodeType("terrain", TerrainNodeConfig, TerrainHandler)

@@ -85,8 +85,7 @@ class Health:
         with self._lock:
             self._dropped[cause] += count
             self._reasons.setdefault(cause, why)
-            self._last_error = f"{cause}: {why}"
-            self._last_trouble = time.monotonic()
+        self.trouble(cause, why)
 
     def trouble(self, cause: str, why: str) -> None:
         """Report a problem that has lost nothing so far; `why` holds the value and the remedy."""
@@ -101,8 +100,8 @@ class Health:
     def doubt(self, cause: str, why: str) -> None:
         """Report a lasting problem that loses nothing, and count it; an empty `why` reports its end."""
         with self._lock:
+            self._reasons.pop(cause, None)
             if not why:
-                self._reasons.pop(cause, None)
                 return
             self._noted[cause] += 1
             self._reasons[cause] = why
@@ -279,18 +278,16 @@ class NodeRow:
     @classmethod
     def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
         """Parse the key -> value texts of a node's `/diagnostics` status."""
-        causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
-        return cls(
-            node,
-            int(summary.get("frames_in", 0)),
-            int(summary.get("frames_out", 0)),
-            int(summary.get("dropped", 0)),
-            float(summary.get("latency_p50_ms", math.nan)),
-            float(summary.get("latency_p95_ms", math.nan)),
-            float(summary.get("work_p50_ms", math.nan)),
-            ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
-        )
+
+        def of(kind: str) -> dict[str, str]:
+            return {key.removeprefix(kind): value for key, value in summary.items() if key.startswith(kind)}
+
+        received, published, dropped = (int(summary.get(key, 0)) for key in ("frames_in", "frames_out", "dropped"))
+        keys = ("latency_p50_ms", "latency_p95_ms", "work_p50_ms")
+        p50, p95, work = (float(summary.get(key, math.nan)) for key in keys)
+        causes = ", ".join(f"{cause} {count}" for cause, count in of("dropped.").items())
+        reasons = tuple(f"{cause}: {why}" for cause, why in of("reason.").items())
+        return cls(node, received, published, dropped, p50, p95, work, causes, reasons)
 
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from std_srvs.srv import Trigger
@@ -71,14 +72,13 @@ class HandlerNode(OutletNode):
             self.open(topic)
         self.handler.start()
         for topic, callback in subscriptions.items():
-            self._listen(topic, callback)
+            self.listen(topic, partial(self._take, topic, callback))
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
-        self._diagnostics = DiagnosticsPublisher(
-            self, {self.get_fully_qualified_name(): self.health}, self.config.camera
-        )
-        self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
-        self.create_timer(WIRING_S, self.look_at_wiring, clock=DiagnosticsPublisher.steady_clock())
+        own, steady = {self.get_fully_qualified_name(): self.health}, DiagnosticsPublisher.steady_clock()
+        self._diagnostics = DiagnosticsPublisher(self, own, self.config.camera)
+        self.create_timer(0.5, self._tick, clock=steady)
+        self.create_timer(WIRING_S, self.look_at_wiring, clock=steady)
         self._activity = HEARTBEAT.activity(f"{node_type.name} worker")
         self._worker = threading.Thread(target=self._work, name=f"{node_type.name} worker", daemon=True)
         self._worker.start()
@@ -92,24 +92,18 @@ class HandlerNode(OutletNode):
         self._diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _listen(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        def enqueue(message: Any) -> None:
-            if topic.counted:
-                self.health.received(topic.counted_name)
-            self._offer(callback, message)
-
-        self.listen(topic, enqueue)
+    def _take(self, topic: Topic, callback: Callable[[Any], None], message: Any) -> None:
+        if topic.counted:
+            self.health.received(topic.counted_name)
+        self._offer(callback, message)
 
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         try:
             self._inbox.offer(callback, message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
         except queue.Full:
-            self.health.drop(
-                "overload",
-                f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB) are queued already; "
-                "reduce the frame rate or add cores",
-            )
+            held = f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB)"
+            self.health.drop("overload", f"{held} are queued already; reduce the frame rate or add cores")
 
     def _tick(self) -> None:
         self.state_listeners()

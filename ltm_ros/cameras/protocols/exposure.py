@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from datetime import UTC, tzinfo
+from datetime import UTC, datetime, tzinfo
 
 from ltm_core.base.errors import ImageError
 from ltm_core.storage.image_io import opened_picture
@@ -193,8 +193,10 @@ def exif_time(data: bytes, zone: tzinfo = UTC) -> CameraTime | None:
             taken = exif_facts(image.getexif(), "image").taken
     except ImageError:
         return None
-    if taken is None:
-        return None
-    moment = taken if taken.tzinfo is not None else taken.replace(tzinfo=zone)
     # Milliseconds if the camera gives a fraction; this says nothing about its accuracy.
-    return CameraTime(moment.timestamp(), 0.001 if taken.microsecond else 1.0, "exif")
+    return None if taken is None else CameraTime(epoch_of(taken, zone), 0.001 if taken.microsecond else 1.0, "exif")
+
+
+def epoch_of(moment: datetime, zone: tzinfo) -> float:
+    """Return the epoch seconds of a time; `zone`: of one without a zone."""
+    return (moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)).timestamp()

@@ -18,7 +18,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from ltm_core.site.source_config import CameraListConfig, FolderConfig
 from ltm_core.storage.disk_io import is_folder
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
-from ltm_ros.cameras.protocols.exposure import exif_time
+from ltm_ros.cameras.protocols.exposure import epoch_of, exif_time
 from ltm_ros.cameras.protocols.http_client import HttpClient, http_time
 from ltm_ros.cameras.protocols.http_pictures import picture_in
 from ltm_ros.cameras.protocols.picture import (
@@ -132,25 +132,16 @@ class FolderReader:
                 path.unlink()
 
     def _picture(self, path: Path, data: bytes, written: float) -> CameraImage:
-        timing = Timing(
-            arrived=written,
-            oldest=self._config.upload,
-            taken=self._named_time(path) or exif_time(data, self._zone),
-            trusted=self._config.clock == "trusted",
-        )
-        return CameraImage(timing, jpeg=data)
-
-    def _named_time(self, path: Path) -> CameraTime | None:
-        pattern = self._config.name_time
+        pattern, trusted = self._config.name_time, self._config.clock == "trusted"
         if pattern is None:
-            return None
-        try:
-            moment = datetime.strptime(path.name, pattern)
-        except ValueError:
-            raise PictureError(f"{path.name} does not match {pattern}: correct name_time") from None
-        if moment.tzinfo is None:
-            moment = moment.replace(tzinfo=self._zone)
-        return CameraTime(moment.timestamp(), 0.001 if "%f" in pattern else 1.0, "name")
+            taken = exif_time(data, self._zone)
+        else:
+            try:
+                moment = datetime.strptime(path.name, pattern)
+            except ValueError:
+                raise PictureError(f"{path.name} does not match {pattern}: correct name_time") from None
+            taken = CameraTime(epoch_of(moment, self._zone), 0.001 if "%f" in pattern else 1.0, "name")
+        return CameraImage(Timing(written, oldest=self._config.upload, taken=taken, trusted=trusted), jpeg=data)
 
 
 _MOST_ENTRIES = 100_000
@@ -187,14 +178,8 @@ class CameraListReader:
         self._given = stated
         if before is not None and after is not None and not at_rest(before, after, Tolerance()):
             after = replace(after, moving=True)
-        timing = Timing(
-            arrived=answer.arrived,
-            asked=answer.asked,
-            oldest=self._config.oldest,
-            taken=time_of(stated) or http_time(answer.headers, "Last-Modified"),
-            answered=http_time(answer.headers, "Date"),
-        )
-        return CameraImage(timing, jpeg=picture, direction=after)
+        taken = time_of(stated) or http_time(answer.headers, "Last-Modified")
+        return CameraImage(answer.timing(self._config.oldest, taken), jpeg=picture, direction=after)
 
     def close(self) -> None:
         self._client.close()
@@ -202,11 +187,10 @@ class CameraListReader:
     def _listed(self) -> dict[str, Any]:
         """Return the camera's entry. Raises SourceError if the list is invalid or lacks it."""
         answer = self._client.get(self._config.url, self._tag)
-        if answer.status == 304:
-            return self._entry
-        self._entry = entry_of(answer.body, self._config)
-        tag = answer.headers.get("etag")
-        self._tag = {} if tag is None else {"If-None-Match": tag}
+        if answer.status != 304:
+            self._entry = entry_of(answer.body, self._config)
+            tag = answer.headers.get("etag")
+            self._tag = {} if tag is None else {"If-None-Match": tag}
         return self._entry
 
 
@@ -240,14 +224,12 @@ def reading_of(entry: dict[str, Any], config: CameraListConfig) -> PtzReading | 
 def time_of(value: Any) -> CameraTime | None:
     """Parse epoch seconds or milliseconds, or ISO 8601 (UTC without a zone); the resolution is 1 s without
     a fraction."""
-    number = None if isinstance(value, bool) else stated_number(value)
-    if number is not None:
-        epoch = number / 1000 if number > _MILLISECONDS else number
-        return CameraTime(epoch, 0.001 if epoch % 1 else 1.0, "list") if 0 < epoch < _MILLISECONDS else None
+    epoch = None if isinstance(value, bool) else stated_number(value)
     try:
-        moment = datetime.fromisoformat(str(value))
-        if moment.tzinfo is None:
-            moment = moment.replace(tzinfo=UTC)
-        return CameraTime(moment.timestamp(), 0.001 if moment.microsecond else 1.0, "list")
+        if epoch is None:
+            epoch = epoch_of(datetime.fromisoformat(str(value)), UTC)
+        elif epoch > _MILLISECONDS:
+            epoch /= 1000
     except (ValueError, OverflowError):
         return None
+    return CameraTime(epoch, 0.001 if epoch % 1 else 1.0, "list") if 0 < epoch < _MILLISECONDS else None

@@ -20,7 +20,7 @@ from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError
 from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
-from ltm_ros.cameras.protocols.picture import CameraTime
+from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 
 REFUSED = (401, 403, 423)
 """HTTP statuses with which a camera rejects the user, the password or the account."""
@@ -45,6 +45,10 @@ class HttpResponse:
     body: bytes
     asked: float
     arrived: float
+
+    def timing(self, oldest: float, taken: CameraTime | None) -> Timing:
+        """Return the timing of an image in the answer. `oldest`: its maximum age at the request, seconds."""
+        return Timing(self.arrived, self.asked, oldest, taken, answered=http_time(self.headers, "Date"))
 
 
 class HttpClient:

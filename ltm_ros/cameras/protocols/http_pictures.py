@@ -20,7 +20,7 @@ from ltm_ros.cameras.protocols.http_client import (
     is_whole_jpeg,
     page_in,
 )
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
+from ltm_ros.cameras.protocols.picture import CameraImage, Nothing, Timing, stated_number
 
 _SHOWN, _SHOWN_TEXT = 16, 60
 """Number of bytes of an invalid answer that an error shows, and of a text."""
@@ -44,37 +44,20 @@ class SnapshotReader:
             return Nothing.UNCHANGED
         body = picture_in(answer)
         self._remember(answer)
-        return CameraImage(
-            Timing(
-                arrived=answer.arrived,
-                asked=answer.asked,
-                oldest=self._oldest,
-                taken=self._taken(answer, body),
-                answered=http_time(answer.headers, "Date"),
-            ),
-            jpeg=body,
-        )
+        modified = http_time(answer.headers, "Last-Modified") if self._modified_tells else None
+        return CameraImage(answer.timing(self._oldest, exif_time(body) or modified), jpeg=body)
 
     def close(self) -> None:
         self._client.close()
 
     def _remember(self, answer: HttpResponse) -> None:
-        modified = answer.headers.get("last-modified")
+        tag, modified = answer.headers.get("etag"), answer.headers.get("last-modified")
         # Some servers send their start time, or another constant, with changing images.
         if modified is not None and modified == self._modified and hash(answer.body) != self._body and self.pause > 1:
             self._modified_tells = False
         self._modified, self._body = modified, hash(answer.body)
-        self._conditions = {}
-        if (tag := answer.headers.get("etag")) is not None:
-            self._conditions["If-None-Match"] = tag
-        if modified is not None and self._modified_tells:
-            self._conditions["If-Modified-Since"] = modified
-
-    def _taken(self, answer: HttpResponse, picture: bytes) -> CameraTime | None:
-        stated = exif_time(picture)
-        if stated is not None:
-            return stated
-        return http_time(answer.headers, "Last-Modified") if self._modified_tells else None
+        given = {"If-None-Match": tag, "If-Modified-Since": modified if self._modified_tells else None}
+        self._conditions = {name: value for name, value in given.items() if value is not None}
 
 
 def picture_in(answer: HttpResponse) -> bytes:

@@ -145,7 +145,7 @@ class OnvifPtzHead:
         self._config, self._client = config, client
         self._device = client.url + config.path
         self.soap = SoapClient(client, self._device)
-        self._addresses: dict[str, str] = {}
+        self._services: ElementTree.Element | None = None
         self._profile = config.profile
 
     def read(self) -> PtzReading:
@@ -166,47 +166,42 @@ class OnvifPtzHead:
     def picture_addresses(self) -> tuple[str | None, str | None]:
         """Return the URLs of a snapshot and of a stream that the camera reports."""
         media, token = self._service("Media"), {"ProfileToken": self._token(with_ptz=False)}
-        found_at: list[str | None] = []
-        for name, setup in (("GetSnapshotUri", ""), ("GetStreamUri", STREAM_SETUP)):
+
+        def uri(name: str, setup: str = "") -> str | None:
             try:
-                place = found(self.soap.call(media, MEDIA, name, token, setup), "Uri")
+                return getattr(found(self.soap.call(media, MEDIA, name, token, setup), "Uri"), "text", None)
             except UnauthorisedError:
                 raise
             except SourceError:
-                place = None
-            found_at.append(None if place is None else place.text)
-        return found_at[0], found_at[1]
+                return None
+
+        return uri("GetSnapshotUri"), uri("GetStreamUri", STREAM_SETUP)
 
     def close(self) -> None:
         self._client.close()
 
     def _service(self, name: str) -> str:
         """Return the address of a service, at the configured host. Raises SourceError if the camera lacks it."""
-        if not self._addresses:
-            root = self.soap.call(self._device, DEVICE, "GetCapabilities", {"Category": "All"})
-            for known in ("Media", "PTZ"):
-                address = found(root, known, "XAddr")
-                if address is not None and address.text:
-                    self._addresses[known] = with_configured_host(address.text, self._client.url)
-        if name not in self._addresses:
+        if self._services is None:
+            self._services = self.soap.call(self._device, DEVICE, "GetCapabilities", {"Category": "All"})
+        address = found(self._services, name, "XAddr")
+        if address is None or not address.text:
             what = "no PTZ head" if name == "PTZ" else "no images"
             raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-        return self._addresses[name]
+        return with_configured_host(address.text, self._client.url)
 
     def _token(self, with_ptz: bool = True) -> str:
         """Return the token of the first media profile, of those with a PTZ head if there are any."""
         if self._profile is not None:
             return self._profile
         root = self.soap.call(self._service("Media"), MEDIA, "GetProfiles")
-        profiles = [e for e in root.iter() if local(e) == "Profiles" and e.get("token")]
-        turning = [e for e in profiles if found(e, "PTZConfiguration") is not None]
-        if turning:
-            self._profile = turning[0].get("token") or ""
-            return self._profile
-        if with_ptz or not profiles:
+        profiles = {e.get("token") or "": e for e in root.iter() if local(e) == "Profiles" and e.get("token")}
+        turning = [token for token, e in profiles.items() if found(e, "PTZConfiguration") is not None]
+        if not turning and (with_ptz or not profiles):
             what = "has a PTZ head" if profiles else "exists"
             raise SourceError(f"no media profile of the camera {what}: select or add one in the camera's settings")
-        return profiles[0].get("token") or ""
+        self._profile = turning[0] if turning else None
+        return self._profile or next(iter(profiles))
 
 
 def _scaled(value: float, ends: tuple[float, float]) -> float:
