@@ -21,7 +21,7 @@ from ltm_ros.runtime import topics
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, too_many_pixels
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.stamp_join import data_bytes
@@ -196,22 +196,14 @@ class CaptureHandler(Handler[CaptureConfig]):
         # The largest supported raw encoding has four bytes per pixel.
         size, most = len(message.data), 4 * self._limits.pixels if raw else self._limits.image_bytes
         if size > most:
-            key = "pixels" if raw else "image_bytes"
-            self._drop_large(f"image of {size} bytes; the maximum is {most}", key)
+            key, what = "pixels" if raw else "image_bytes", f"image of {size} bytes; the maximum is {most}"
+            remedy = f"reduce the size, or raise {key} under `expert.limits` in the site file"
+            self.health.drop("too_large", f"{what}; {remedy}")
         return size > most
 
     def _too_many_pixels(self, what: str, width: int, height: int) -> bool:
-        if width * height <= self._limits.pixels:
-            return False
-        self._drop_large(f"{what} of {width} x {height} pixels; the maximum is {self._limits.pixels}", "pixels")
-        return True
-
-    def _drop_large(self, what: str, key: str) -> None:
-        self.health.drop("too_large", f"{what}; reduce the size, or raise {key} under `expert.limits` in the site file")
+        return too_many_pixels(self.health, what, width, height, self._limits.pixels)
 
 
 NODE = NodeType("capture", CaptureConfig, CaptureHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

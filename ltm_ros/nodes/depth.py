@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from ltm_core.pipeline.frame_steps import TracingConfig, TracingStep, seen
@@ -18,7 +17,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.surface_confirmation import SurfaceFollower
 from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import NodeType, Outlet, Topic
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, too_many_pixels
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, JoiningHandler, StampJoin
 from ltm_ros.runtime.topics import of_site
@@ -66,12 +65,7 @@ class DepthHandler(JoiningHandler[DepthConfig]):
 
     def _trace(self, info: Any, pose: Any) -> None:
         camera, where, stamp = msg_to_camera(info), msg_to_pose(pose, "map"), stamp_of(info)
-        if camera.width * camera.height > self._most_pixels:
-            self.health.drop(
-                "too_large",
-                f"calibration of {camera.width} x {camera.height} pixels; the maximum is {self._most_pixels}; "
-                "raise pixels under `expert.limits` in the site file",
-            )
+        if too_many_pixels(self.health, "calibration", camera.width, camera.height, self._most_pixels):
             return
         hidden = self._step.hidden(camera, where)
         traced = self._step.trace(camera, where)
@@ -94,7 +88,4 @@ class DepthHandler(JoiningHandler[DepthConfig]):
 
 
 NODE = NodeType("depth", DepthConfig, DepthHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -246,7 +245,4 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMapHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -63,7 +62,4 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -158,7 +158,6 @@ def _picture(draw: Callable[[], bytes | None], kind: str, _: bytes) -> WebRespon
 
 
 CONFIG = HealthNodeConfig
-main = partial(run_until_stopped, "health", HealthNode)
 
 if __name__ == "__main__":
-    main()
+    run_until_stopped("health", HealthNode)

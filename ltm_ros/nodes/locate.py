@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ from ltm_msgs_py.sensors import msg_to_camera, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, too_many_pixels
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck, StampLimits
 from ltm_ros.runtime.topics import of_camera, of_cameras
@@ -100,10 +99,7 @@ class LocateHandler(Handler[LocateConfig]):
 
     def on_camera_info(self, name: str, message: Any) -> None:
         camera, most = msg_to_camera(message), self._site.limits.pixels
-        if camera.width * camera.height > most:
-            what = f"calibration of {camera.width} x {camera.height} pixels of {name}; the maximum is {most}"
-            self.health.drop("too_large", f"{what}; raise pixels under `expert.limits` in the site file")
-        else:
+        if not too_many_pixels(self.health, f"calibration of {name}", camera.width, camera.height, most):
             self._cameras[name] = camera
 
     def on_pose(self, name: str, message: Any) -> None:
@@ -202,7 +198,4 @@ def _place_msg(said: LocateResult, stamp: int) -> Any:
 
 
 NODE = NodeType("locate", LocateConfig, LocateHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -127,7 +126,4 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
 
 
 NODE = NodeType("pose", PoseKeepingConfig, PoseHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

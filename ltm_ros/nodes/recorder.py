@@ -148,7 +148,6 @@ def _patterns(config: RecorderConfig) -> list[str]:
 
 
 CONFIG = RecorderConfig
-main = partial(run_until_stopped, "recorder", Recorder)
 
 if __name__ == "__main__":
-    main()
+    run_until_stopped("recorder", Recorder)

@@ -69,7 +69,4 @@ class SegmentationHandler(JoiningHandler[SegmentationConfig]):
 
 
 NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site_io import load_site
@@ -81,7 +80,4 @@ class SourceHandler(Handler[SourceNodeConfig]):
 
 
 NODE = NodeType("source", SourceNodeConfig, SourceHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -213,7 +213,4 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
 
 
 NODE = NodeType("terrain", TerrainNodeConfig, TerrainHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +135,4 @@ class TopoDepthHandler(JoiningHandler[TopoDepthConfig]):
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

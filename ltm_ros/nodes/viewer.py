@@ -138,7 +138,4 @@ class ViewerHandler(JoiningHandler[ViewerConfig]):
 
 
 NODE = NodeType("viewer", ViewerConfig, ViewerHandler)
-main = partial(run_node, NODE)
-
-if __name__ == "__main__":
-    main()
+run_node(NODE, __name__)

@@ -159,10 +159,7 @@ class Health:
 
 def _frames(messages: Counter[str]) -> int:
     """Return the number of frames: a frame has one message on each topic of its camera, so the topic with most messages
-    counts.
-
-    Topics are relative to the node or `/site/camera/...`; site topics and `/diagnostics` carry no frames of a camera.
-    """
+    counts. Topics of the site and `/diagnostics` carry no frames of a camera."""
     fullest: dict[str, int] = {}
     for topic, count in messages.items():
         parts = topic.split("/")
@@ -192,6 +189,15 @@ class _LastValues:
     def values(self) -> Float64Array:
         """Return them in no particular order."""
         return self._values[: self._count].copy()
+
+
+def too_many_pixels(health: Health, what: str, width: int, height: int, most: int) -> bool:
+    """Return whether an image or calibration has more pixels than the site's limit; then it is counted as dropped."""
+    if width * height <= most:
+        return False
+    size = f"{what} of {width} x {height} pixels; the maximum is {most}"
+    health.drop("too_large", f"{size}; reduce the size, or raise pixels under `expert.limits` in the site file")
+    return True
 
 
 def note_picture(health: Health, seen: SceneView) -> None:

@@ -165,8 +165,10 @@ class HandlerNode(OutletNode):
         return answer
 
 
-def run_node(node_type: NodeType[ConfigT]) -> None:
-    """Run a node until SIGINT or SIGTERM, then process the queue and send a last report.
+def run_node(node_type: NodeType[ConfigT], module: str = "__main__") -> None:
+    """Run a node until SIGINT or SIGTERM, then process the queue and send a last report; does nothing if `module` is
+    not the program itself.
 
     Exits with EX_CONFIG if the configuration is invalid, so that the graph does not restart it endlessly."""
-    run_until_stopped(node_type.name, lambda: HandlerNode(node_type))
+    if module == "__main__":
+        run_until_stopped(node_type.name, lambda: HandlerNode(node_type))

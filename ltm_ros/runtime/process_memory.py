@@ -25,11 +25,9 @@ _PR_SET_THP_DISABLE = 41
 def steady_allocation() -> None:
     """Configure memory allocation so that freed memory is returned; call it before threads are started.
 
-    It changes two defaults that add megabytes after hours. glibc's malloc gives each thread its own heap, up to eight
-    per core, and messages that one thread allocates and another frees fragment all of them. NumPy requests huge pages
-    (2 MB) for arrays of 4 MB, which the kernel also applies to their remains; they saved no processor time (`ltm-lab
-    bench graph`). Settings by the user (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`) and other C
-    libraries are left unchanged."""
+    glibc's malloc gives each thread its own heap, and messages that one thread allocates and another frees fragment all
+    of them. NumPy requests huge pages (2 MB) for arrays of 4 MB, which the kernel also applies to their remains; they
+    saved no processor time (`ltm-lab bench graph`). The user's settings and other C libraries are left unchanged."""
     libc = _libc()
     chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
     if not chosen and (mallopt := getattr(libc, "mallopt", None)) is not None:
@@ -42,10 +40,9 @@ def map_large_blocks() -> None:
     """Map each block of `MAPPED_FROM` bytes or more separately, and return it when freed; for a process that large
     blocks only pass through.
 
-    glibc raises the threshold to the largest block ever freed, up to 32 MB. Messages then go to the heap, which grows
-    to the largest backlog, and small blocks that stay keep its pages. Mapping costs a page fault per 4 kB: too much for
-    processes that create arrays for each frame. Settings by the user (`MALLOC_MMAP_THRESHOLD_`, `GLIBC_TUNABLES`) and
-    other C libraries are left unchanged."""
+    glibc raises the threshold to the largest block ever freed, up to 32 MB. Messages then go to the heap, whose pages
+    small blocks keep. Mapping costs a page fault per 4 kB: too much for processes that create arrays for each frame.
+    The user's settings and other C libraries are left unchanged."""
     tuned = "malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
     mallopt = getattr(_libc(), "mallopt", None)
     if mallopt is not None and not tuned and not os.environ.get("MALLOC_MMAP_THRESHOLD_"):

@@ -1,10 +1,7 @@
 """Read PTZ heads by ONVIF, with the necessary parts of SOAP and WS-Security.
 
 Sources: ONVIF Core Specification 5.9.4 (user authentication), OASIS WS-Security UsernameToken Profile 1.0 (password
-digest).
-
-Own code, because onvif-zeep-async is asynchronous, needs 27 packages, takes 57 MB and 0.4 s to start; six calls are
-needed here."""
+digest). Own code, because onvif-zeep-async needs 27 packages and 57 MB; six calls are needed here."""
 
 from __future__ import annotations
 
