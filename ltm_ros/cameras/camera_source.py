@@ -202,7 +202,12 @@ class CameraSource:
 
     def _take(self, picture: CameraImage) -> bool:
         """Check an image, and deliver it if it is usable. Returns False if the PTZ head moved. Raises PictureError."""
-        reading, rested = self._read_ptz(picture)
+        reading, before = picture.direction, self._before
+        if self._gaze.direction is not None:
+            self._before = reading = self._gaze.direction.read()
+            rested = before is not None and at_rest(before, reading, self._gaze.tolerance)
+        else:
+            rested = reading is None or not reading.moving
         now = self._clock.monotonic()
         wall_less_monotonic = self._clock.wall() - now
         exposure = self._exposures.estimate(picture.timing, wall_less_monotonic)
@@ -236,15 +241,6 @@ class CameraSource:
             self._become(CameraState.ALIVE)
         self._publish(picture, exposure, wall_less_monotonic, reading)
         return True
-
-    def _read_ptz(self, picture: CameraImage) -> tuple[PtzReading | None, bool]:
-        """Return the direction of the PTZ head, and whether it was at rest."""
-        gaze = self._gaze
-        if gaze.direction is None:
-            return picture.direction, picture.direction is None or not picture.direction.moving
-        before, after = self._before, gaze.direction.read()
-        self._before = after
-        return after, before is not None and at_rest(before, after, gaze.tolerance)
 
     def _check_fit(self, picture: CameraImage) -> None:
         """Check the image size. Raises PictureError with both sizes if the calibration has another."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-from collections.abc import Callable
 from functools import cache
 
 ARENAS = 2
 """Number of arenas of glibc's malloc: the main one, and one for all other threads."""
 
-TRIM_EVERY_S = 60.0
-TIDY_EVERY_S = 600.0
+TIDY_EVERY_S = 60.0
 
 MAPPED_FROM = 128 << 10
 """Bytes from which a block is mapped separately: glibc's initial value."""
@@ -82,17 +80,13 @@ def tidy() -> None:
 
 
 class Trimming:
-    """Calls `trim` every `TRIM_EVERY_S`, before small permanent blocks fill the gaps of large ones, and `tidy` instead
-    every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests."""
+    """Calls `tidy` every `TIDY_EVERY_S`, before small permanent blocks fill the gaps of large ones. `now_s`: a steady
+    clock."""
 
-    def __init__(self, now_s: float, trim: Callable[[], None] = trim, tidy: Callable[[], None] = tidy) -> None:
-        self._trimmed = self._tidied = now_s
-        self._trim, self._tidy = trim, tidy
+    def __init__(self, now_s: float) -> None:
+        self._tidied = now_s
 
     def look(self, now_s: float) -> None:
         if now_s - self._tidied >= TIDY_EVERY_S:
-            self._tidied = self._trimmed = now_s
-            self._tidy()
-        elif now_s - self._trimmed >= TRIM_EVERY_S:
-            self._trimmed = now_s
-            self._trim()
+            self._tidied = now_s
+            tidy()

@@ -12,8 +12,6 @@ from ltm_ros.runtime.health import Health
 
 CLOCKS_SET_NS = 946_684_800_000_000_000
 """The year 2000: an earlier stamp is from a clock that was never set, and would count as a view decades apart."""
-JUMP_S = 60.0
-"""Change of a source's lateness in seconds, between two frames, that shows that its clock, or this one, was set."""
 
 
 class StampLimits(NodeConfig):
@@ -31,8 +29,8 @@ class StampCheck:
     all others old, and a past one could count as a second view after a long time.
 
     Args: now_ns: the graph's time; 0 before it begins, when no stamp is ahead or behind. health: counts rejected
-    messages as `future`, `past` or `unset_clock`, and notes `stamp_jump`. max_ahead: seconds by which a source's clock
-    may be ahead. max_behind: seconds by which a message may be late."""
+    messages as `future`, `past` or `unset_clock`. max_ahead: seconds by which a source's clock may be ahead.
+    max_behind: seconds by which a message may be late."""
 
     def __init__(
         self,
@@ -43,7 +41,6 @@ class StampCheck:
     ) -> None:
         self._now_ns, self._health = now_ns, health
         self._max_ahead, self._max_behind = max_ahead, max_behind
-        self._lateness: dict[str, float] = {}
 
     def refuses(self, what: str, stamp_ns: int) -> bool:
         """Return whether the message, `what` in words, must be rejected; then it is counted as dropped."""
@@ -59,10 +56,6 @@ class StampCheck:
             remedy = "synchronise the clocks, or replay messages of this age"
             self._health.drop("past", f"{what}: {behind:.0f} s behind this node's clock; {remedy}")
             return True
-        if now:
-            if abs(behind - self._lateness.get(what, behind)) > JUMP_S:
-                self._health.note("stamp_jump")
-            self._lateness[what] = behind
         return False
 
     def ahead(self, what: str, stamp_ns: int) -> bool:

@@ -34,7 +34,7 @@ def healths() -> dict[str, Health]:
         capture.gauge("waiting", 2)
         capture.drop("shed", "more come than can be done", shed)
         capture.drop("no_pose", "publish one", 2)
-        capture.note("stamp_jump")
+        capture.note("out_of_order")
         judge.note("verdict.ok")
         judge.note("verdict.pose_suspected")
         judge.gauge("verdict", "ok" if camera == "north" else "pose_suspected")

@@ -137,7 +137,7 @@ class PartSplitter:
 
     def __init__(self, declared: bytes, most_bytes: int) -> None:
         self._declared, self._most_bytes = declared.lstrip(b"-"), most_bytes
-        self._mark = b""
+        self._mark: re.Pattern[bytes] | None = None
         self._buffer = bytearray()
         self._sought = 0
         """Number of bytes in which no end of the image was found."""
@@ -153,9 +153,9 @@ class PartSplitter:
     def _take(self) -> tuple[dict[str, str], bytes] | None:
         buffer = self._buffer
         begin = self._line(0)
-        if begin is None or len(buffer) < begin[1] + 2:
+        if begin is None or len(buffer) < begin.end() + 2:
             return None
-        head, start = dict[str, str](), begin[1]
+        head, start = dict[str, str](), begin.end()
         if buffer[start : start + 2] != _BEGIN[:2]:
             blank = _BLANK.search(buffer, start - 1)
             if blank is None:
@@ -168,42 +168,36 @@ class PartSplitter:
         if length <= 0 or len(buffer) < end or not is_whole_jpeg(buffer[start:end]):
             following = self._line(start)
             # Before the stated length has come, what looks like a boundary may be a part of the image.
-            if following is None or (len(buffer) < end and not is_whole_jpeg(buffer[start : following[0]])):
+            if following is None or (len(buffer) < end and not is_whole_jpeg(buffer[start : following.start()])):
                 return None
-            end = following[0]
+            end = following.start()
         body = bytes(buffer[start:end]).strip(b"\r\n")
         del buffer[:end]
         self._sought = 0
         return head, body
 
-    def _line(self, start: int) -> tuple[int, int] | None:
-        """Return begin and end of the next line between two parts."""
+    def _line(self, start: int) -> re.Match[bytes] | None:
+        """Return the next line between two parts."""
         buffer = self._buffer
-        if not self._mark:
+        if self._mark is None:
             first = _FIRST_LINE.match(buffer)
             if first is None and len(buffer) < _FIRST_BYTES:
                 return None
             line = b"" if first is None else first[1].rstrip()
             given = line.startswith(b"--") or (self._declared and self._declared.lower() in line.lower())
-            self._mark = line if given else b"--" + self._declared
-            if self._mark == b"--":
+            if not given and not self._declared:
                 raise SourceError("the stream has no boundary between its images; check the url")
-        at = max(start, self._sought) if start else 0
-        while (at := buffer.find(self._mark, at)) >= 0:
-            ends = _LINE_END.match(buffer, at + len(self._mark))
-            if ends is not None and (
-                bytes(buffer[max(at - 1, 0) : at]) in (b"", b"\n") or buffer[at - 2 : at] == b"\xff\xd9"
-            ):
-                return at, ends.end()
-            at += 1
-        self._sought = max(len(buffer) - _HEAD_BYTES, 0) if start else 0
-        return None
+            mark = re.escape(line if given else b"--" + self._declared)
+            self._mark = re.compile(rb"(?:\A|(?<=\n)|(?<=\xff\xd9))%b(?:--)?[ \t]{0,80}\r?\n" % mark)
+        found = self._mark.search(buffer, max(start, self._sought) if start else 0)
+        if found is None:
+            self._sought = max(len(buffer) - _HEAD_BYTES, 0) if start else 0
+        return found
 
 
 _BLANK = re.compile(rb"\n\r?\n")
 _FIRST_BYTES = 1024
 _FIRST_LINE = re.compile(rb"[\r\n]{0,16}([^\r\n]{1,200})\r?\n")
-_LINE_END = re.compile(rb"(?:--)?[ \t]{0,80}\r?\n")
 
 
 def timing_of(head: Mapping[str, str], arrived: float) -> Timing:

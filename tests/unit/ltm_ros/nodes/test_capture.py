@@ -286,32 +286,18 @@ def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: Capture
     assert health.dropped == {}
 
 
-def offered(capture: CaptureHandler, *stamps: int) -> None:
-    capture.on_camera_info(info(0))
-    for stamp in stamps:
-        capture.subscriptions[POSE](pose(stamp))
-        capture.on_image(image(stamp))
-
-
 def test_the_newest_leaves_when_no_other_follows(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     outlet.more = True
-    offered(capture, *range(S, 7 * S, S))
+    capture.on_camera_info(info(0))
+    for stamp in range(S, 7 * S, S):
+        capture.subscriptions[POSE](pose(stamp))
+        capture.on_image(image(stamp))
     assert outlet.stamps(POSED_IMAGE) == []
     capture.idle()
     for topic in (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE):
         assert outlet.stamps(topic) == [6 * S]
     assert health.dropped == {"shed": 5}
-
-
-def test_a_recordings_frames_are_not_shed(capture_of: CaptureOf) -> None:
-    capture, outlet, health = capture_of(shed=False)
-    outlet.more = True
-    offered(capture, *range(S, 7 * S, S))
-    for _ in range(6):
-        capture.idle()
-    assert outlet.stamps(POSED_IMAGE) == [*range(S, 7 * S, S)]
-    assert health.dropped == {}
 
 
 HUGE = np.finfo(np.float64).max

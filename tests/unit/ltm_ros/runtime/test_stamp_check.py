@@ -35,24 +35,3 @@ def test_what_is_refused(now: int, stamp: int, cause: str) -> None:
     assert check.refuses("an image", stamp) is bool(cause)
     assert health.dropped == ({cause: 1} if cause else {})
     assert ("an image" in health.last_error) is bool(cause)
-
-
-def test_a_jump_of_a_source_is_noted_once_and_is_its_own() -> None:
-    now = NOW
-    health = Health()
-    check = StampCheck(lambda: now, health, 10.0, 7 * 86400.0)
-
-    def jumps() -> str:
-        return health.summary().get("noted.stamp_jump", "0")
-
-    for minute in range(5):
-        now = NOW + minute * 60 * S
-        for camera in ("north", "south"):
-            assert not check.refuses(camera, now - 3 * S)
-    assert jumps() == "0"
-    assert not check.refuses("north", now - 3600 * S), "its clock was set back by an hour"
-    assert jumps() == "1"
-    now += 60 * S
-    assert not check.refuses("north", now - 3600 * S)
-    assert not check.refuses("south", now - 3 * S)
-    assert jumps() == "1"
