@@ -4,6 +4,7 @@ stamp, as many as these can process."""
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,6 @@ from ltm_msgs_py.pose import link_transform, mount_transform, msgs_to_correction
 from ltm_msgs_py.sensors import camera_to_msg, place_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime import topics
-from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, too_many_pixels
@@ -43,7 +43,7 @@ def _is_raw(image: Any) -> bool:
 
 class CaptureHandler(Handler[CaptureConfig]):
     """Publishes an image when it has a pose and a calibration (the newest up to its stamp); if the camera's nodes share
-    its process, when they have finished the previous one (`Admission`)."""
+    its process, when they have finished the previous one."""
 
     publications: Sequence[Topic] = (topics.POSED_IMAGE, topics.POSED_CAMERA_INFO, topics.POSED_POSE, topics.POSED_FIX)
 
@@ -64,10 +64,8 @@ class CaptureHandler(Handler[CaptureConfig]):
         """Newest `pose/correction` and `pose/info`, which count when their stamps are equal."""
         self._stamps, self._digest = StampCheck(outlet.now_ns, health), b""
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
-        most = site.limits.waiting_bytes
-        self._admission = Admission[JoinedFrame](
-            self._send, health, config.shed, lambda frame: data_bytes(frame.image), most, outlet.more_waits
-        )
+        self._waiting: OrderedDict[int, JoinedFrame] = OrderedDict()
+        """Frames that wait until the camera's nodes have finished the previous one."""
         self._newest = -1
         self._takes_raw = False
 
@@ -133,14 +131,20 @@ class CaptureHandler(Handler[CaptureConfig]):
             self._correction = msgs_to_correction(parts[topics.POSE_CORRECTION], parts[topics.POSE_INFO])
 
     def idle(self) -> None:
-        self._admission.idle()
+        """Admit one frame, now that no further ones follow at once."""
+        if self._waiting:
+            _, frame = self._waiting.popitem(last=False)
+            self.health.gauge("waiting", len(self._waiting))
+            self._send(frame)
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()
-        self._admission.finish()
+        for stamp in list(self._waiting):
+            self._shed(stamp, "the node ended")
+        self.health.gauge("waiting", 0)
 
     def _stamp_and_size(self, image: Any) -> tuple[int, tuple[int, int]]:
         return stamp_of(image), (int(image.width), int(image.height)) if _is_raw(image) else compressed_size(image)
@@ -151,7 +155,23 @@ class CaptureHandler(Handler[CaptureConfig]):
             if self._too_many_pixels("image", *size):
                 return
             self._join.check_size(size, frame.camera)
-        self._admission.offer(stamp_of(frame.image), frame)
+        if not self.outlet.more_waits():
+            self._send(frame)
+            return
+        self._waiting[stamp_of(frame.image)] = frame
+        while len(self._waiting) > 1:
+            held = sum(data_bytes(waiting.image) for waiting in self._waiting.values())
+            if self.config.shed:
+                self._shed(min(self._waiting), "a newer one is queued; reduce the frame rate or add cores")
+            elif held > self._limits.waiting_bytes:
+                self._shed(next(iter(self._waiting)), f"{held >> 20} MB are queued; reduce the frame rate or add cores")
+            else:
+                break
+        self.health.gauge("waiting", len(self._waiting))
+
+    def _shed(self, stamp: int, why: str) -> None:
+        del self._waiting[stamp]
+        self.health.drop("shed", f"the frame of stamp {stamp} ns: {why}")
 
     def _publish_frames(self, posed: Any) -> None:
         """Publish the camera's frames for RViz and Foxglove, if anything listens; recorders write them themselves."""

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from ltm_core.base.errors import LtmError
@@ -182,7 +183,7 @@ class CameraPipeline:
         if not waited:
             return
         for job in self.pipeline.jobs.values():
-            self._run(job, lambda j=job: j.handler.tick(waited), "", None)  # type: ignore[misc]
+            self._run(job, partial(job.handler.tick, waited), "", None)
             self.pipeline.drain()
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:

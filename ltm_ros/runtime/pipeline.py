@@ -92,7 +92,7 @@ class Pipeline:
     def idle(self) -> None:
         """Call `idle` of every handler."""
         for job in self.jobs.values():
-            self._run(job, lambda j=job: j.handler.idle(), "", None)  # type: ignore[misc]
+            self._run(job, job.handler.idle, "", None)
 
     def settle(self) -> None:
         """Deliver all published messages and those that follow from them, including `idle`."""
@@ -103,7 +103,7 @@ class Pipeline:
     def end_of_day(self) -> None:
         """Call `end_of_day` of every handler and deliver the results."""
         for job in self.jobs.values():
-            self._run(job, lambda j=job: j.handler.end_of_day(), "", None)  # type: ignore[misc]
+            self._run(job, job.handler.end_of_day, "", None)
         self.settle()
 
     def clear(self) -> None:
@@ -121,5 +121,5 @@ class Pipeline:
                     upstream[job.name] |= self._sources.get(topic, set())
         for name in TopologicalSorter(upstream).static_order():
             job = self.jobs[name]
-            self._run(job, lambda j=job: j.handler.finish(), "", None)  # type: ignore[misc]
+            self._run(job, job.handler.finish, "", None)
             self.settle()

@@ -286,18 +286,37 @@ def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: Capture
     assert health.dropped == {}
 
 
-def test_the_newest_leaves_when_no_other_follows(capture_of: CaptureOf) -> None:
+def offered(capture: CaptureHandler, *stamps: int, size: int = 0) -> None:
+    capture.on_camera_info(info(0))
+    for stamp in stamps:
+        capture.subscriptions[POSE](pose(stamp))
+        capture.on_image(image(stamp, encode_rgb(PHOTO, "png") + bytes(size)))
+
+
+def test_only_the_newest_waits_and_without_others_none_does(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     outlet.more = True
-    capture.on_camera_info(info(0))
-    for stamp in range(S, 7 * S, S):
-        capture.subscriptions[POSE](pose(stamp))
-        capture.on_image(image(stamp))
-    assert outlet.stamps(POSED_IMAGE) == []
+    offered(capture, S, 2 * S, 6 * S, 5 * S)
+    assert (outlet.stamps(POSED_IMAGE), health.summary()["waiting"]) == ([], "1")
     capture.idle()
     for topic in (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE):
-        assert outlet.stamps(topic) == [6 * S]
-    assert health.dropped == {"shed": 5}
+        assert outlet.stamps(topic) == [6 * S], "the newest by stamp"
+    assert health.dropped == {"shed": 3}
+    outlet.more = False
+    offered(capture, 7 * S, 8 * S)
+    assert outlet.stamps(POSED_IMAGE) == [6 * S, 7 * S, 8 * S]
+
+
+def test_a_recording_waits_in_order_bounded_in_bytes(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of(shed=False)
+    outlet.more = True
+    offered(capture, *(number * S for number in (1, 2, 3, 5, 4, 6, 7)), size=25 << 20)
+    assert (health.summary()["waiting"], health.dropped) == ("5", {"shed": 2})
+    for _ in range(4):
+        capture.idle()
+    assert [stamp // S for stamp in outlet.stamps(POSED_IMAGE)] == [3, 5, 4, 6]
+    capture.finish()
+    assert (health.summary()["waiting"], health.dropped) == ("0", {"shed": 3})
 
 
 HUGE = np.finfo(np.float64).max

@@ -9,7 +9,6 @@ from sensor_msgs.msg import CompressedImage
 
 from ltm_core.base.errors import ImageError
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.camera_pipeline import INBOX, INBOX_BYTES, CameraPipeline, FrameScheduler
 from ltm_ros.runtime.handler import Handler, NodeConfig, Topic
 from ltm_ros.runtime.health import Health
@@ -50,26 +49,27 @@ class Outlet:
 class Door(Handler[NodeConfig]):
     publications = (POSED,)
 
-    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
-        super().__init__(config, outlet, health)
-        self._admission = Admission[Any](
-            lambda photo: outlet.publish(POSED, photo),
-            health,
-            True,
-            lambda photo: len(photo.data),
-            1000,
-            outlet.more_waits,
-        )
+    newest: Any = None
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {PHOTO: lambda m: self._admission.offer(stamp_of(m), m)}
+        return {PHOTO: self.on_photo}
+
+    def on_photo(self, photo: Any) -> None:
+        if self.newest is not None:
+            self.health.drop("shed", "a newer one waits")
+        self.newest = photo
+        if not self.outlet.more_waits():
+            self.idle()
 
     def idle(self) -> None:
-        self._admission.idle()
+        if self.newest is not None:
+            photo, self.newest = self.newest, None
+            self.outlet.publish(POSED, photo)
 
     def finish(self) -> None:
-        self._admission.finish()
+        if self.newest is not None:
+            self.health.drop("shed", "the node ended")
 
 
 class Label(Handler[NodeConfig]):
