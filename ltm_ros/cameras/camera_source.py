@@ -31,7 +31,7 @@ from ltm_ros.cameras.protocols.picture import (
     is_night,
     thumbnail_of_bytes,
 )
-from ltm_ros.runtime.clocks import Clock
+from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import CameraState, Health, StateRecord
 from ltm_ros.runtime.retry import Backoff
 
@@ -111,7 +111,7 @@ class CameraSource:
         open_reader: Callable[[], CameraReader],
         deliver: Callable[[Frame], None],
         health: Health,
-        clock: Clock,
+        clock: SystemClock,
         jitter: random.Random | None = None,
     ) -> None:
         self._settings, self._calibration, self._gaze = settings, calibration, gaze

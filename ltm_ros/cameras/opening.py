@@ -34,7 +34,7 @@ from ltm_ros.cameras.protocols.picture import CameraReader, Tolerance
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.head import PtzDirection, tolerance_of
 from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.runtime.clocks import Clock, SystemClock
+from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import Activity
 
@@ -84,7 +84,7 @@ def direction_of(site: Site, camera: CameraConfig) -> CameraDirection:
     return CameraDirection(pose, assumed.covariance() if covariance is None else covariance)
 
 
-def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraReader:
+def open_reader(config: SourceConfig, most_bytes: int, clock: SystemClock) -> CameraReader:
     """Open a reader. `most_bytes`: maximum size of an image. Raises SourceError."""
     match config:
         case SnapshotConfig():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import time
 from dataclasses import dataclass
-from typing import Protocol
 
 _TIME_ERROR = 5
 """Result of adjtimex(2) while the clock is not synchronised."""
@@ -39,19 +38,9 @@ def kernel_clock() -> KernelClock:
     return KernelClock(synchronised, asked.esterror / 1e6 if synchronised else None)
 
 
-class Clock(Protocol):
+class SystemClock:
     """System time and monotonic time, both in seconds."""
 
-    def wall(self) -> float: ...
-
-    def monotonic(self) -> float: ...
-
-    def synchronised(self) -> bool | None:
-        """Return whether the clock is synchronised; None: unknown."""
-        ...
-
-
-class SystemClock:
     def wall(self) -> float:
         return time.time()
 
@@ -59,4 +48,5 @@ class SystemClock:
         return time.monotonic()
 
     def synchronised(self) -> bool | None:
+        """Return whether the clock is synchronised; None: unknown."""
         return kernel_clock().synchronised

@@ -16,13 +16,11 @@ DRIFT = 1e-4
 KEPT = 64
 """Number of observations kept for the bounds."""
 WINDOW_S = 60.0
-"""Seconds in which a stream's fastest image is searched,"""
-LEAST = 20
-"""and minimum number of images for slow streams."""
-STEP_S = 0.5
-"""Seconds by which all images come later than the fastest if the camera's clock was set back,"""
-STEP_AFTER = 10
-"""for this number of consecutive images."""
+"""Seconds in which a stream's fastest image is searched."""
+SETTLED = 20
+"""Number of images after which the fastest is known; as many are kept of slow streams."""
+STEP_S, STEP_AFTER = 0.5, 10
+"""Seconds by which as many consecutive images come later than the fastest if the camera's clock was set back."""
 
 
 class OffsetBounds:
@@ -65,7 +63,7 @@ class FastestArrival:
         `begins`: whether it is the first image of a connection, which shows this at once."""
         self.count += 1
         self._delays.append((arrived, arrived - stated))
-        while len(self._delays) > LEAST and self._delays[0][0] < arrived - WINDOW_S:
+        while len(self._delays) > SETTLED and self._delays[0][0] < arrived - WINDOW_S:
             self._delays.popleft()
         latest = list(self._delays)[-1 if begins else -STEP_AFTER :]
         set_back = len(self._delays) > len(latest) and min(d for _, d in latest) > self.delay() + STEP_S
@@ -84,8 +82,6 @@ UNKNOWN_DELAY_S = 0.5
 """Seconds by which a stream's first images may be late, before the fastest is known."""
 TRUSTED_UNCERTAINTY_S = 0.02
 """Uncertainty in seconds of a clock synchronised by NTP over a local network."""
-SETTLED = 20
-"""Number of images after which the fastest is known."""
 PLAUSIBLE_S = 5.0
 """Seconds by which an image may be older than `oldest` before its EXIF clock counts as different from the camera's."""
 

@@ -31,7 +31,7 @@ from ltm_ros.cameras.protocols.picture import (
     at_rest,
     stated_number,
 )
-from ltm_ros.runtime.clocks import Clock
+from ltm_ros.runtime.clocks import SystemClock
 
 MOST_FILES = 20_000
 """Maximum number of recent files that are checked, so that a faulty camera cannot fill the memory."""
@@ -52,7 +52,7 @@ class FolderReader:
     """Returns files once each, in order of writing, when they are complete: unchanged since the previous check, with an
     end-of-image marker."""
 
-    def __init__(self, config: FolderConfig, most_bytes: int, clock: Clock) -> None:
+    def __init__(self, config: FolderConfig, most_bytes: int, clock: SystemClock) -> None:
         self.pause = config.every
         self._config, self._most_bytes, self._clock = config, most_bytes, clock
         self._folder = config.path
