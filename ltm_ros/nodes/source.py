@@ -23,16 +23,13 @@ JPEG_QUALITY = 92
 """JPEG quality of video images, if the camera sends no JPEGs."""
 
 
-class SourceNodeConfig(NodeConfig):
-    """Parameters of the node; the camera's connection is in the site file, `cameras: NAME: source`."""
-
-
-class SourceHandler(Handler[SourceNodeConfig]):
-    """Requests and publishes images in a separate thread (`SourceThread`)."""
+class SourceHandler(Handler[NodeConfig]):
+    """Requests and publishes images in a separate thread (`SourceThread`), as the site file configures it
+    (`cameras: NAME: source`)."""
 
     publications: Sequence[Topic] = (IMAGE_COMPRESSED, CAMERA_INFO, POSE, SOURCE_INFO)
 
-    def __init__(self, config: SourceNodeConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         camera = site.camera(config.camera)
@@ -79,5 +76,5 @@ class SourceHandler(Handler[SourceNodeConfig]):
         self.outlet.publish(IMAGE_COMPRESSED, compressed_to_msg(data, image_format(data), stamp, self._frame_id))
 
 
-NODE = NodeType("source", SourceNodeConfig, SourceHandler)
+NODE = NodeType("source", NodeConfig, SourceHandler)
 run_node(NODE, __name__)

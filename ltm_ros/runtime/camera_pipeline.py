@@ -150,7 +150,11 @@ class CameraPipeline:
         """Process one frame at most; return whether there may be more. `activity`: of the thread, for the heartbeat."""
         self._activity = activity
         self._take_inbox()
-        self._tell_time()
+        with self._lock:
+            waited, self._waited = self._waited, 0.0
+        for job in self.pipeline.jobs.values() if waited else ():
+            self._run(job, partial(job.handler.tick, waited), "", None)
+            self.pipeline.drain()
         if self._closing:
             return False
         self._taking = False
@@ -175,15 +179,6 @@ class CameraPipeline:
             taken, self._inbox, self._inbox_bytes = self._inbox, deque(), 0
         for job, topic, message in taken:
             self.pipeline.deliver(job, topic, message)
-            self.pipeline.drain()
-
-    def _tell_time(self) -> None:
-        with self._lock:
-            waited, self._waited = self._waited, 0.0
-        if not waited:
-            return
-        for job in self.pipeline.jobs.values():
-            self._run(job, partial(job.handler.tick, waited), "", None)
             self.pipeline.drain()
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:

@@ -70,24 +70,6 @@ print(gc.get_stats()[2]["collections"] > 2)
 """
 
 
-_HOLES = """
-import ctypes
-from ltm_ros.runtime.process_memory import trim
-libc = ctypes.CDLL(None)
-libc.malloc.restype = ctypes.c_void_p
-def resident():
-    return int(open("/proc/self/statm").read().split()[1]) * 4096
-blocks = []
-for _ in range(1000):
-    for size in (60_000, 100):
-        blocks.append(ctypes.c_void_p(libc.malloc(size)))
-        ctypes.memset(blocks[-1], 1, size)
-[libc.free(block) for block in blocks[::2]]
-before = resident()
-trim()
-print((before - resident()) / 60_000_000)
-"""
-
 _PASSING = """
 import ctypes, sys
 from ltm_ros.runtime.process_memory import MAPPED_FROM, map_large_blocks
@@ -145,11 +127,6 @@ def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() 
     before, after, looks = _run(_CYCLES).splitlines()
     assert (before, after) == ("1000 True", "0 False")
     assert looks == "True"
-
-
-def test_a_trim_gives_back_what_lies_free_between_others() -> None:
-    given_back = _run(_HOLES)
-    assert float(given_back) > 0.8
 
 
 def test_large_blocks_that_pass_through_leave_no_holes() -> None:

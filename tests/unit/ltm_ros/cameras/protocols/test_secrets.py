@@ -21,8 +21,9 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import redacted
 from ltm_core.site.site_io import load_site
 from ltm_ros.cameras.protocols.credentials import Login, Secret, UnauthorisedError, read_secret
-from ltm_ros.nodes.source import SourceHandler, SourceNodeConfig
+from ltm_ros.nodes.source import SourceHandler
 from ltm_ros.runtime.clocks import SystemClock
+from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
 
 PASSWORD = "tower-%7 secret"
@@ -145,7 +146,7 @@ def test_nor_what_the_node_publishes_and_prints_after_a_bug(tmp_path: Path, monk
         }  # fmt: skip
         small.path.write_text(yaml.safe_dump(site))
         outlet, health, printed = Kept(), Health(), io.StringIO()
-        node = SourceHandler(SourceNodeConfig(site=str(small.path), camera="mast"), outlet, health)
+        node = SourceHandler(NodeConfig(site=str(small.path), camera="mast"), outlet, health)
         with redirect_stderr(printed):
             node.start()
             wait_for(lambda: len(outlet.sent) > 8, "frames", health.summary)
