@@ -35,7 +35,6 @@ LONGEST_FIRST = (
     "test_hostile_input.py",
     "test_documented_camera.py",
     "test_layouts.py",
-    "test_patrolling_head.py",
 )
 """So that no worker begins with one of these when the others have done their part."""
 
