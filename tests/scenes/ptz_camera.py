@@ -35,10 +35,6 @@ class FakeHead:
     rate: float = 200.0
     starts_after_s: float = 0.05
     """After a command, during which it still reads as before."""
-    turret_stuck: bool = False
-    """Its encoders go on and its picture stays, as with a broken gear."""
-    digits: int = 4
-    """Of what it says in degrees."""
     onvif_inverted: bool = False
     """Its ONVIF pan runs anticlockwise, as one maker's does."""
     move_status: str | None = None
@@ -73,10 +69,6 @@ class FakeHead:
         with self._lock:
             return self._at(time.monotonic())
 
-    def really(self) -> Place:
-        """Where its picture looks."""
-        return self.place if self.turret_stuck else self.encoders()
-
     def _at(self, now: float) -> Place:
         way = self.rate * max(0.0, now - self._begun)
 
@@ -107,8 +99,8 @@ class FakeHead:
         if kind == "position":
             turned = (pan + 180) % 360 - 180
             lines = [
-                f"pan={turned:.{self.digits}f}",
-                f"tilt={tilt:.{self.digits}f}",
+                f"pan={turned:.4f}",
+                f"tilt={tilt:.4f}",
                 f"zoom={zoom:.0f}",
                 "autofocus=on",
             ]
@@ -221,7 +213,7 @@ def ptz_camera(head: FakeHead, picture: Callable[[Place], UInt8Array] | None = N
     """Its pictures show where it looks: by `picture`, or as `with_direction` writes it."""
     camera = HttpCamera(routes=head.routes())
     draw = picture or with_direction
-    camera.behaviour.render = lambda moment: jpeg(draw(head.really()))
+    camera.behaviour.render = lambda moment: jpeg(draw(head.encoders()))
     return camera
 
 

@@ -16,7 +16,6 @@ import yaml
 from numpy.typing import NDArray
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -24,7 +23,6 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
-from ltm_core.vision.labels import UNLABELLED
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
@@ -156,15 +154,6 @@ def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> UInt8Array:
     with np.errstate(invalid="ignore"):
         odd = (np.floor(x / SQUARE) + np.floor(y / SQUARE)) % 2 == 1
     return np.where(odd, BUILT, GRASS).astype(np.uint8)
-
-
-def like_its_paint(fuel_map: Path, site: Site) -> tuple[int, float]:
-    """Of a fuel map that was saved: how many cells are seen, and the share of these that have their cover's class."""
-    classes, geometry = read_fuel_map(fuel_map)
-    x0, y0 = site.origin
-    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
-    seen = classes != UNLABELLED
-    return int(seen.sum()), float((classes == truth)[seen].mean())
 
 
 def write_small_site(folder: Path, recording: bool = True) -> SmallSite:

@@ -99,7 +99,9 @@ def test_probe_adds_a_camera_to_every_site_file_and_completes_it(small: SmallSit
 
 
 def test_probe_takes_the_password_nowhere_but_to_the_host_that_was_named(camera: HttpCamera, head: FakeHead) -> None:
-    """A camera states an address of its pictures by ONVIF: another host's, or of its own behind a gateway."""
+    """A camera without a PTZ head states an address of its pictures by ONVIF: another host's, or of its own behind a
+    gateway."""
+    head.has_ptz = False
     camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
     camera.behaviour.authentication, camera.behaviour.password = "basic", PASSWORD
     login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")

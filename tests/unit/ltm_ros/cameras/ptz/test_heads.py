@@ -82,6 +82,13 @@ def test_a_camera_whose_clock_is_wrong_is_signed_to_by_its_own_time(turning: Tur
     assert head.soap.clock_ahead() == pytest.approx(ahead, abs=1.0)
 
 
+@pytest.mark.parametrize("time", ["signed", "none"])
+def test_a_camera_that_tells_its_time_only_signed_or_not_at_all(turning: Turning, time: str) -> None:
+    fake, camera = turning
+    fake.time, fake.user, fake.password = time, "viewer", PASSWORD
+    assert opened(camera, "onvif", **_login()).read().pan_deg == pytest.approx(123.4, abs=0.01)
+
+
 @pytest.fixture(autouse=True)
 def _secret(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HEAD_PASSWORD", PASSWORD)
