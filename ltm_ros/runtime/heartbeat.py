@@ -14,14 +14,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Literal, TypedDict
-
-
-class TrafficCounts(TypedDict):
-    """Messages since the start of the process, by absolute topic."""
-
-    said: dict[str, int]
-    heard: dict[str, int]
+from typing import Literal
 
 
 class TopicCount:
@@ -53,8 +46,9 @@ class Traffic:
         with self._lock:
             self._counts = [count for count in self._counts if count not in gone]
 
-    def counts(self) -> TrafficCounts:
-        found: TrafficCounts = {"said": {}, "heard": {}}
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Return the messages said and heard since the start of the process, by absolute topic."""
+        found: dict[str, dict[str, int]] = {"said": {}, "heard": {}}
         with self._lock:
             for count in self._counts:
                 of_way = found[count.way]

@@ -69,34 +69,20 @@ def ros_environment(
         environment["AMENT_PREFIX_PATH"] = sys.prefix
     if busy is not None:
         environment |= thread_limits(busy, environment)
-    _make_importable(environment)
-    _renew_bootstrap(environment)
+    # For a checkout that is not installed.
+    root = str(Path(ltm_ros.__file__).resolve().parents[1])
+    paths = [path for path in environment.get("PYTHONPATH", "").split(os.pathsep) if path]
+    if Path(root).name not in ("site-packages", "dist-packages") and root not in paths:
+        environment["PYTHONPATH"] = os.pathsep.join([root, *paths])
+    # In an environment inherited from another venv, the ROS wheels must set LD_LIBRARY_PATH again.
+    if str(Path(sys.prefix) / "lib") not in environment.get("LD_LIBRARY_PATH", "").split(os.pathsep):
+        environment.pop(_BOOTSTRAP_GUARD, None)
     return environment
 
 
 def apply_to_process(domain_id: int | None = None, environ: MutableMapping[str, str] = os.environ) -> None:
     """Complete this process's own environment, before the first `rclpy.init`: Fast DDS reads its file only once."""
     environ.update(ros_environment(environ, domain_id=domain_id))
-
-
-def _make_importable(environment: dict[str, str]) -> None:
-    """Add our packages to the child's path, for a checkout that is not installed."""
-    root = str(Path(ltm_ros.__file__).resolve().parents[1])
-    if Path(root).name in ("site-packages", "dist-packages"):
-        return
-    paths = [path for path in environment.get("PYTHONPATH", "").split(os.pathsep) if path]
-    if root not in paths:
-        environment["PYTHONPATH"] = os.pathsep.join([root, *paths])
-
-
-def _renew_bootstrap(environment: dict[str, str]) -> None:
-    """Repeat the ROS wheels' set-up of LD_LIBRARY_PATH: their marker is wrong in an environment inherited from another
-    venv."""
-    if _BOOTSTRAP_GUARD not in environment:
-        return
-    library_paths = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    if str(Path(sys.prefix) / "lib") not in library_paths:
-        del environment[_BOOTSTRAP_GUARD]
 
 
 FOLDER_VARIABLE = "CREDENTIALS_DIRECTORY"
