@@ -30,34 +30,6 @@ because a frame has a message on each topic."""
 QUEUE_BYTES = 512 << 20
 """Maximum bytes of queued image data, so that the viewer of twenty towers cannot fill the memory."""
 
-_Item = tuple[Callable[[Any], None], Any]
-
-
-class _Inbox(queue.Queue[_Item | None]):
-    """Callbacks with their messages; full by number or by bytes."""
-
-    def __init__(self, messages: int, most_bytes: int) -> None:
-        super().__init__(messages)
-        self._most_bytes = most_bytes
-        self._bytes_in = self._bytes_out = 0  # each is written by one thread only
-
-    @property
-    def waiting_bytes(self) -> int:
-        return self._bytes_in - self._bytes_out
-
-    def offer(self, callback: Callable[[Any], None], message: Any) -> None:
-        """Queue a message. Raises queue.Full without room. A single message is always accepted."""
-        size = data_bytes(message)
-        if size and self.waiting_bytes and self.waiting_bytes + size > self._most_bytes:
-            raise queue.Full
-        self.put_nowait((callback, message))
-        self._bytes_in += size
-
-    def done(self, message: Any) -> None:
-        """Record that the worker has finished a message."""
-        self._bytes_out += data_bytes(message)
-        self.task_done()
-
 
 class HandlerNode(OutletNode):
     """Runs one handler: messages are queued for a worker thread, so that the middleware is drained while it works."""
@@ -67,7 +39,9 @@ class HandlerNode(OutletNode):
         self._last_tick = time.monotonic()
         self.handler = node_type.handler(self.config, self, self.health)
         subscriptions = self.handler.subscriptions
-        self._inbox = _Inbox(max(QUEUE, QUEUE_PER_TOPIC * len(subscriptions)), QUEUE_BYTES)
+        most = max(QUEUE, QUEUE_PER_TOPIC * len(subscriptions))
+        self._inbox: queue.Queue[tuple[Callable[[Any], None], Any] | None] = queue.Queue(most)
+        self._bytes_in = self._bytes_out = 0  # each is written by one thread only
         for topic in self.handler.publications:
             self.open(topic)
         self.handler.start()
@@ -98,12 +72,16 @@ class HandlerNode(OutletNode):
         self._offer(callback, message)
 
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
+        size, held = data_bytes(message), self._bytes_in - self._bytes_out
         try:
-            self._inbox.offer(callback, message)
+            if size and held and held + size > QUEUE_BYTES:  # a single message is always accepted
+                raise queue.Full
+            self._inbox.put_nowait((callback, message))
+            self._bytes_in += size
             self.health.gauge("queue", self._inbox.unfinished_tasks)
         except queue.Full:
-            held = f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB)"
-            self.health.drop("overload", f"{held} are queued already; reduce the frame rate or add cores")
+            queued = f"{self._inbox.qsize()} messages ({held >> 20} MB) are queued already"
+            self.health.drop("overload", f"{queued}; reduce the frame rate or add cores")
 
     def _tick(self) -> None:
         self.state_listeners()
@@ -130,7 +108,8 @@ class HandlerNode(OutletNode):
             # A message that only waits for others to join it takes no processing time.
             if self.health.results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
-            self._inbox.done(message)
+            self._bytes_out += data_bytes(message)
+            self._inbox.task_done()
             self.health.gauge("queue", self._inbox.unfinished_tasks)
 
     def _guarded(self, callback: Callable[[Any], None], message: Any) -> bool:
