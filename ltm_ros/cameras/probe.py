@@ -265,8 +265,7 @@ def completed(present: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
         if fixed and name in ("ptz", "mount"):
             continue
         if isinstance(stated, dict) and stated.get("kind") == section.get("kind"):
-            kept = {key for key in GUESSED if key in stated}
-            section = {**stated, **{key: value for key, value in section.items() if key not in kept}}
+            section = {**stated, **section, **{key: stated[key] for key in GUESSED if key in stated}}
         merged[name] = section
     return merged
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.types import Float64Array
 from ltm_core.site.site import SITE_NAMES
 from ltm_core.vision.scene_view import SceneView
 
@@ -36,12 +35,12 @@ class Health:
         self._dropped: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
-        self._ages = _LastValues()
+        self._ages = deque[float](maxlen=WINDOW)
         self._warm_ns = 0
         """Time of the first result, by the clock that stamps frames."""
-        self._work = _LastValues()
+        self._work = deque[float](maxlen=WINDOW)
         self._cpu_s: float | None = None
-        self._published_at = _LastValues()
+        self._published_at = deque[float](maxlen=WINDOW)
         self._reasons: dict[str, str] = {}
         self._last_error = ""
         self._lasting = ""
@@ -145,10 +144,10 @@ class Health:
             values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
             values |= {f"reason.{cause}": why for cause, why in sorted(self._reasons.items())}
             values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
-            values["rate_hz"] = f"{_rate(self._published_at.values()):.2f}"
+            values["rate_hz"] = f"{_rate(self._published_at):.2f}"
             for name, window in (("latency", self._ages), ("work", self._work)):
-                if len(times := window.values()):
-                    p50, p95 = np.percentile(times * 1000, (50, 95))
+                if window:
+                    p50, p95 = np.percentile(np.multiply(window, 1000), (50, 95))
                     values |= {f"{name}_p50_ms": f"{p50:.1f}", f"{name}_p95_ms": f"{p95:.1f}"}
             if self._cpu_s is not None:
                 values["cpu_s"] = f"{self._cpu_s:.3f}"
@@ -170,25 +169,9 @@ def _frames(messages: Counter[str]) -> int:
     return sum(fullest.values())
 
 
-def _rate(moments: Float64Array) -> float:
-    recent = moments[moments > time.monotonic() - 10.0]
-    return float((len(recent) - 1) / np.ptp(recent)) if len(recent) > 1 and np.ptp(recent) > 0 else 0.0
-
-
-class _LastValues:
-    """The last `WINDOW` numbers, in one block of memory, to avoid many small objects."""
-
-    def __init__(self) -> None:
-        self._values = np.empty(WINDOW)
-        self._count = 0
-
-    def append(self, value: float) -> None:
-        self._values[self._count % WINDOW] = value
-        self._count += 1
-
-    def values(self) -> Float64Array:
-        """Return them in no particular order."""
-        return self._values[: self._count].copy()
+def _rate(moments: Iterable[float]) -> float:
+    recent = [moment for moment in moments if moment > time.monotonic() - 10.0]
+    return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else 0.0
 
 
 def too_many_pixels(health: Health, what: str, width: int, height: int, most: int) -> bool:
