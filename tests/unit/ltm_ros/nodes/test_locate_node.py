@@ -265,7 +265,7 @@ def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> 
     huge = camera_to_msg(replace(CAMERA, width=65_535, height=65_535), STAMP, "north_optical")
     running.send("north", POSED_CAMERA_INFO, huge)
     assert running.health.dropped == {"too_large": 1}
-    assert "65535 x 65535 pixels of north; the maximum is 3000000" in running.health.last_error
+    assert "calibration of north of 65535 x 65535 pixels; the maximum is 3000000" in running.health.last_error
     running.send("north", LOCATE_REGION, region(seen, STAMP))
     assert len(places(running)) == 1
 
