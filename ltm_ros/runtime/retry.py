@@ -15,13 +15,10 @@ LAST_PAUSE_S = 0.25
 
 
 class Backoff:
-    """Double the pause with each failure in a row, from `first_s` up to `longest_s`.
+    """Double the pause with each failure in a row, from `first_s` up to `longest_s`. Sleep for what `failed` returns;
+    or, without a clock, count time with `passed` and try again once it is `due`.
 
-    Sleep for what `failed` returns; or, without a clock, count time with `passed` and try again once it is `due`.
-
-    Args:
-        jitter: shortens each pause by up to half, but not below `first_s`, so that many clients do not retry together.
-    """
+    Args: jitter: shortens each pause by up to half, not below `first_s`, so that clients do not retry together."""
 
     def __init__(
         self, first_s: float = FIRST_RETRY_S, longest_s: float = LONGEST_RETRY_S, jitter: random.Random | None = None

@@ -80,21 +80,14 @@ Route = Callable[[bytes], WebResponse]
 
 
 class WebServer:
-    """Serve requests from its own threads, from construction until `close`.
+    """Serve requests from its own threads, from construction until `close`. Raises OSError if it cannot bind.
 
     A server on a loopback address without a token answers only requests that name it `localhost` or by its address, so
     that a foreign page in a browser on the same machine cannot read it through a name of its own.
 
-    Args:
-        routes: handlers by method and path, as "GET /status.json"; a query string is ignored.
-        address, port: where to listen; port 0 takes a free one.
-        token: a client must send it as bearer token or as password; None: no token is needed.
-        tls: serve HTTPS with this context; None: plain HTTP.
-        body_bytes: size limit of a request's body.
-        request_s: time limit of a request, seconds.
-
-    Raises:
-        OSError: the address cannot be bound."""
+    Args: routes: handlers by method and path, as "GET /status.json"; a query string is ignored. port: 0 takes a free
+    one. token: what a client must send as bearer token or as password. tls: serves HTTPS. body_bytes: size limit of a
+    request's body. request_s: time limit of a request, seconds."""
 
     def __init__(
         self,
