@@ -127,7 +127,7 @@ alike. Labels then make a life form at most twice as likely as any other, and no
 
 
 _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
-_LABELS_BY: Final = {"sha256", "input", "output", "classes", "mapping", "coarse_look", "second", "text"}
+_LABELS_BY: Final = {"sha256", "input", "output", "classes", "mapping", "text"}
 """Keys of a manifest that change labels."""
 _HEAD: Final = """\
 # Reliability record of a label network, found by `labels` and not by name (docs/how/fuel.md).
@@ -217,7 +217,7 @@ def known_errors(
 
 def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
     """Return the digest of what makes the labels of photos: the network's file, how its output becomes labels, its
-    second network and its words if they are installed, and the file of the label head."""
+    words if they are installed, and the file of the label head."""
     content: dict[str, Any] = manifest.model_dump(mode="json", include=_LABELS_BY, exclude_defaults=True)
     content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
     files = [] if head is None else [head]
@@ -225,9 +225,6 @@ def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
         content["text"].pop("file", None)
         with suppress(ModelError):
             files.append(manifest.text_file())
-    if manifest.second is not None:
-        with suppress(ModelError):
-            content["second"]["model"] = labels_digest(NetworkManifest.find(manifest.second.model))
     content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     return hashlib.sha256(json.dumps(_rounded(content), sort_keys=True).encode()).hexdigest()
 

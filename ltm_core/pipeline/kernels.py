@@ -109,7 +109,7 @@ def _labels(_: Site) -> None:
     from ltm_core.pipeline.frame_steps import UnlikelyLabels
     from ltm_core.raster.dem import Dem
     from ltm_core.tracing import TerrainTracer
-    from ltm_core.vision.second_scale import reduced_by_area, upsampled_winner
+    from ltm_core.vision.resampling import reduced_by_area, upsampled_winner
 
     plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
     pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)

@@ -23,7 +23,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
-from ltm_core.vision.network_image import shrunk
+from ltm_core.vision.network_image import WORKING_WIDTH, working_image
 
 
 def cie_lab(photo: UInt8Array) -> Float32Array:
@@ -58,8 +58,7 @@ def against_green(image: UInt8Array, rows: int, cols: int) -> Float32Array:
     return np.asarray(np.clip((redness(image, rows, cols) - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
 
 
-_WIDTH = 640  # pixels that the photo is brought to, so that contrast means the same for each camera
-_WINDOW = 15  # pixels of these
+_WINDOW = 13  # pixels of the working image
 
 
 def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rules: Withdrawal) -> None:
@@ -67,26 +66,27 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
     if not rules.any:
         return
     height, width = labels.shape
-    out = confidence < np.uint8(round(255 * rules.confidence))
+    parts = []
+    if rules.confidence > 0:
+        parts.append(cv2.compare(confidence, round(255 * rules.confidence), cv2.CMP_LT))
     if rules.tree_contrast > 0:
-        trees = labels == Label.TREE
-        if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
-            low = contrast(image) < rules.tree_contrast
+        trees, shrubs = (cv2.compare(labels, int(label), cv2.CMP_EQ) for label in (Label.TREE, Label.SHRUB))
+        if 0 < cv2.countNonZero(trees) < cv2.countNonZero(shrubs):
+            low = np.where(contrast(image) < rules.tree_contrast, np.uint8(UNLABELLED), np.uint8(0))
             rows, columns = (np.arange(n) * of // n for n, of in zip((height, width), low.shape, strict=True))
-            trees &= low.take(columns, 1).take(rows, 0)  # `cv2.resize` takes twice as long
-            out |= trees
-    gone = out.view(np.uint8)
-    gone *= np.uint8(UNLABELLED)
-    labels |= gone
-    confidence &= np.invert(gone, out=gone)
+            parts.append(cv2.bitwise_and(trees, low.take(columns, 1).take(rows, 0)))  # `cv2.resize` takes twice as long
+    for gone in parts:
+        cv2.bitwise_or(labels, gone, dst=labels)
+        cv2.bitwise_and(confidence, cv2.bitwise_not(gone, dst=gone), dst=confidence)
 
 
 def contrast(image: UInt8Array) -> Float32Array:
-    """Return the standard deviation of grey within 15 pixels, in 8-bit steps, of the photo at a width of 640 (h, 640)
+    """Return the standard deviation of grey within 13 pixels, in 8-bit steps, of the photo at a width of 512 (h, 512)
     float32."""
     height, width = image.shape[:2]
-    rows = max(1, round(height * _WIDTH / width))
-    small = shrunk(image, _WIDTH, rows) if width > _WIDTH else cv2.resize(image, (_WIDTH, rows))
+    small = working_image(image)
+    if width < WORKING_WIDTH:  # contrast must mean the same for each camera
+        small = cv2.resize(image, (WORKING_WIDTH, max(1, round(height * WORKING_WIDTH / width))))
     grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
     mean, square = (cv2.boxFilter(v, -1, (_WINDOW, _WINDOW)) for v in (grey, grey * grey))
     return np.asarray(np.sqrt(np.maximum(square - mean * mean, 0.0)), np.float32)

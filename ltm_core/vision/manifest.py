@@ -35,27 +35,6 @@ SHIPPED_LABEL_HEAD: Final = "landscape"
 """Name of the label head that leaves the network's scores unchanged."""
 
 
-class CoarseLook(StrictModel):
-    """Second inference of the whole image at this size, whose scores of land count by `share` (`second_scale`). The
-    network's file must accept both input sizes."""
-
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    share: float = Field(gt=0, lt=1)
-
-    def image(self, first: InputSpec) -> InputSpec:
-        """Return its input specification, given the `first` one."""
-        return first.model_copy(update={"width": self.width, "height": self.height})
-
-
-class SecondNetwork(StrictModel):
-    """Second network, by name or path, whose log probabilities of labels count by `share`. It has no say where it has
-    no label, nor with a label head."""
-
-    model: str
-    share: float = Field(gt=0, lt=1)
-
-
 class Withdrawal(StrictModel):
     """Thresholds below which labels are withdrawn and do not vote. `confidence`: of the probability. `tree_contrast`:
     of the photo's local contrast (`label_rules.contrast`) for *tree*, as on hazy far slopes, if the image shows more
@@ -174,8 +153,6 @@ class NetworkManifest(StrictModel):
     prompts: PromptSpec | None = None
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
     maps: dict[str, int] = Field(default_factory=dict)
-    coarse_look: CoarseLook | None = None
-    second: SecondNetwork | None = None
     # The network, by name or path, that answers in this one's place where a camera has a head.
     heads_of: str = ""
     _folder: Path = PrivateAttr(default=Path())
@@ -196,8 +173,6 @@ class NetworkManifest(StrictModel):
             raise ValueError(
                 f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
             )
-        if self.coarse_look is not None and self.output.kind != "logits":
-            raise ValueError(f"coarse_look belongs to output kind logits; remove it for {self.output.kind}")
         if min(self.maps.values(), default=1) < 1:
             raise ValueError("maps: each has at least one channel")
         if self.text is not None:

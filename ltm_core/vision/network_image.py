@@ -26,6 +26,9 @@ DTYPES: Final[dict[str, Any]] = {
 }
 """NumPy type of each type of a graph's tensors."""
 
+WORKING_WIDTH: Final = 512
+"""Width in pixels at which images are judged; the shipped networks' too, so that a photo is reduced once for all."""
+
 _LEADING: Final = 8
 """Maximum number of tokens before those of patches: one of the class and four registers in DINOv3."""
 
@@ -138,9 +141,18 @@ def once(photo: UInt8Array, what: Hashable, make: Callable[[], MadeT]) -> MadeT:
 
 def shrunk(photo: UInt8Array, width: int, height: int) -> UInt8Array:
     """Return a photo (H, W, 3) reduced by area to another size, which must not be changed."""
-    from ltm_core.vision.second_scale import reduced_by_area  # not above: it needs numba
+    from ltm_core.vision.resampling import reduced_by_area  # not above: it needs numba
 
     return once(photo, (width, height), lambda: reduced_by_area(photo, width, height))
+
+
+def working_image(photo: UInt8Array) -> UInt8Array:
+    """Return a photo (H, W, 3) reduced to a width of 512 pixels, the size at which images are judged; a smaller one is
+    returned as it is. It must not be changed."""
+    height, width = photo.shape[:2]
+    return (
+        photo if width <= WORKING_WIDTH else shrunk(photo, WORKING_WIDTH, max(1, round(height * WORKING_WIDTH / width)))
+    )
 
 
 def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:

@@ -131,14 +131,12 @@ class OnnxModel:
         return self._run(names, self._feed(tensor) | camera_feed(self._camera, matrix, tensor, self.manifest.input))
 
     def run_with_maps(
-        self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
+        self, tensor: npt.NDArray[Any], maps: Sequence[str]
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
-        `part`: of an image, or another size of it, which no other user requests. Raises ModelError where the file
-        gives something else by such a name."""
-        names = [self._output_name, *maps]
-        output, *found = self._run(names, self._feed(tensor)) if part else self._shared(tensor, names)
+        Raises ModelError where the file gives something else by such a name."""
+        output, *found = self._shared(tensor, [self._output_name, *maps])
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)
             if values.ndim != 4 or values.dtype != np.float32 or values.shape[1] != channels:
@@ -187,11 +185,9 @@ class OnnxModel:
         shape = (
             [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
         )
-        coarse = self.manifest.coarse_look
-        for image in (spec,) if coarse is None else (spec, coarse.image(spec)):
-            if not _fits(shape, image.shape):
-                expected = f"{list(image.shape)} ({image.layout}, {image.width} x {image.height})"
-                raise self._wrong(f"input {name!r}: shape", expected, node.shape)
+        if not _fits(shape, spec.shape):
+            expected = f"{list(spec.shape)} ({spec.layout}, {spec.width} x {spec.height})"
+            raise self._wrong(f"input {name!r}: shape", expected, node.shape)
         sides = shape[2:] if spec.layout == "NCHW" else shape[1:3]
         if spec.fit == "aspect" and any(isinstance(side, int) for side in sides):
             raise self._wrong("input.fit: aspect", "an input with free height and width (or fit: pad)", node.shape)

@@ -111,7 +111,7 @@ class _Recognition:
             self._reject_if_missing()
         spec = checked(InputSpec, image, f"{self.path}: input")
         free = not any(isinstance(side, int) for side in self.sides)
-        if "fit" not in image and not (self.known.get("coarse_look") or self.known.get("maps")):
+        if "fit" not in image and not self.known.get("maps"):
             multiple = (image.get("multiple") or self._multiple(spec)) if free else 0
             spec = spec.model_copy(update={"fit": "aspect", "multiple": multiple} if multiple else {"fit": "pad"})
         if spec.fit == "aspect":

@@ -16,21 +16,17 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
 from ltm_core.vision.label_rules import against_green, agreed, less_likely, withdraw
-from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import (
     DEFAULT_MODEL,
     SHIPPED_LABEL_HEAD,
     NetworkManifest,
     Withdrawal,
 )
-from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
+from ltm_core.vision.network_image import FittedImage, as_tensor, fitted, token_planes
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.prompts import prompted
-from ltm_core.vision.second_scale import (
-    upsampled_winner,
-    with_coarse_look,
-    with_second_network,
-)
+from ltm_core.vision.resampling import upsampled_winner
 from ltm_core.vision.vocabulary import load_text
 
 
@@ -70,20 +66,12 @@ class Segmenter:
         class_labels = _class_labels(manifest, self.classes, self.labels)
         # group of each network class, and the label of each group
         self._group_labels, self._group_of_class = np.unique(class_labels, return_inverse=True)
-        self._sky_classes = tuple(np.flatnonzero(class_labels == Label.SKY).tolist())
         self._label_of_group = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_group[: len(self._group_labels)] = self._group_labels
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
         self.head = head
-        second = manifest.second
-        self._second: Segmenter | None = None
-        if second is not None and head is None:
-            other = NetworkManifest.find(second.model).model_copy(update={"second": None})
-            if "ids" in (manifest.output.kind, other.output.kind):
-                raise ModelError(f"model {manifest.name!r}: second: {other.name!r}: neither network may output ids")
-            self._second = Segmenter(other, threads, self.labels)
         self.withdraw_otherwise: Mapping[str, float] = {}
         """Fields of `withdrawal` that override those of the label head or the network."""
 
@@ -120,8 +108,6 @@ class Segmenter:
     def described(self) -> str:
         """Return the names and checksums of network and label head, for `labels/info`."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        if self._second is not None:
-            network += f", second network {self._second.described}"
         return network if self.head is None else f"{network}, label head {self.head.described}"
 
     def segment(self, image: UInt8Array, unlikely: Mapping[int, BoolArray] = MappingProxyType({})) -> Segmentation:
@@ -135,7 +121,7 @@ class Segmenter:
         if self.manifest.output.kind == "ids":
             return self._from_ids(fitted(image, self.manifest.input), height, width)
         scores, maps = self._answer(image)
-        probabilities = self._with_second(image, self._label_probabilities(self._of_whole(image, scores, maps)))
+        probabilities = self._label_probabilities(self._corrected(scores, maps))
         for label, where in unlikely.items():
             for group in np.flatnonzero(self._group_labels == label):
                 less_likely(probabilities, int(group), where)
@@ -149,18 +135,6 @@ class Segmenter:
             confidence = np.asarray(cv2.resize(sure, (width, height)), np.uint8)
             confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
-
-    def _with_second(self, image: UInt8Array, probabilities: Float32Array) -> Float32Array:
-        """Return the label probabilities (G, h, w) of an image, averaged with the second network's if there is one."""
-        second = self._second
-        if second is None or self.manifest.second is None:
-            return probabilities
-        known = second._label_probabilities(second.logits(image))
-        other = np.zeros((len(probabilities), *known.shape[1:]), np.float32)
-        for label, plane in zip(second._group_labels, known, strict=True):
-            if label != UNLABELLED:
-                other[self._group_labels == label] = plane
-        return with_second_network(probabilities, other, self.manifest.second.share)
 
     def _from_ids(self, photo: FittedImage, height: int, width: int) -> Segmentation:
         output = self._model.run(as_tensor(photo.pixels, self.manifest.input))
@@ -177,13 +151,13 @@ class Segmenter:
 
     def logits(self, image: UInt8Array) -> Float32Array:
         """Return the scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by
-        the label head and averaged with the coarse inference, before any temperature, at the network's resolution.
+        the label head, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids."""
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
-        return self._of_whole(image, *self._answer(image))
+        return self._corrected(*self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
@@ -195,28 +169,16 @@ class Segmenter:
         """Return the network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
         return self._run(image, () if self.head is None else self.head.maps)
 
-    def _run(
-        self, image: UInt8Array, names: Sequence[str], part: bool = False, spec: InputSpec | None = None
-    ) -> tuple[Float32Array, dict[str, Float32Array]]:
-        spec = spec or self.manifest.input
+    def _run(self, image: UInt8Array, names: Sequence[str]) -> tuple[Float32Array, dict[str, Float32Array]]:
+        spec = self.manifest.input
         photo = fitted(image, spec)
         tensor = as_tensor(photo.pixels, spec)
         if self.manifest.output.kind == "masks":
             masks, queries = self._model.outputs(tensor)
             return self._scores(mask_scores(masks, queries, len(self.classes)), photo), {}
-        output, maps = self._model.run_with_maps(tensor, names, part)
+        output, maps = self._model.run_with_maps(tensor, names)
         maps = [photo.without_padding(planes) for planes in maps]
         return self._scores(output, photo), dict(zip(names, maps, strict=True))
-
-    def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Return the scores (K, h, w) of a whole image, corrected by its head and averaged with the coarse look's."""
-        scores = self._corrected(scores, maps)
-        look = self.manifest.coarse_look
-        if look is None:
-            return scores
-        names = () if self.head is None else self.head.maps
-        coarse = self._corrected(*self._run(image, names, part=True, spec=look.image(self.manifest.input)))
-        return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
         """Return the scores (K, h, w), corrected in place by the head where there is one."""

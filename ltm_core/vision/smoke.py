@@ -21,7 +21,7 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.network_image import shrunk
+from ltm_core.vision.network_image import shrunk, working_image
 
 WORKING_WIDTH: Final = 320
 APART_S: Final = 300.0
@@ -75,7 +75,7 @@ class _SmokeFrame:
     def of(cls, picture: UInt8Array, labels: UInt8Array, at_s: float) -> Self:
         height, width = picture.shape[:2]
         size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
-        small = cv2.cvtColor(shrunk(picture, *size), cv2.COLOR_RGB2GRAY)
+        small = cv2.cvtColor(shrunk(working_image(picture), *size), cv2.COLOR_RGB2GRAY)
         cells = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST_EXACT)
         land = (cells != Label.SKY) & (cells != UNLABELLED)
         fewer = max(1, size[0] // _COARSE), max(1, size[1] // _COARSE)

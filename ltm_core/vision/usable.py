@@ -17,9 +17,8 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.vision.network_image import shrunk
+from ltm_core.vision.network_image import working_image
 
-WORKING_WIDTH = 480
 ROWS, COLUMNS = 9, 12
 """Rows and columns of the grid on which regions are classified."""
 
@@ -93,9 +92,8 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
     Raises ImageError for another shape."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
         raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
-    height, width = picture.shape[:2]
-    size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
-    small = shrunk(picture, *size)
+    small = working_image(picture)
+    size = small.shape[1], small.shape[0]
     levels = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
     grey = levels.astype(np.float32)
     fine = cv2.absdiff(grey, cv2.GaussianBlur(grey, (7, 7), 1.0))

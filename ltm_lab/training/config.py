@@ -6,7 +6,7 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.vision.manifest import CoarseLook, Withdrawal
+from ltm_core.vision.manifest import Withdrawal
 
 
 class SplitConfig(StrictModel):
@@ -111,7 +111,6 @@ class TrainingConfig(StrictModel):
     offsets: dict[str, float] = Field(default_factory=dict)  # of the exported network's logits: see manifest.OutputSpec
     redness: dict[str, float] = Field(default_factory=dict)  # likewise
     withdraw: Withdrawal = Withdrawal()  # likewise
-    coarse_look: CoarseLook | None = None  # of the manifest of labels
     heads_of: str = ""  # of the exported manifests: see manifest.NetworkManifest; depth: that name with `_depth`
     licence: str = "Apache-2.0"
 

@@ -108,11 +108,8 @@ def halved(model: Any) -> Any:
 def _compare(network: Deployed, file: Path, config: TrainingConfig) -> None:
     session = ort.InferenceSession(file, providers=["CPUExecutionProvider"])
     rng = np.random.default_rng(config.seed)
-    looks = [(config.deploy_height, config.deploy_width)] * 3
-    if config.coarse_look:
-        looks.append((config.coarse_look.height, config.coarse_look.width))
-    for height, width in looks:
-        photo = rng.normal(0.0, 1.0, (1, 3, height, width)).astype(np.float32)
+    for _ in range(3):
+        photo = rng.normal(0.0, 1.0, (1, 3, config.deploy_height, config.deploy_width)).astype(np.float32)
         with torch.inference_mode():
             logits, inverse = (output.numpy() for output in network(torch.from_numpy(photo)))
         found = session.run(_TENSORS[1:], {"image": photo})
@@ -156,7 +153,6 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         | ({"withdraw": config.withdraw.model_dump()} if config.withdraw.any else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
-        **({"coarse_look": config.coarse_look.model_dump()} if config.coarse_look else {}),
         **({"heads_of": config.heads_of} if config.heads_of else {}),
     }
 

@@ -44,7 +44,7 @@ def depth(
         Path | None,
         typer.Argument(
             help="Folder of `ltm-lab simulate`, `engabreen` or `grandcanyon_rm22`, or a bag with truth; default: "
-            "bags/demo."
+            "bags/demo/recording."
         ),
     ] = None,
     networks: Annotated[str, typer.Option(help="Depth networks, separated by commas; default: the shipped one.")] = "",

@@ -64,7 +64,6 @@ def copy_of(manifest: NetworkManifest, folder: Path, **changes: Any) -> Path:
         ({"output__temperature": 2.0}, False),
         ({"input__mean": [0.0, 0.0, 0.0]}, False),
         ({"input__channels": "bgr"}, False),
-        ({"coarse_look": None}, False),
     ],
 )
 def test_a_record_belongs_to_labels_and_not_to_a_name(tmp_path: Path, changes: dict[str, Any], measured: bool) -> None:

@@ -13,7 +13,7 @@ from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.network_image import InputSpec, as_tensor
-from ltm_core.vision.second_scale import upsampled_winner
+from ltm_core.vision.resampling import upsampled_winner
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size

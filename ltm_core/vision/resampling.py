@@ -1,66 +1,15 @@
-"""Reduce photos for networks, combine class probabilities of several scales and networks, and upsample them.
-
-A network runs at a second, coarser scale. At half the size it sees twice as much of a slope's surroundings, and noise
-and the traces of compression are gone. On photographs the two scales err in different places, so their mean is right
-more often, and less sure where they differ. It costs a quarter of the work."""
+"""Reduce photos for networks, and enlarge class probabilities to labels of the photo's size."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ltm_core.base.kernels import kernel
-from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
-
-_CREST: Final = 0.0125  # of the width
-
-
-def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, sky: Sequence[int]) -> Float32Array:
-    """Return scores (K, h, w) of an image, those of its land averaged with `coarse` (K, h', w'), weighted by `share`.
-
-    Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
-    cameras their pose."""
-    height, width = scores.shape[1:]
-    land = [k for k in range(len(scores)) if k not in sky]
-    enlarged = np.stack([cv2.resize(coarse[k], (width, height), interpolation=cv2.INTER_LINEAR) for k in land])
-    own = _log_sum(scores[land])
-    weight = np.full((height, width), share, np.float32)
-    if sky:
-        weight *= _beyond_crest(_log_sum(scores[list(sky)]) > own)
-    mean = np.asarray(scores[land] + weight * (enlarged - scores[land]), np.float32)
-    mixed = scores.copy()
-    mixed[land] = mean + (own - _log_sum(mean))
-    return mixed
-
-
-def with_second_network(probabilities: Float32Array, other: Float32Array, share: float) -> Float32Array:
-    """Return label probabilities (K, h, w) averaged in the logarithm with those of another network (K, h', w'), which
-    counts by `share`. Its classes without a label, the rest up to 1, repeat the first network's answer."""
-    size = probabilities.shape[:0:-1]
-    enlarged = np.stack([cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR) for plane in other])
-    enlarged += np.maximum(1.0 - enlarged.sum(axis=0), 0.0) * probabilities
-    least = np.float32(1e-4)
-    mean = np.maximum(probabilities, least) ** (1.0 - share) * np.maximum(enlarged, least) ** share
-    return np.asarray(mean / mean.sum(axis=0), np.float32)
-
-
-def _beyond_crest(sky: BoolArray) -> Float32Array:
-    """Return (h, w) 0 within `_CREST` below the lowest sky (h, w) of each column, 1 from twice as far on, and above."""
-    rows, cols = sky.shape
-    lowest = np.where(sky.any(axis=0), rows - 1 - np.argmax(sky[::-1], axis=0), -np.inf)
-    reach = max(1.0, _CREST * cols)
-    below = (np.arange(rows)[:, None] - lowest) / reach
-    return np.where(below <= 0, 1.0, np.clip(below - 1.0, 0.0, 1.0)).astype(np.float32)
-
-
-def _log_sum(scores: Float32Array) -> Float32Array:
-    """Return log(sum(exp)) over the classes, (h, w); `np.logaddexp.reduce` takes twelve times as long."""
-    most = scores.max(axis=0)
-    return np.asarray(most + np.log(np.exp(scores - most).sum(axis=0)), np.float32)
+from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 
 
 def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tuple[UInt8Array, UInt8Array]:
