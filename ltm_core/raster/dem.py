@@ -25,7 +25,6 @@ from ltm_core.geometry.geodesy import (
 )
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.heights_check import HeightsDoubt, HeightsSurvey, doubt_of_relief, elevation_band, unit_of
-from ltm_core.raster.prepared_heights_io import map_heights, write_heights
 from ltm_core.raster.raster_io import check_size, open_raster, read_band
 
 Bounds = tuple[float, float, float, float]
@@ -62,18 +61,13 @@ class StoredHeights:
         return float(abs(self.source.transform.a)) * (1 if self.crs.is_projected else _DEGREE)
 
     def read(self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None) -> Float32Array:
-        """Return a window in metres, NaN where unknown, north up if it is the whole."""
-        height, width = height or self.source.height, width or self.source.width
-        check_size(self.source, self.path, height, width)
-        elevation = np.empty((height, width), np.float32)
-        self.fill(elevation, row0, col0)
-        return self.judged(elevation)
-
-    def fill(self, elevation: Float32Array, row0: int = 0, col0: int = 0) -> None:
-        """Read strip by strip, so that only the result is held as a whole. Raises RasterError: impossible heights."""
+        """Return a window in metres, NaN where unknown, north up if it is the whole; read strip by strip, so that only
+        the result is held as a whole. Raises RasterError for heights that are no ground's."""
         from rasterio.windows import Window
 
-        source, (height, width) = self.source, elevation.shape
+        source, height, width = self.source, height or self.source.height, width or self.source.width
+        check_size(source, self.path, height, width)
+        elevation = np.empty((height, width), np.float32)
         scale, offset = (v[self.band - 1] * self.unit for v in (source.scales, source.offsets))
         blocks = source.block_shapes[self.band - 1][0]
         rows = max(blocks, _ROWS // blocks * blocks)
@@ -87,19 +81,17 @@ class StoredHeights:
             strip[unknown | ~np.isfinite(strip)] = np.nan
             survey.add(strip)
         self.doubts.extend(survey.finish(elevation, self.path))
-        if source.transform.e > 0:
-            _turn(elevation)
-
-    def judged(self, elevation: Float32Array) -> Float32Array:
-        """Return heights that were read. Raises RasterError if their relief is no ground's."""
-        doubt = doubt_of_relief(elevation, self.resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
+        if source.transform.e > 0:  # south-up
+            for row in range(height // 2):
+                elevation[[row, -1 - row]] = elevation[[-1 - row, row]]
+        doubt = doubt_of_relief(elevation, self.resolution, source.dtypes[self.band - 1] == "uint8", self.path)
         self.doubts.extend([] if doubt is None else [doubt.required()])
         return elevation
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
     """Read the elevations of a raster, (H, W) float32 metres, north up, NaN where unknown, their geometry, and what may
-    be wrong; see `Dem.open`. The prepared heights of a large raster are mapped (see `prepared_heights_io`)."""
+    be wrong; see `Dem.open`."""
     with open_raster(path) as source:
         heights = StoredHeights.of(source, path, crs)
         problem = map_problem(heights.crs)
@@ -115,18 +107,8 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
         problem = scale_problem(heights.crs, geometry)
         if problem is not None:
             raise RasterError(f"{path}: {problem}")
-        prepared = map_heights(path, source)
-        elevation = heights.read() if prepared is None else heights.judged(prepared)
+        elevation = heights.read()
     return elevation, geometry, tuple(heights.doubts)
-
-
-def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
-    """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
-
-    Raises RasterError: not readable; OSError: no file can be written beside it."""
-    with open_raster(path) as source:
-        check_size(source, path, source.height, source.width)
-        return write_heights(path, source, StoredHeights.of(source, path, crs).fill)
 
 
 def read_around(
@@ -203,13 +185,6 @@ def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridG
             f"{tuple(round(v) for v in bounds)}; give a DEM of this site"
         )
     return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
-
-
-def _turn(elevation: Float32Array) -> None:
-    """South-up to north-up, in place."""
-    for row in range(len(elevation) // 2):
-        north = elevation[row].copy()
-        elevation[row], elevation[-1 - row] = elevation[-1 - row], north
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str, ellipsoidal: bool = False) -> tuple[CRS, float | None]:

@@ -15,7 +15,6 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Arra
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, DemStack
-from ltm_core.raster.prepared_heights_io import own_copy
 
 _ROWS = 256
 """Number of rows of a raster that are processed at a time."""
@@ -86,7 +85,7 @@ class ConfirmedSurface:
         first, last = grid.to_grid(west, north), grid.to_grid(east, south)
         top, left = (max(0, int(np.ceil(v))) for v in first)
         bottom, right = (min(n - 1, int(np.floor(v))) for v, n in zip(last, grid.shape, strict=True))
-        elevation = own_copy(level.elevation)
+        elevation = level.elevation.copy()
         col = np.arange(left, right + 1)
         for start in range(top, bottom + 1, _ROWS):
             row = np.arange(start, min(start + _ROWS, bottom + 1))
