@@ -27,7 +27,7 @@ def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
     top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
     for row in range(top, top + height, _STRIP):
         layers = surface.layers((row, left, min(_STRIP, top + height - row), width))
-        seen += int((layers.observed | (layers.change > 0)).sum())
+        seen += int(layers.judged.sum())
         changed = (layers.change > 0) & np.isfinite(layers.height)
         rows, cols = np.nonzero(changed)
         kind, now, bare = layers.change[changed], layers.height[changed], layers.bare[changed]
@@ -47,8 +47,6 @@ _STRIP = 256
 """Number of rows processed at a time; the layers of a whole site may exceed the memory."""
 
 
-UNSEEN = 255
-"""Value in the raster of changes for cells that independent views have not seen."""
 CHANGE_COLORS = {
     ChangeKind.NONE: (236, 236, 232),
     ChangeKind.REMOVED: (190, 50, 35),
@@ -101,14 +99,9 @@ def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int
     layers = surface.layers(window)
     if what == "surface":
         return [layers.height, layers.sigma]
-    known, nan = layers.observed | (layers.change > 0), np.float32(np.nan)
-    changed = layers.change > 0
-    return [
-        np.where(known, surface.accepted_shift(window), nan),
-        np.where(known, layers.sigma, nan),
-        np.where(known, layers.change, nan).astype(np.float32),
-        np.where(changed, layers.since / np.float32(86_400), nan).astype(np.float32),
-    ]
+    known, changed, since = layers.judged, layers.change > 0, layers.since / np.float32(86_400)
+    pairs = (known, layers.shift), (known, layers.sigma), (known, layers.change), (changed, since)
+    return [np.where(where, values, np.float32(np.nan)).astype(np.float32) for where, values in pairs]
 
 
 def _moment(stamp_ns: int) -> str:
