@@ -21,11 +21,6 @@ OCTAVES = 28
 FIRST = 4.5
 """2 log2 of the middle of the first half octave in metres."""
 _FARTHEST = 40_000.0
-_STEPS = 4096  # of each of three tables of logarithms
-_NEAR, _MIDDLE, _FAR = (
-    np.clip(2.0 * np.log2((np.arange(_STEPS) + 0.5) * width) - FIRST, 0.0, OCTAVES - 1.001).astype(np.float32)
-    for width in (1 / 16, 1.0, 16.0)
-)
 
 
 class ErrorModel(NamedTuple):
@@ -57,22 +52,13 @@ def octaves(depth: NDArray[np.floating]) -> IndexArray:
 
 
 @helper()
-def _place(depth: np.float32) -> np.float32:
-    """Return where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
-    if depth < np.float32(_STEPS / 16):
-        return np.float32(_NEAR[int(depth * np.float32(16.0))])
-    if depth < np.float32(_STEPS):
-        return np.float32(_MIDDLE[int(depth)])
-    return np.float32(_FAR[min(int(depth * np.float32(1 / 16)), _STEPS - 1)])
-
-
-@helper()
 def expected_prediction(inverse: np.float32, errors: ErrorModel) -> tuple[np.float32, np.float32]:
     """Return the bias of the network at the true `inverse` depth, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
     shift, factor = errors.shift, errors.factor
-    place = _place(np.float32(1.0) / inverse)
+    place = np.float32(-2.0) * np.log2(inverse) - np.float32(FIRST)
+    place = min(max(place, np.float32(0.0)), np.float32(OCTAVES - 1.001))
     k = int(place)
     part = place - np.float32(k)
     less = shift[k] + part * (shift[k + 1] - shift[k])

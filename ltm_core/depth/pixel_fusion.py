@@ -152,25 +152,10 @@ def fuse_pixels(
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
     `topodepth.DepthSource`. `over`: (H, W) depth of a canopy raster; `network`, `standing`, `labels` (H, W) or None."""
-    view = NetworkView.none() if network is None else network
-    prior = OcclusionPrior.none() if standing is None else standing
-    width = depth.shape[1]
-    _fuse(
-        depth,
-        sigma,
-        source,
-        np.zeros((0, 0), np.float32) if over is None else over,
-        classes.canopy_log_odds,
-        view,
-        prior,
-        LabelView.of(labels, classes),
-        DecisionRules.of(config.decision),
-        np.empty((4, view.cells.shape[2]), np.float32),
-        np.empty((10, width), np.float32),
-        np.full(width, 255, np.uint8),
-        np.empty((2, width), np.int32),
-        np.zeros(width, np.bool_),
-    )
+    over = np.zeros((0, 0), np.float32) if over is None else over
+    view, prior = network or NetworkView.none(), standing or OcclusionPrior.none()
+    choice = classes.canopy_log_odds, LabelView.of(labels, classes), DecisionRules.of(config.decision)
+    _fuse(depth, sigma, source, over, view, prior, *choice)
 
 
 @kernel(nogil=True, fastmath={"nsz", "arcp", "contract"})
@@ -179,26 +164,22 @@ def _fuse(
     sigma: Float32Array,
     source: UInt8Array,
     over: Float32Array,
-    prefers_over: Float32Array,
     view: NetworkView,
     prior: OcclusionPrior,
+    prefers_over: Float32Array,
     labels: LabelView,
     rules: DecisionRules,
-    between: Float32Array,
-    work: Float32Array,
-    unlabelled: UInt8Array,
-    index: Int32Array,
-    asked: BoolArray,
 ) -> None:
-    """Fuse row by row: only the pixels where terrain and network disagree are examined one by one. `unlabelled`: a row
-    of 255. `between`, `work`, `index`, `asked`: work arrays."""
+    """Fuse row by row: only the pixels where terrain and network disagree are examined one by one."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.errors, view.gross, prior.odds, prior.feet
     tables = interpolation_table(errors)
+    between, work = np.empty((4, view.cells.shape[2]), np.float32), np.empty((10, width), np.float32)
     y, near, back = work[0], work[1], work[2]
     true, own, less, spread, off, joint, part = work[3], work[4], work[5], work[6], work[7], work[8], work[9]
-    place, cell = index[0], index[1]
+    place, cell, asked = np.empty(width, np.int32), np.empty(width, np.int32), np.zeros(width, np.bool_)
+    unlabelled = np.full(width, np.uint8(255))
     for u in range(width):
         cell[u] = u * odds.shape[1] // width
     for v in range(height - 1, -1, -1):
@@ -232,7 +213,9 @@ def _fuse(
                 if not edge < one or surely_terrain(known, off[u], joint[u], spread[u], rules):
                     continue
                 known = occlusion_log_odds(prior, known, other, feet[cell[u]], v)
-                likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
+                # Errors extend over many pixels, so the log likelihood is weighted.
+                against = log_against(other, off[u], joint[u], spread[u], gross, rules)
+                likely = np.float32(one / (one + np.exp(rules.likelihood_weight * against - known)))
             if not (likely >= rules.open and other > 0):
                 continue
             # An int32: `network_measurement` has a compiled form of its own, without this kernel's fastmath.
@@ -264,7 +247,7 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 def surely_terrain(
     odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
-    """Return whether a disagreement is certainly too small for `network_chance` to find an object: its odds at their
+    """Return whether a disagreement is certainly too small to be an object's: its odds at their
     best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
@@ -281,23 +264,6 @@ def log_against(
     gross errors."""
     fits = np.exp(np.float32(-0.5) * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
     return np.float32(np.log((np.float32(1.0) - gross) * fits * rules.ranges * max(other, spread) + gross))
-
-
-@helper()
-def network_chance(
-    other: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    gross: np.float32,
-    odds: np.float32,
-    rules: DecisionRules,
-) -> np.float32:
-    """Return the probability that the inverse depth `other` is the network's alone, not the terrain's; see
-    `log_against`. `odds`: log odds of an object there. Errors extend over many pixels, so the log likelihood is
-    weighted."""
-    against = log_against(other, off, joint, spread, gross, rules)
-    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.likelihood_weight * against - odds)))
 
 
 @helper()

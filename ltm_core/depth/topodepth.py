@@ -199,7 +199,7 @@ class Fusion:
         # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
         edges = DepthDiscontinuities.of(ground, config.surface.jump)
         edges = edges if self.hidden is None else edges_seen(edges, self.hidden)
-        refine_occlusion_boundaries(self.rgb, ground, depth, sigma, labels, classes, camera, config, view, edges)
+        refine_occlusion_boundaries(self.rgb, depth, sigma, ground, edges, labels, classes, camera, config)
         over = None if self.surface is None else self.surface.depth()
         if over is not None and labels is not None:
             over = with_labelled_sky(over, labels, classes.sky)

@@ -218,22 +218,17 @@ def _check_pixels(width: int, height: int, what: str) -> None:
         )
 
 
-def _by_opencv(data: bytes, what: str, reduced: int) -> UInt8Array:
-    flags = _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION
+def _png_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
+    if not _png_is_whole(data):
+        raise ImageError(f"{what} is truncated: its chunks state more bytes than it has")
+    _check_pixels(*stated_size(data, what), what)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ImageError(f"{what} cannot be decoded: {error.err}") from error
     if image is None:
         raise ImageError(f"{what} is corrupt: OpenCV cannot decode it")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
-
-
-def _png_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
-    if not _png_is_whole(data):
-        raise ImageError(f"{what} is truncated: its chunks state more bytes than it has")
-    _check_pixels(*stated_size(data, what), what)
-    return _by_opencv(data, what, reduced)
 
 
 def _png_is_whole(data: bytes) -> bool:

@@ -173,11 +173,6 @@ class Changed:
     def joined(self, other: Changed) -> Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
-    def within(self, mask: BoolArray, window: Window) -> Changed:
-        """Return only the cells in `mask`, whose first cell is the window's."""
-        kept = mask[self.rows - window[0], self.cols - window[1]]
-        return Changed(*(getattr(self, f.name)[kept] for f in fields(self)))
-
 
 def margin_of(resolution: float) -> int:
     """Return the number of cells beyond a window that influence cells inside it."""
@@ -189,9 +184,10 @@ _NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "watched")
 
 
 def decide(
-    pool: TilePool, reference: Reference, window: Window, config: TerrainConfig, rules: Rules
+    pool: TilePool, reference: Reference, window: Window, core: BoolArray, config: TerrainConfig, rules: Rules
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
-    """Return the changes in a window, and its new fields base, kind, shift and since, (h, w) each.
+    """Return the changes in the `core` of a window, (h, w) bool, and the window's new fields base, kind, shift and
+    since, (h, w) each.
 
     Change is where the smoothed shift exceeds the threshold and is significant, and the connected cells around it that
     moved the same way; regions smaller than `min_area` are left out."""
@@ -231,7 +227,7 @@ def decide(
     below = stood + shift < -config.threshold
     kind[kept & (shift > 0)] = ChangeKind.GROWN
     kind[kept & (shift < 0)] = np.where(below, ChangeKind.LOWERED, ChangeKind.REMOVED)[kept & (shift < 0)]
-    new = kind != parts["kind"]
+    new = core & (kind != parts["kind"])
     begun = new & (kind > 0)
     since = np.where(begun, parts["last"], np.where(kind > 0, parts["since"], 0)).astype(np.uint32)
     own = own_shift(cells, variance, shift, reference.geometry.resolution)

@@ -74,7 +74,7 @@ class ConfirmedSurface:
             return given
         places, heights = self._places()[used], heights[used]
         levels = [self._level(level, places, heights) for level in given.levels]
-        return DemStack.of_fitted(levels) if len(levels) > 1 else levels[0]
+        return DemStack(levels, fitted=True) if len(levels) > 1 else levels[0]
 
     def _level(self, level: Dem, places: Int64Array, heights: Float32Array) -> Dem:
         """Return one raster, each node of which takes the height of the changed cell in which it lies."""

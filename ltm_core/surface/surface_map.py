@@ -200,19 +200,18 @@ class SurfaceMap:
     def _decide(self, core: set[Key]) -> Changed:
         assert margin_of(self.reference.geometry.resolution) <= TILE  # nosec B101 # of constants
         window = self._window(core, 1)
-        changed, fields = decide(self._pool, self.reference, window, self.config, self._rules)
-        keys = sorted(core)
-        inside = np.zeros(window[2:], np.bool_)
-        for key, slot in zip(keys, self._pool.require(keys), strict=True):
-            r, c = key[0] * TILE - window[0], key[1] * TILE - window[1]
-            part = slice(r, r + TILE), slice(c, c + TILE)
+        keys, inside = sorted(core), np.zeros(window[2:], np.bool_)
+        corners = [(row * TILE - window[0], col * TILE - window[1]) for row, col in keys]
+        parts = [(slice(row, row + TILE), slice(col, col + TILE)) for row, col in corners]
+        for part in parts:
             inside[part] = True
+        changed, fields = decide(self._pool, self.reference, window, inside, self.config, self._rules)
+        for part, slot in zip(parts, self._pool.require(keys), strict=True):
             h, w = inside[part].shape
             records = self._pool.cells.records[slot].reshape(TILE, TILE)[:h, :w]
             for name, values in fields.items():
                 records[name] = values[part]
         self._pool.touched(keys)
-        changed = changed.within(inside, window)
         if len(changed.rows):
             cells = changed.rows, changed.cols, changed.before, changed.kind
             self._pool.changes.append(CellChanges("change", self.newest_ns, *cells))

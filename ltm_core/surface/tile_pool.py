@@ -130,6 +130,7 @@ class TilePool:
         stored = self.store.read(key) if key in self._stored else None
         records = self.cells.records[slot]
         records[:] = 0
-        for name, values in (stored or {"base": self._fresh_base}).items():
+        records["base"] = self._fresh_base
+        for name, values in (stored or {}).items():
             records[name] = values.ravel()
         self.cells.high[slot] = stored is not None

@@ -27,7 +27,7 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -55,11 +55,11 @@ class TracerStatistics:
     """Counts since the tracer was created, and the bytes of its caches. `frame_hits`: camera and pose were as before,
     so nothing was traced; `profile_hits`: the position's profile was complete."""
 
-    frames: int = 0
-    frame_hits: int = 0
-    profile_hits: int = 0
-    profile_bytes: int = 0
-    frame_bytes: int = 0
+    frames: int
+    frame_hits: int
+    profile_hits: int
+    profile_bytes: int
+    frame_bytes: int
 
 
 class BoundedCache(Generic[_Value]):
@@ -133,13 +133,13 @@ class TerrainTracer:
         self._beyond = possible.steepest, highest_possible(dem, possible)
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
-        self._counts = TracerStatistics()
+        self._counts = np.zeros(3, np.int64)  # frames, frame hits, profile hits
         self._lock = threading.Lock()
 
     @property
     def statistics(self) -> TracerStatistics:
         """Return cache hits and sizes."""
-        return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
+        return TracerStatistics(*self._counts.tolist(), self._profiles.held_bytes, self._frames.held_bytes)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
         """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
@@ -149,7 +149,7 @@ class TerrainTracer:
         the DEM, below the ground around it."""
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
-        frame_hit = ranges is not None
+        frame_hit, profile_hit = ranges is not None, False
         if way != "pyramid":
             _caching.add(self)
         if ranges is None:
@@ -158,15 +158,8 @@ class TerrainTracer:
             ranges.flags.writeable = False
             if way == "auto":
                 self._frames.put(seen, ranges, _share(FRAME_BYTES))
-        else:
-            profile_hit = False
         with self._lock:
-            self._counts = replace(
-                self._counts,
-                frames=self._counts.frames + 1,
-                frame_hits=self._counts.frame_hits + frame_hit,
-                profile_hits=self._counts.profile_hits + profile_hit,
-            )
+            self._counts += (1, frame_hit, profile_hit)
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
 
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
