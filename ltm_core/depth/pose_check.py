@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -141,21 +140,11 @@ def _changes(small: UInt8Array) -> Float32Array:
     return change
 
 
-@kernel(nogil=True)
 def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:
     """Return the mean contrast under the edges, shifted by -reach..reach rows and columns."""
-    height, width = contrast.shape
-    side = 2 * reach + 1
     # Edges that leave the image count as no contrast: the rest must not look the better for it.
-    wide = np.zeros((height + 2 * reach, width + 2 * reach), np.float32)
-    wide[reach : reach + height, reach : reach + width] = contrast
-    scores = np.zeros((side, side), np.float32)
-    for i in range(side):
-        line = scores[i]
-        for k in range(len(rows)):
-            r, c = rows[k] + i, cols[k]
-            if 0 <= r < height + 2 * reach and 0 <= c < width:
-                under = wide[r, c : c + side]
-                for j in range(side):
-                    line[j] += under[j]
-    return scores / np.float32(len(rows))
+    wide = np.pad(contrast, reach)
+    edges = np.zeros_like(contrast)
+    inside = (rows < len(contrast)) & (cols < contrast.shape[1])
+    np.add.at(edges, (rows[inside], cols[inside]), np.float32(1 / len(rows)))
+    return np.asarray(cv2.matchTemplate(wide, edges, cv2.TM_CCORR), np.float32)

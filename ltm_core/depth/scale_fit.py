@@ -117,7 +117,9 @@ class ScaleFit:
 def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int], config: FusionConfig) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
     values, rules = network.values, config.scale
-    trouble = _unfit(values, network.kind) or _too_few(samples, rules.least_samples)
+    trouble = _unfit(values, network.kind)
+    if not trouble and len(samples) < rules.least_samples:
+        trouble = f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
     if trouble:
         return _unusable(network, None, trouble)
     at = sampled(values, samples, size)
@@ -169,10 +171,6 @@ def _unfit(values: Float32Array, kind: str) -> str:
     if not high - low > 1e-6 * max(abs(float(low)), abs(float(high)), 1e-12):
         return f"the network gives the same depth everywhere ({float(low):.4g})"
     return ""
-
-
-def _too_few(samples: GroundSamples, least: int) -> str:
-    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
 
 
 def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:

@@ -253,9 +253,9 @@ class Fusion:
         """Whether the terrain lies where the photo has it: if not, nothing else means anything."""
         if self.unusable:
             return PoseCheck.none()
-        sigmas, config = (self.settings.angle_sigma, self.settings.dem_sigma), self.config
-        known = config.pose_check, self._labels, self.classes, config.surface.jump, self.hidden
-        return check_pose(self.rgb, self._ground, self.traced.camera, *sigmas, *known)
+        config, sigmas = self.config, (self.settings.angle_sigma, self.settings.dem_sigma)
+        given = self.rgb, self._ground, self.traced.camera, *sigmas, config.pose_check
+        return check_pose(*given, self._labels, self.classes, config.surface.jump, self.hidden)
 
     @cached_property
     def _fitted(self) -> tuple[Float32Array, Float32Array, ScaleFit | None]:

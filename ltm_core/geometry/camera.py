@@ -70,9 +70,9 @@ class Camera:
         """The camera of the image `image[::step, ::step]`: every step-th pixel, sampled at its centre."""
         if step < 1:
             raise CameraError(f"sampling step must be at least 1, got {step}")
-        size = (self.width + step - 1) // step, (self.height + step - 1) // step
-        lens = (v / step for v in (self.fx, self.fy, self.cx, self.cy))
-        return Camera(*size, *lens, self.distortion)
+        width, height = (self.width + step - 1) // step, (self.height + step - 1) // step
+        fx, fy, cx, cy = (v / step for v in (self.fx, self.fy, self.cx, self.cy))
+        return Camera(width, height, fx, fy, cx, cy, self.distortion)
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of an image of another size, in pixels, that shows the same, edge to edge."""

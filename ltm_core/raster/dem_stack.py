@@ -154,17 +154,13 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
     for row in np.flatnonzero([np.isnan(heights).any() for heights in tops]):
         cols = np.flatnonzero(np.isnan(tops[row]))
         tops[row, cols] = ground.elevation_at(*surface.geometry.to_map(row, cols))
-    levels = [level for level in ground.levels if not _covers(surface.geometry, level.geometry)]
+    levels = [level for level in ground.levels if any(_excess(level.geometry, surface.geometry))]
     whole, doubts = Dem(tops, surface.geometry, ground.doubts + surface.doubts), ground.doubts + surface.doubts
     if not levels:
         return whole
     whole = _within(whole, levels[0])
     lead_over(whole, levels[0])
     return DemStack([whole, *levels], doubts, fitted=True)
-
-
-def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
-    return _excess(inner, outer) == (0, 0, 0, 0)
 
 
 def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, int]:

@@ -319,11 +319,9 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
             else:
                 raise ImageError(f"{what} is truncated or corrupt ({reason}); send or copy it again") from error
         else:
-            return _by_pillow(data, what, reduced) if inks else pixels
-
-
-def _by_pillow(data: bytes, what: str, reduced: int) -> UInt8Array:
-    """Decode a JPEG of printing inks."""
+            break
+    if not inks:
+        return pixels
     with opened_picture(data, what) as image:
         image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))
         return np.asarray(image.convert("RGB"), np.uint8)

@@ -79,17 +79,6 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
     return min(max((float(seconds) - float(last)) / independent_after, 1e-3), 1.0)
 
 
-@helper(inline="always")
-def _remembered(seconds: int, last: int, lasting: float) -> float:
-    """Return what is left of the weight of looks that ended with `last`."""
-    passed = float(seconds) - float(last)
-    if not passed > 0:
-        return 1.0
-    age = passed / lasting
-    # Of a few hours, the series to its second term is exact to float32, and takes a tenth of the time.
-    return 1.0 - age + 0.5 * age * age if age < 1e-3 else math.exp(-age)
-
-
 @kernel()
 def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
@@ -213,7 +202,8 @@ def update_cell(
             e.first = seconds
             e.last = seconds
         share = _share(seconds, e.last, e.cameras, bit, rules.independent_after)
-        kept = _remembered(seconds, e.last, rules.lasting)
+        # What is left of the weight of looks that ended with the last.
+        kept = math.exp(-max(float(seconds) - float(e.last), 0.0) / rules.lasting)
         looks = kept * e.looks + share
         weight = kept * e.weight + share / variance
         e.dz = here + share / variance / weight * miss if known else dz

@@ -186,7 +186,8 @@ class Observer:
             self._sums = FrameSums.empty(2 * expected_pixels.size + ids.size, self._tiles)
         clear(self._sums)
         pixels = self.pixels(frame)
-        beside = _least_around(frame.depth[:: pixels.step, :: pixels.step])
+        used = frame.depth[:: pixels.step, :: pixels.step]
+        beside = _extremes(np.where(np.isnan(used), np.float32(np.inf), used), 1)[0]
         observe(self._ground, view, expected_pixels, pixels, beside, self._limits, self._sums)
         if ids.size:
             _, expected_pixels = self._expected_pixels(label_camera, frame, covariance)
@@ -215,8 +216,8 @@ class Observer:
         self, camera: Camera, frame: DepthFrame, covariance: Float64Array
     ) -> tuple[CameraView, RecordArray]:
         """Return the view, and what the reference has for its pixels (H, W), which it need not be asked twice."""
-        placed = (np.ascontiguousarray(v) for v in (frame.pose.rotation, frame.pose.position, covariance))
-        view = CameraView(camera.rays(), *placed, self._tracer.bend)
+        rotation, position = np.ascontiguousarray(frame.pose.rotation), np.ascontiguousarray(frame.pose.position)
+        view = CameraView(camera.rays(), rotation, position, np.ascontiguousarray(covariance), self._tracer.bend)
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
         expected_pixels = self._views.get(key)
         if expected_pixels is None:
@@ -232,12 +233,6 @@ class Observer:
             predict_view(self._ground, view, expected, Extremes(*widest, *near), expected_pixels)
             self._views.put(key, expected_pixels)
         return view, expected_pixels
-
-
-def _least_around(depth: Float32Array) -> Float32Array:
-    """Return the minimum of each pixel and its eight neighbours where known."""
-    known = np.where(np.isnan(depth), np.float32(np.inf), depth)
-    return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
 
 
 def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:

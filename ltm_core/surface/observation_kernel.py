@@ -90,24 +90,12 @@ def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: f
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
-    # From the measured range outwards: when going farther costs more than the least so far, that is the least.
-    middle = int(max(r - begin, 0.0) / step)
     best, least = r, math.inf
-    for way in (-1, 1):
-        i = middle + (way > 0)
-        while i >= 0:
-            t = begin + i * step
-            unlikely = 0.5 * ((t - r) / sigma) ** 2
-            if t >= end:
-                if way > 0:
-                    break
-            elif unlikely >= least:
-                break
-            else:
-                cost = unlikely + abs(_above(ground, ray, t)) / LIKELY_CHANGE
-                if cost < least:
-                    best, least = t, cost
-            i += way
+    for i in range(int((end - begin) / step) + 1):
+        t = begin + i * step
+        cost = 0.5 * ((t - r) / sigma) ** 2 + abs(_above(ground, ray, t)) / LIKELY_CHANGE
+        if t < end and cost < least:
+            best, least = t, cost
     return best
 
 

@@ -75,6 +75,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
     from rasterio.windows import Window
 
     path, bands = Path(path), BANDS[what]
+    as_of = datetime.fromtimestamp(surface.newest_ns // 1_000_000_000, UTC)
     height, width = geometry.shape
     profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": "float32"}
     profile |= {"crs": geometry.crs, "transform": geometry.transform(), "nodata": float("nan"), "bigtiff": "if_safer"}
@@ -88,7 +89,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
             sink.set_band_description(number, name)
             sink.set_band_unit(number, unit)
         sink.update_tags(
-            as_of=_moment(surface.newest_ns),
+            as_of=as_of.isoformat() if surface.newest_ns else "no frame yet",
             kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
             cameras=json.dumps(surface.cameras),
             heights="metres in the vertical datum of the DEM",
@@ -102,7 +103,3 @@ def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int
     known, changed, since = layers.judged, layers.change > 0, layers.since / np.float32(86_400)
     pairs = (known, layers.shift), (known, layers.sigma), (known, layers.change), (changed, since)
     return [np.where(where, values, np.float32(np.nan)).astype(np.float32) for where, values in pairs]
-
-
-def _moment(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() if stamp_ns else "no frame yet"

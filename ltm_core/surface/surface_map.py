@@ -117,9 +117,9 @@ class SurfaceMap:
         bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
         cells = merge(pool.cells, sums, pool.slots.ravel(), seconds, bit, self._rules)
         camera, pixels = self._observer.sampled(frame), self._observer.pixels(frame)
-        when, reach = (seconds, bit, self._rules), (config.min_range, config.max_range)
-        grid = reference.surface, reference.geometry
-        see_through(pool.cells, pool.places(), *grid, camera, frame.pose, pixels, *when, reach)
+        grid, reach = (reference.surface, reference.geometry), (config.min_range, config.max_range)
+        given = pool.cells, pool.places(), *grid, camera, frame.pose, pixels
+        see_through(*given, seconds, bit, self._rules, reach)
         pool.touched(keys)
         pool.frames.append(FrameRecord(frame.source, frame.stamp_ns, keys))
         self._undecided.update(keys)

@@ -139,7 +139,9 @@ class TerrainTracer:
     @property
     def statistics(self) -> TracerStatistics:
         """Return cache hits and sizes."""
-        return TracerStatistics(*self._counts.tolist(), self._profiles.held_bytes, self._frames.held_bytes)
+        frames, frame_hits, profile_hits = self._counts.tolist()
+        held = self._profiles.held_bytes, self._frames.held_bytes
+        return TracerStatistics(frames, frame_hits, profile_hits, *held)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
         """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and

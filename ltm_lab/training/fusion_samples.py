@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.depth.error_model import expected_prediction, interpolation_table
+from ltm_core.depth.error_model import expected_prediction
 from ltm_core.depth.expected_surface import FusionSettings, fitted
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
@@ -130,10 +130,8 @@ def _disagreements(
     truth."""
     width = depth.shape[1]
     errors, odds, feet = view.errors, prior.odds, prior.feet
-    tables = interpolation_table(errors)
     seen, between = np.empty((3, width), np.float32), np.empty((4, view.cells.shape[2]), np.float32)
-    work = np.empty((7, width), np.float32)
-    place, asked = np.empty(width, np.int32), np.zeros(width, np.bool_)
+    work, asked = np.empty((6, width), np.float32), np.zeros(width, np.bool_)
     unlabelled, kind = np.full(width, np.uint8(255)), np.empty(width, np.uint8)
     found, n = np.empty((truth.size, 7), np.float64), 0
     for k in range(truth.shape[0]):
@@ -141,12 +139,11 @@ def _disagreements(
         d, s = depth[v].copy(), sigma[v].copy()
         label = labels.ids[v] if labels.known else unlabelled
         row = FusionRow(
-            d, s, kind, label, seen[0], seen[1], seen[2], work[0], work[1], work[2], work[3], work[4], work[5], work[6],
-            place, asked,
-        )  # fmt: skip
+            d, s, kind, label, seen[0], seen[1], seen[2], work[0], work[1], work[2], work[3], work[4], work[5], asked
+        )
         upsample_row(view, v, between, seen)
         begin_row(d, s, kind)
-        compare_row(row, tables, labels.sky, rules)
+        compare_row(row, errors, labels.sky, rules)
         for m in range(truth.shape[1]):
             u, t = m * step, truth[k, m]
             if not (asked[u] and kind[u] > 0 and row.off[u] > 0 and t > 0 and t < np.float32(1e9)):

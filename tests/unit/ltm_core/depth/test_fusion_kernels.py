@@ -88,9 +88,8 @@ def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
     depth, sigma, kind = 1 / true, own / true**2, np.ones(3, np.uint8)
     none = np.empty(3, np.float32)
     row = FusionRow(
-        depth, sigma, kind, kind, none, none, none, true, own, none, none, off, joint, np.empty(3, np.float32),
-        np.empty(3, np.int32), np.ones(3, np.bool_),
-    )  # fmt: skip
+        depth, sigma, kind, kind, none, none, none, true, own, none, off, joint, none.copy(), np.ones(3, np.bool_)
+    )
     called(average_row)(row, RULES)
     np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
     np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)
