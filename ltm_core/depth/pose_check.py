@@ -123,21 +123,15 @@ def _far_edges(
 
 
 def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
-    """Return how much the colour changes from above to below each place, relative to its surroundings' texture."""
-    size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
-    change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
-    texture = cv2.blur(change, (25, 25))
-    return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
-
-
-def _changes(small: UInt8Array) -> Float32Array:
-    """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
+    """Return how much the colour changes from above to below each place, relative to its surroundings' texture: two
+    rows and the next two, as means over five columns, summed over the colours; 0 where there are none."""
+    small = cv2.resize(rgb, (rgb.shape[1] // shrink, rgb.shape[0] // shrink), interpolation=cv2.INTER_AREA)
     below_less_above = np.repeat(np.array([[-1.0], [-1.0], [1.0], [1.0]]), 5, axis=1)
     five = cv2.filter2D(small, cv2.CV_32F, below_less_above, anchor=(2, 2), borderType=cv2.BORDER_REFLECT_101)
     red, green, blue = cv2.split(np.abs(five) * np.float32(0.2))
     change = np.asarray(red + green + blue, np.float32)
     change[[0, 1, -1]] = 0.0
-    return change
+    return np.asarray(np.minimum(change / (cv2.blur(change, (25, 25)) + 6.0), 4.0), np.float32)
 
 
 def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:

@@ -144,7 +144,9 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))
-    return ScaleFit(inverse, *_neighbours(inverse), model, gross, line, "")
+    plain, square = np.nan_to_num(inverse, nan=0.0), np.ones((3, 3), np.uint8)
+    nearest, farthest = (np.asarray(of(plain, square), np.float32) for of in (cv2.dilate, cv2.erode))
+    return ScaleFit(inverse, nearest, farthest, model, gross, line, "")
 
 
 def sampled(image: Float32Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
@@ -240,13 +242,6 @@ def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
         else:
             depth = np.where(values > 0, values, np.nan) * np.exp(line.shift)
         return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
-
-
-def _neighbours(image: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Return the largest and least value among each pixel's neighbours."""
-    known = np.nan_to_num(image, nan=0.0)
-    square = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)
 
 
 def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> ScaleFit:

@@ -60,9 +60,12 @@ class StoredHeights:
         """Return the cell size in metres, roughly."""
         return float(abs(self.source.transform.a)) * (1 if self.crs.is_projected else _DEGREE)
 
-    def read(self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None) -> Float32Array:
+    def read(
+        self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None, ground: bool = True
+    ) -> Float32Array:
         """Return a window in metres, NaN where unknown, north up if it is the whole; read strip by strip, so that only
-        the result is held as a whole. Raises RasterError for heights that are no ground's."""
+        the result is held as a whole. `ground`: whether they must have the relief of ground. Raises RasterError for
+        heights that are no ground's."""
         from rasterio.windows import Window
 
         source, height, width = self.source, height or self.source.height, width or self.source.width
@@ -82,8 +85,9 @@ class StoredHeights:
         if source.transform.e > 0:  # south-up
             for row in range(height // 2):
                 elevation[[row, -1 - row]] = elevation[[-1 - row, row]]
-        doubt = doubt_of_relief(elevation, self.resolution, source.dtypes[self.band - 1] == "uint8", self.path)
-        self.doubts.extend([] if doubt is None else [doubt.required()])
+        byte = source.dtypes[self.band - 1] == "uint8"
+        if ground and (doubt := doubt_of_relief(elevation, self.resolution, byte, self.path)) is not None:
+            self.doubts.append(doubt.required())
         return elevation
 
 

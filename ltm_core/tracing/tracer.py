@@ -170,7 +170,9 @@ class TerrainTracer:
         place = (pose.position.tobytes(), self.bend)
         kept = self._profiles.get(place)
         few = way == "auto" and kept is None and camera.width * camera.height < _FEW_PIXELS
-        if way == "pyramid" or few or not self._stands_over_known_ground(pose.position):
+        # A profile needs a position over the finest raster, and in no outer hole.
+        around = filled_corners(self.dem.levels[0], self._grounds[0], pose.position)
+        if way == "pyramid" or few or around is None or np.isnan(around).any():
             flat = self._trace(pose.position, pose.rotation, rays.reshape(-1, 3))
             return False, flat.reshape(camera.height, camera.width)
         rotation = np.ascontiguousarray(pose.rotation, np.float64)
@@ -187,11 +189,6 @@ class TerrainTracer:
         if not whole:
             self._profiles.put(place, tuple(profile), _share(PROFILE_BYTES))
         return whole, ranges
-
-    def _stands_over_known_ground(self, position: Float64Array) -> bool:
-        """Return whether a position is over the finest raster, and in no outer hole."""
-        filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
-        return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
         """Return the slant range in metres of rays from one origin (3,), (N,) float32. `directions`: (N, 3) x, y, z of
