@@ -5,9 +5,7 @@
 * A **farther** one, if all around it are farther too, is also one of the cell that it lies in, and caps all cells that
   the ray passed below the surface.
 
-The incidence factor |n.d| / n_z (n: normal of a block of cells, d: direction of the ray) turns metres along the ray
-into metres of height. The variance takes the slope of the cell itself if that is steeper; the *relative variance*, of
-a change of the whole stand, that of the block (docs/how/surface.md)."""
+The relative variance is that of a change of the whole stand (docs/how/surface.md)."""
 
 from __future__ import annotations
 

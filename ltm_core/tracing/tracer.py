@@ -3,18 +3,12 @@
 Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: each ray is intersected with the
 bilinear surface, and earth curvature and refraction bend it (docs/how/tracing.md).
 
-**The ray.** Horizontal range r (metres along the map), height z(r) = z0 + s r + bend r^2, where s is the ray's slope
-at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
-
-**The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
-hole of unknown ground, which is bounded (`possible_ground`, `holes`).
-
 **The answer** for a ray is
 
 * the range to the first point where it is on or below known ground;
 * NaN (unknown) if, before that but after it has been over known ground, it comes as low as unknown ground may be high;
   and NaN if it comes into known ground from outside the DEM already below the surface;
-* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >= 0)
+* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon,
   and is there above `highest`, or climbs by `steepest` or more, so that no ground ahead can reach it. Else NaN. A ray
   that has never been over known ground is judged at the camera.
 
