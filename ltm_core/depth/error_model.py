@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.kernels import helper
-from ltm_core.base.types import Float32Array, Float64Array, IndexArray, Int32Array
+from ltm_core.base.types import Float32Array, Float64Array, IndexArray
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 
@@ -21,11 +21,6 @@ OCTAVES = 28
 FIRST = 4.5
 """2 log2 of the middle of the first half octave in metres."""
 _FARTHEST = 40_000.0
-_STEPS = 4096  # of each of three tables of logarithms
-_NEAR, _MIDDLE, _FAR = (
-    np.clip(2.0 * np.log2((np.arange(_STEPS) + 0.5) * width) - FIRST, 0.0, OCTAVES - 1.001).astype(np.float32)
-    for width in (1 / 16, 1.0, 16.0)
-)
 
 
 class ErrorModel(NamedTuple):
@@ -57,71 +52,18 @@ def octaves(depth: NDArray[np.floating]) -> IndexArray:
 
 
 @helper()
-def _place(depth: np.float32) -> np.float32:
-    """Return where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
-    if depth < np.float32(_STEPS / 16):
-        return np.float32(_NEAR[int(depth * np.float32(16.0))])
-    if depth < np.float32(_STEPS):
-        return np.float32(_MIDDLE[int(depth)])
-    return np.float32(_FAR[min(int(depth * np.float32(1 / 16)), _STEPS - 1)])
-
-
-@helper()
 def expected_prediction(inverse: np.float32, errors: ErrorModel) -> tuple[np.float32, np.float32]:
     """Return the bias of the network at the true `inverse` depth, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
     shift, factor = errors.shift, errors.factor
-    place = _place(np.float32(1.0) / inverse)
+    place = np.float32(-2.0) * np.log2(inverse) - np.float32(FIRST)
+    place = min(max(place, np.float32(0.0)), np.float32(OCTAVES - 1.001))
     k = int(place)
     part = place - np.float32(k)
     less = shift[k] + part * (shift[k + 1] - shift[k])
     sigma = factor[k] + part * (factor[k + 1] - factor[k])
     return less * inverse, sigma * inverse
-
-
-@helper()
-def interpolation_table(errors: ErrorModel) -> Float32Array:
-    """Return both tables side by side, (D, 4): each value, and its difference to the next half octave."""
-    shift, factor = errors.shift, errors.factor
-    both = np.zeros((OCTAVES, 4), np.float32)
-    for k in range(OCTAVES):
-        after = min(k + 1, OCTAVES - 1)
-        both[k, 0], both[k, 1] = shift[k], shift[after] - shift[k]
-        both[k, 2], both[k, 3] = factor[k], factor[after] - factor[k]
-    return both
-
-
-@helper(fastmath={"nsz", "arcp", "contract"})
-def expected_predictions(
-    inverse: Float32Array,
-    tables: Float32Array,
-    place: Int32Array,
-    part: Float32Array,
-    less: Float32Array,
-    sigma: Float32Array,
-) -> None:
-    """Compute `expected_prediction` for a row of pixels (W,) into `less` and `sigma`. `tables`: `interpolation_table`;
-    `place`, `part`: (W,) work arrays. The logarithm comes from the bits: log2(2^e (1 + m)) is e + m + 0.3438 m (1 - m)
-    but for 0.009."""
-    least, last = np.float32(1 / _FARTHEST), np.float32(OCTAVES - 1.001)
-    for u in range(len(inverse)):
-        sigma[u] = inverse[u] if inverse[u] > least else least
-    bits = sigma.view(np.int32)
-    for u in range(len(inverse)):
-        m = np.float32(bits[u] & 0x7FFFFF) * np.float32(2.0**-23)
-        log2 = np.float32((bits[u] >> 23) - 127) + m + np.float32(0.3438) * m * (np.float32(1.0) - m)
-        at = np.float32(-2.0) * log2 - np.float32(FIRST)
-        at = at if at > 0 else np.float32(0.0)
-        part[u] = at if at < last else last
-    for u in range(len(inverse)):
-        place[u] = np.int32(part[u])
-    for u in range(len(inverse)):
-        part[u] -= np.float32(np.int32(part[u]))
-    for u in range(len(inverse)):
-        at, x, more = tables[place[u]], sigma[u], part[u]
-        less[u] = (at[0] + more * at[1]) * x
-        sigma[u] = (at[2] + more * at[3]) * x
 
 
 @helper()

@@ -125,21 +125,13 @@ class BoundaryConfig(StrictModel):
 
     usual_crest: float = chosen(0.25, "Rise of crests in metres over which a cut's prior falls by e.")
     strip_px: int = chosen(60, "Maximum rise of an edge in pixels; larger cover of a near crest is an object.")
-    strip_cells: float = chosen(6.0, "Maximum rise of an edge in rows of a network's depth, if there is one.")
     sample_rows: int = chosen(8, "Number of rows of a side's colour sample.")
     sample_columns: int = chosen(4, "Number of columns to each side of the middle of the sample.")
     color_noise: float = chosen(16.0, "Minimum variance of a colour in squared 8-bit steps.")
     temper: float = chosen(0.6, "Exponent of a pixel's colour likelihood, because neighbours share texture.")
     most: float = chosen(8.0, "Maximum log likelihood of one pixel's colour.")
-    network_most: float = chosen(3.0, "Maximum log likelihood of one pixel's network depth.")
-    network_sure: float = chosen(1.0, "Log likelihood above which the network may raise an edge beyond usual cover.")
     need: float = chosen(1.0, "Minimum log odds of a cut against no cut.")
     blur: tuple[int, int] = chosen((5, 3), "Columns and rows over which the photo's colours are averaged.")
-    outline: ClassLogOdds = fitted(
-        ClassLogOdds(grass=-0.9, shrub=0.6, tree=1.3, bare=-1.7, water=-1.7, built=1.3, unlabelled=0.4),
-        "Log odds that a pixel one metre above a crest belongs to it if its colour matches.",
-    )
-    toward: float = fitted(1.9, "Change of the log odds by the network's depth, crest or far.")
 
 
 class OcclusionConfig(StrictModel):
@@ -147,11 +139,10 @@ class OcclusionConfig(StrictModel):
 
     standing: ClassLogOdds = fitted(
         ClassLogOdds(grass=-3.2, shrub=0.2, tree=2.7, bare=-3.2, water=-3.2, built=2.7, unlabelled=0.1),
-        "Log odds that a place shows an object in front of the ground if all labels around it are of a class.",
+        "Log odds that a place shows an object in front of the ground by its label.",
     )
     metre: float = fitted(0.14, "Decrease of the log odds per metre of height.")
     highest: float = chosen(30.0, "Height in metres above which the log odds do not decrease further.")
-    about: int = chosen(7, "Side of the square whose labels count, in cells of the network's depth.")
 
 
 class DecisionConfig(StrictModel):

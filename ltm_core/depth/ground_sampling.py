@@ -22,14 +22,13 @@ class ClassPriors:
 
     `cover`: metres of cover above bare ground. `ground`: whether the terrain shows. `crest`: metres to which an edge
     may be raised. `canopy_log_odds`: of a canopy raster against bare ground. `occluder_log_odds`: of something in front
-    of the ground. `outline`: log odds that a pixel belongs to a crest. `sky`: the id of sky."""
+    of the ground. `sky`: the id of sky."""
 
     cover: Float32Array
     ground: BoolArray
     crest: Float32Array
     canopy_log_odds: Float32Array
     occluder_log_odds: Float32Array
-    outline: Float32Array
     sky: int = int(Label.SKY)
 
     @classmethod
@@ -45,12 +44,10 @@ class ClassPriors:
         crest[Label.TREE] = config.cover.tree_crest
         crest[[Label.BARE, Label.WATER]] = config.cover.bare_crest
         crest[Label.SKY] = 0.0
-        # The sky says nothing of a canopy or of a crest; of what stands before the ground it is not asked.
-        outline = _table(labels, config.boundaries.outline)
-        outline[Label.SKY] = 0.0
+        # The sky says nothing of a canopy; of what stands before the ground it is not asked.
         canopy = _table(labels, config.decision.canopy)
         canopy[Label.SKY] = 0.0
-        return cls(cover, ground, crest, canopy, _table(labels, config.occlusion.standing), outline)
+        return cls(cover, ground, crest, canopy, _table(labels, config.occlusion.standing))
 
 
 class LabelView(NamedTuple):

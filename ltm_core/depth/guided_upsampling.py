@@ -78,20 +78,15 @@ class NetworkView(NamedTuple):
         return rows, columns
 
 
-@helper()
-def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
-    """Return the row of cells above row `v` of a photo, and how far that lies towards the next."""
-    at = (v + 0.5) * (rows / height) - 0.5
-    row = min(max(int(np.floor(at)), 0), rows - 2)
-    return row, np.float32(min(max(at - row, 0.0), 1.0))
-
-
 @helper(fastmath={"nsz", "contract"})
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
     """Compute the network's view of row `v` of the photo into the first rows of `out` (3+, W): inverse depth, 1/m, NaN
     where unknown, and the maximum and minimum among neighbours. `row`: (4, w) work array."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
-    top, down = _row(v, cells.shape[1], grey.shape[0])
+    # The row of cells above row `v` of the photo, and how far that lies towards the next.
+    at = (v + 0.5) * (cells.shape[1] / grey.shape[0]) - 0.5
+    top = min(max(int(np.floor(at)), 0), cells.shape[1] - 2)
+    down = np.float32(min(max(at - top, 0.0), 1.0))
     for k in range(4):
         above, below, between = cells[k, top], cells[k, top + 1], row[k]
         for x in range(cells.shape[2]):
@@ -109,23 +104,3 @@ def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array
         value[u] = f if y < f else y
         nearest[u] = n
         farthest[u] = f
-
-
-@helper()
-def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
-    """Return the network's inverse depth in one pixel, 1/m."""
-    cells, grey = view.cells, view.grey
-    top, down = _row(v, cells.shape[1], grey.shape[0])
-    x, part = view.columns[u], view.parts[u]
-    gain = _between(cells[0], top, x, down, part)
-    y = _between(cells[1], top, x, down, part) + gain * np.float32(grey[v, u])
-    near, back = _between(cells[2], top, x, down, part), _between(cells[3], top, x, down, part)
-    y = near if y > near else y
-    return np.float32(back if y < back else y)
-
-
-@helper(inline="always")
-def _between(image: Float32Array, top: int, x: int, down: np.float32, part: np.float32) -> np.float32:
-    left = image[top, x] + down * (image[top + 1, x] - image[top, x])
-    right = image[top, x + 1] + down * (image[top + 1, x + 1] - image[top, x + 1])
-    return np.float32(left + part * (right - left))

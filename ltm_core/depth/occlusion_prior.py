@@ -1,7 +1,7 @@
 """Compute how likely something stands before the ground, and find where traced depth jumps.
 
-Labels are often wrong about single crowns, so all labels about a place count. An object's foot is directly below it in
-the image, where the terrain is as near as the object, and its height is the distance from there up to the pixel."""
+An object's foot is directly below it in the image, where the terrain is as near as the object, and its height is the
+distance from there up to the pixel."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ltm_core.base.kernels import helper
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.fusion_config import FusionConfig, OcclusionConfig
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -45,29 +45,19 @@ class DepthDiscontinuities:
 _STEP = 4  # rows of the photo between those of `feet`
 
 
-class OcclusionRules(NamedTuple):
-    """Compiled form of `OcclusionConfig`."""
-
-    metre: np.float32
-    highest: np.float32
-
-    @classmethod
-    def of(cls, config: OcclusionConfig) -> OcclusionRules:
-        return cls(*(np.float32(getattr(config, name)) for name in cls._fields))
-
-
 class OcclusionPrior(NamedTuple):
     """Compiled prior knowledge of objects in front of a photo's ground.
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
     that has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
     `odds` and every fourth row of the photo; 0 where it is not asked. `focal`: pixels of the photo that a plumb metre
-    spans at a depth of one."""
+    spans at a depth of one. `metre`, `highest`: of `OcclusionConfig`."""
 
     odds: Float32Array
     feet: Float32Array
     focal: np.float32
-    rules: OcclusionRules
+    metre: np.float32
+    highest: np.float32
 
     @classmethod
     def of(
@@ -89,22 +79,18 @@ class OcclusionPrior(NamedTuple):
         if abs(roll) > config.surface.most_roll_deg or abs(pitch) > config.surface.most_pitch_deg:
             feet[:] = 0.0
         focal = np.float32(camera.fy * math.cos(math.radians(pitch)))
-        rules, odds = OcclusionRules.of(config.occlusion), classes.occluder_log_odds
+        odds, rules = classes.occluder_log_odds, config.occlusion
+        limits = np.float32(rules.metre), np.float32(rules.highest)
         if labels is None:
-            return cls(np.full(cells, odds[UNLABELLED], np.float32), feet, focal, rules)
+            return cls(np.full(cells, odds[UNLABELLED], np.float32), feet, focal, *limits)
         ids = cv2.resize(labels, cells[::-1], interpolation=cv2.INTER_NEAREST)
-        # The sky says nothing of what stands beside it.
-        land = (ids != classes.sky).astype(np.float32)
-        window = (config.occlusion.about, config.occlusion.about)
-        about = cv2.blur(odds[ids] * land, window)
-        share = np.maximum(cv2.blur(land, window), np.float32(1e-3))
-        return cls(np.asarray(about / share, np.float32), feet, focal, rules)
+        return cls(np.where(ids == classes.sky, np.float32(0.0), odds[ids]), feet, focal, *limits)
 
     @classmethod
     def none(cls) -> OcclusionPrior:
         """Return the unused prior."""
         nothing = np.zeros((1, 1), np.float32)
-        return cls(nothing, nothing, np.float32(1.0), OcclusionRules.of(OcclusionConfig()))
+        return cls(nothing, nothing, np.float32(1.0), np.float32(0.0), np.float32(0.0))
 
 
 @helper()
@@ -128,8 +114,8 @@ def occlusion_log_odds(
 ) -> np.float32:
     """Return the log odds that an object is in front of the ground at inverse depth `near` in a `row` of the photo,
     where labels give the `odds`; `column`: of `OcclusionPrior.feet`."""
-    foot, rules = ground_contact(near, column, row), prior.rules
-    return np.float32(odds - rules.metre * min(height_above(prior, near, row, foot), rules.highest))
+    height = height_above(prior, near, row, ground_contact(near, column, row))
+    return np.float32(odds - prior.metre * min(height, prior.highest))
 
 
 @helper()

@@ -6,21 +6,17 @@ of the network decide; if they are nearly even, depth is the mean of both, and s
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
-from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.error_model import expected_prediction, expected_predictions, interpolation_table, invert
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.depth.error_model import ErrorModel, expected_prediction, invert
 from ltm_core.depth.fusion_config import DecisionConfig, FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
-
-OWN = 4.0
-"""Multiple of the network's own variance that bounds a joint variance in advance (`DecisionRules.widest`)."""
 
 
 class DecisionRules(NamedTuple):
@@ -38,19 +34,11 @@ class DecisionRules(NamedTuple):
     ranges: np.float32
     sure: np.float32
     """The value 1 - open."""
-    few: np.float32
-    """Log odds of `open`."""
-    per_likelihood_weight: np.float32
-    widest: np.float32
-    """Log of the largest likelihood ratio against a nearer object for which the exponential is evaluated."""
 
     @classmethod
     def of(cls, config: DecisionConfig) -> DecisionRules:
-        given = (np.float32(getattr(config, name)) for name in cls._fields[:10])
-        few = math.log(config.open / (1.0 - config.open))
-        widest = math.log(config.ranges / math.sqrt(2.0 * math.pi * OWN))
-        more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.likelihood_weight, widest))
-        return cls(*given, *more)
+        given = [np.float32(getattr(config, name)) for name in cls._fields[:10]]
+        return cls(*given, *[np.float32(1.0 - config.open)])
 
 
 class FusionRow(NamedTuple):
@@ -58,9 +46,9 @@ class FusionRow(NamedTuple):
 
     `depth`, `sigma`: in as the terrain's, out as fused; `source`: `topodepth.DepthSource`; `labels`: class ids. `seen`,
     `nearest`, `farthest`: inverse depth, 1/m, that the network sees, and its neighbours' extremes. `true`: the
-    terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `less`: by how much
-    less than `true` it would say; `off`: by how much nearer it sees than it would say, with the variance `joint`.
-    `part`, `place`: to work in. `asked`: whether the two disagree or the terrain is unknown."""
+    terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `off`: by how much
+    nearer it sees than it would say of the terrain, with the variance `joint`; `part`: the network's weight. `asked`:
+    whether the two disagree or the terrain is unknown."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -71,21 +59,19 @@ class FusionRow(NamedTuple):
     farthest: Float32Array
     true: Float32Array
     own: Float32Array
-    less: Float32Array
     spread: Float32Array
     off: Float32Array
     joint: Float32Array
     part: Float32Array
-    place: Int32Array
     asked: BoolArray
 
 
 @helper(fastmath={"nsz", "arcp", "contract"})
-def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionRules) -> int:
+def compare_row(row: FusionRow, errors: ErrorModel, sky: int, rules: DecisionRules) -> int:
     """Compare one row of terrain with the network's view: fills `true` to `asked`; returns how many are asked.
-    `tables`: `interpolation_table`. One result a loop, so that compilers vectorise it."""
+    One result a loop, so that compilers vectorise most of them."""
     d, s, y, label = row.depth, row.sigma, row.seen, row.labels
-    true, own, less, spread, off, joint = row.true, row.own, row.less, row.spread, row.off, row.joint
+    true, own, spread, off, joint = row.true, row.own, row.spread, row.off, row.joint
     near, back, asked, soft_share, disagree = row.nearest, row.farthest, row.asked, rules.soft, rules.disagree
     width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
     for u in range(width):
@@ -93,9 +79,9 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
     for u in range(width):
         b = s[u] * true[u] * true[u]
         own[u] = b if d[u] < far else none
-    expected_predictions(true, tables, row.place, row.part, less, spread)
     for u in range(width):
-        off[u] = y[u] - true[u] + less[u]
+        less, spread[u] = expected_prediction(true[u], errors)
+        off[u] = y[u] - true[u] + less
     for u in range(width):
         # Between its neighbours a pixel of the network is as unsure as they differ, on slopes and at edges.
         soft = soft_share * (near[u] - back[u])
@@ -152,25 +138,10 @@ def fuse_pixels(
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
     `topodepth.DepthSource`. `over`: (H, W) depth of a canopy raster; `network`, `standing`, `labels` (H, W) or None."""
-    view = NetworkView.none() if network is None else network
-    prior = OcclusionPrior.none() if standing is None else standing
-    width = depth.shape[1]
-    _fuse(
-        depth,
-        sigma,
-        source,
-        np.zeros((0, 0), np.float32) if over is None else over,
-        classes.canopy_log_odds,
-        view,
-        prior,
-        LabelView.of(labels, classes),
-        DecisionRules.of(config.decision),
-        np.empty((4, view.cells.shape[2]), np.float32),
-        np.empty((10, width), np.float32),
-        np.full(width, 255, np.uint8),
-        np.empty((2, width), np.int32),
-        np.zeros(width, np.bool_),
-    )
+    over = np.zeros((0, 0), np.float32) if over is None else over
+    view, prior = network or NetworkView.none(), standing or OcclusionPrior.none()
+    choice = classes.canopy_log_odds, LabelView.of(labels, classes), DecisionRules.of(config.decision)
+    _fuse(depth, sigma, source, over, view, prior, *choice)
 
 
 @kernel(nogil=True, fastmath={"nsz", "arcp", "contract"})
@@ -179,32 +150,27 @@ def _fuse(
     sigma: Float32Array,
     source: UInt8Array,
     over: Float32Array,
-    prefers_over: Float32Array,
     view: NetworkView,
     prior: OcclusionPrior,
+    prefers_over: Float32Array,
     labels: LabelView,
     rules: DecisionRules,
-    between: Float32Array,
-    work: Float32Array,
-    unlabelled: UInt8Array,
-    index: Int32Array,
-    asked: BoolArray,
 ) -> None:
-    """Fuse row by row: only the pixels where terrain and network disagree are examined one by one. `unlabelled`: a row
-    of 255. `between`, `work`, `index`, `asked`: work arrays."""
+    """Fuse row by row: only the pixels where terrain and network disagree are examined one by one."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.errors, view.gross, prior.odds, prior.feet
-    tables = interpolation_table(errors)
+    between, work = np.empty((4, view.cells.shape[2]), np.float32), np.empty((9, width), np.float32)
     y, near, back = work[0], work[1], work[2]
-    true, own, less, spread, off, joint, part = work[3], work[4], work[5], work[6], work[7], work[8], work[9]
-    place, cell = index[0], index[1]
+    true, own, spread, off, joint, part = work[3], work[4], work[5], work[6], work[7], work[8]
+    cell, asked = np.empty(width, np.int32), np.zeros(width, np.bool_)
+    unlabelled = np.full(width, np.uint8(255))
     for u in range(width):
         cell[u] = u * odds.shape[1] // width
     for v in range(height - 1, -1, -1):
         d, s, kind = depth[v], sigma[v], source[v]
         label = labels.ids[v] if labels.known else unlabelled
-        row = FusionRow(d, s, kind, label, y, near, back, true, own, less, spread, off, joint, part, place, asked)
+        row = FusionRow(d, s, kind, label, y, near, back, true, own, spread, off, joint, part, asked)
         at = odds[v * odds.shape[0] // height]
         if view.there:
             upsample_row(view, v, between, work)
@@ -213,7 +179,7 @@ def _fuse(
         begin_row(d, s, kind)
         if not view.there:
             continue
-        count = compare_row(row, tables, labels.sky, rules)
+        count = compare_row(row, errors, labels.sky, rules)
         average_row(row, rules)
         if not count:
             continue
@@ -229,10 +195,12 @@ def _fuse(
                 # edges what neighbours see is but their own place.
                 known = at[cell[u]]
                 edge = (near[u] - y[u]) / off[u]
-                if not edge < one or surely_terrain(known, off[u], joint[u], spread[u], rules):
+                if not edge < one:
                     continue
                 known = occlusion_log_odds(prior, known, other, feet[cell[u]], v)
-                likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
+                # Errors extend over many pixels, so the log likelihood is weighted.
+                against = log_against(other, off[u], joint[u], spread[u], gross, rules)
+                likely = np.float32(one / (one + np.exp(rules.likelihood_weight * against - known)))
             if not (likely >= rules.open and other > 0):
                 continue
             # An int32: `network_measurement` has a compiled form of its own, without this kernel's fastmath.
@@ -261,18 +229,6 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 
 
 @helper()
-def surely_terrain(
-    odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
-) -> bool:
-    """Return whether a disagreement is certainly too small for `network_chance` to find an object: its odds at their
-    best, without exponential and logarithm."""
-    if joint > np.float32(OWN) * spread * spread:
-        return False
-    need = (rules.few - odds) * rules.per_likelihood_weight
-    return bool(off * off < np.float32(2.0) * joint * (need + rules.widest))
-
-
-@helper()
 def log_against(
     other: np.float32, off: np.float32, joint: np.float32, spread: np.float32, gross: np.float32, rules: DecisionRules
 ) -> np.float32:
@@ -281,23 +237,6 @@ def log_against(
     gross errors."""
     fits = np.exp(np.float32(-0.5) * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
     return np.float32(np.log((np.float32(1.0) - gross) * fits * rules.ranges * max(other, spread) + gross))
-
-
-@helper()
-def network_chance(
-    other: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    gross: np.float32,
-    odds: np.float32,
-    rules: DecisionRules,
-) -> np.float32:
-    """Return the probability that the inverse depth `other` is the network's alone, not the terrain's; see
-    `log_against`. `odds`: log odds of an object there. Errors extend over many pixels, so the log likelihood is
-    weighted."""
-    against = log_against(other, off, joint, spread, gross, rules)
-    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.likelihood_weight * against - odds)))
 
 
 @helper()

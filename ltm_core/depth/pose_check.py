@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.ground_sampling import ClassPriors
@@ -124,38 +123,22 @@ def _far_edges(
 
 
 def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
-    """Return how much the colour changes from above to below each place, relative to its surroundings' texture."""
-    size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
-    change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
-    texture = cv2.blur(change, (25, 25))
-    return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
-
-
-def _changes(small: UInt8Array) -> Float32Array:
-    """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
+    """Return how much the colour changes from above to below each place, relative to its surroundings' texture: two
+    rows and the next two, as means over five columns, summed over the colours; 0 where there are none."""
+    small = cv2.resize(rgb, (rgb.shape[1] // shrink, rgb.shape[0] // shrink), interpolation=cv2.INTER_AREA)
     below_less_above = np.repeat(np.array([[-1.0], [-1.0], [1.0], [1.0]]), 5, axis=1)
     five = cv2.filter2D(small, cv2.CV_32F, below_less_above, anchor=(2, 2), borderType=cv2.BORDER_REFLECT_101)
     red, green, blue = cv2.split(np.abs(five) * np.float32(0.2))
     change = np.asarray(red + green + blue, np.float32)
     change[[0, 1, -1]] = 0.0
-    return change
+    return np.asarray(np.minimum(change / (cv2.blur(change, (25, 25)) + 6.0), 4.0), np.float32)
 
 
-@kernel(nogil=True)
 def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:
     """Return the mean contrast under the edges, shifted by -reach..reach rows and columns."""
-    height, width = contrast.shape
-    side = 2 * reach + 1
     # Edges that leave the image count as no contrast: the rest must not look the better for it.
-    wide = np.zeros((height + 2 * reach, width + 2 * reach), np.float32)
-    wide[reach : reach + height, reach : reach + width] = contrast
-    scores = np.zeros((side, side), np.float32)
-    for i in range(side):
-        line = scores[i]
-        for k in range(len(rows)):
-            r, c = rows[k] + i, cols[k]
-            if 0 <= r < height + 2 * reach and 0 <= c < width:
-                under = wide[r, c : c + side]
-                for j in range(side):
-                    line[j] += under[j]
-    return scores / np.float32(len(rows))
+    wide = np.pad(contrast, reach)
+    edges = np.zeros_like(contrast)
+    inside = (rows < len(contrast)) & (cols < contrast.shape[1])
+    np.add.at(edges, (rows[inside], cols[inside]), np.float32(1 / len(rows)))
+    return np.asarray(cv2.matchTemplate(wide, edges, cv2.TM_CCORR), np.float32)

@@ -17,8 +17,6 @@ from ltm_core.depth.fusion_config import FusionConfig, RegressionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 from ltm_core.depth.monocular import NetworkDepth
 
-_RULES = RegressionConfig()
-
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -36,15 +34,10 @@ class Line:
 
 
 def robust_line(
-    x: Float64Array,
-    y: Float64Array,
-    weight: Float64Array | None = None,
-    floor: float = 0.0,
-    rules: RegressionConfig = _RULES,
+    x: Float64Array, y: Float64Array, weights: Float64Array, floor: float, rules: RegressionConfig
 ) -> Line | None:
     """Return the line through the points (N,) that at most half of them contradict; None for fewer than `rules.fewest`
-    points or constant x. `weight`: (N,) factors of the residuals. `floor`: minimum sigma of a weighted residual."""
-    weights = np.ones_like(x) if weight is None else weight
+    points or constant x. `weights`: (N,) factors of the residuals. `floor`: minimum sigma of a weighted residual."""
     if len(x) < rules.fewest or not np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
         return None
     rng = np.random.default_rng(0)
@@ -66,12 +59,7 @@ def robust_line(
     best = int(np.argmin(medians))
     scale, shift = float(scales[best]), float(shifts[best])
     for _ in range(rules.refined):
-        off = np.abs(scale * x + shift - y) * weights
-        sigma = max(1.4826 * float(np.median(off)), floor)
-        inliers = off <= rules.band * sigma
-        # Among outliers the median overstates the noise; that of the inliers does not.
-        sigma = max(1.4826 * float(np.median(off[inliers])), floor)
-        inliers = off <= rules.band * sigma
+        sigma, inliers = _inliers(np.abs(scale * x + shift - y) * weights, floor, rules)
         if inliers.sum() < rules.fewest or not np.ptp(x[inliers]) > 0:
             break
         w = weights[inliers]
@@ -81,24 +69,27 @@ def robust_line(
     return Line(float(scale), float(shift), sigma, off <= rules.band * sigma)
 
 
-def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionConfig = _RULES) -> Line | None:
+def robust_offset(values: Float64Array, floor: float, rules: RegressionConfig) -> Line | None:
     """Return the centre of most of `values` (N,), the middle of their densest half, as a line of scale 1."""
     if len(values) < rules.fewest:
         return None
     ordered = np.sort(values)
     half = (len(ordered) + 1) // 2
-    widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]
-    start = int(np.argmin(widths))
-    shift = float(np.median(ordered[start : start + half]))
-    sigma = floor
+    start = int(np.argmin(ordered[half - 1 :] - ordered[: len(ordered) - half + 1]))
+    shift, sigma = float(np.median(ordered[start : start + half])), floor
     for _ in range(rules.refined):
-        off = np.abs(values - shift)
-        sigma = max(1.4826 * float(np.median(off)), floor)
-        inliers = off <= rules.band * sigma
-        sigma = max(1.4826 * float(np.median(off[inliers])), floor)
-        inliers = off <= rules.band * sigma
+        sigma, inliers = _inliers(np.abs(values - shift), floor, rules)
         shift = float(values[inliers].mean())
     return Line(1.0, shift, sigma, np.abs(values - shift) <= rules.band * sigma)
+
+
+def _inliers(off: Float64Array, floor: float, rules: RegressionConfig) -> tuple[float, BoolArray]:
+    """Return the robust sigma of residuals (N,), and which of them are within the band."""
+    inliers, sigma = np.ones(len(off), np.bool_), floor
+    for _ in range(2):  # among outliers the median overstates the noise; that of the inliers does not
+        sigma = max(1.4826 * float(np.median(off[inliers])), floor)
+        inliers = np.asarray(off <= rules.band * sigma)
+    return sigma, inliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +117,9 @@ class ScaleFit:
 def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int], config: FusionConfig) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
     values, rules = network.values, config.scale
-    trouble = _unfit(values, network.kind) or _too_few(samples, rules.least_samples)
+    trouble = _unfit(values, network.kind)
+    if not trouble and len(samples) < rules.least_samples:
+        trouble = f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
     if trouble:
         return _unusable(network, None, trouble)
     at = sampled(values, samples, size)
@@ -151,7 +144,9 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))
-    return ScaleFit(inverse, *_neighbours(inverse), model, gross, line, "")
+    plain, square = np.nan_to_num(inverse, nan=0.0), np.ones((3, 3), np.uint8)
+    nearest, farthest = (np.asarray(of(plain, square), np.float32) for of in (cv2.dilate, cv2.erode))
+    return ScaleFit(inverse, nearest, farthest, model, gross, line, "")
 
 
 def sampled(image: Float32Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
@@ -180,88 +175,49 @@ def _unfit(values: Float32Array, kind: str) -> str:
     return ""
 
 
-def _too_few(samples: GroundSamples, least: int) -> str:
-    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
-
-
 def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:
     """Fit scale and shift. Residuals of inverse depth are weighted in proportion to it in the near range, evenly in the
     far range, and less where the terrain is uncertain."""
+    rules, floor = config.regression, config.scale.relative_floor
     inverse = 1.0 / samples.depth
-    relative = samples.sigma / samples.depth
-    if kind == "relative_inverse":
-        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / config.scale.typical_sigma))
-        plain = _through_zero(values, inverse, weight, config)
-        return _with_shift(plain, config, values, inverse, weight)
+    unsure = np.hypot(1.0, samples.sigma / samples.depth / config.scale.typical_sigma)
     if kind == "affine_invariant":
-        return robust_line(
-            values,
-            samples.depth,
-            inverse / np.hypot(1.0, relative / config.scale.typical_sigma),
-            floor=config.scale.relative_floor,
-            rules=config.regression,
-        )
-    known = values > 0
-    line = robust_offset(
-        np.log(samples.depth[known]) - np.log(values[known]), floor=config.scale.relative_floor, rules=config.regression
-    )
-    return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
-
-
-def _through_zero(
-    values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
-) -> Line | None:
-    """Return the line without a shift; None for a network that seldom gives more than 0."""
+        return robust_line(values, samples.depth, inverse / unsure, floor, rules)
     positive = values > 0
-    if positive.mean() < config.scale.least_positive:
-        return None
-    ratio = robust_offset(
-        np.log(inverse[positive]) - np.log(values[positive]), floor=config.scale.relative_floor, rules=config.regression
-    )
-    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight, config)
+    if kind == "metric":
+        line = robust_offset(np.log(samples.depth[positive]) - np.log(values[positive]), floor, rules)
+        if line is not None:
+            inliers = np.zeros(len(values), np.bool_)
+            inliers[positive] = line.inliers
+            line = replace(line, inliers=inliers)
+        return line
+    weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * unsure)
 
+    def line_of(scale: float, shift: float) -> Line:
+        off = np.abs(scale * values + shift - inverse) * weight
+        sigma = max(1.4826 * float(np.median(off)), floor)
+        return Line(scale, shift, sigma, off <= rules.band * sigma)
 
-def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
-    """Return the line with a shift if that reduces the residuals enough, because a shift determines all far depths. The
-    network's values are regressed on the terrain's, because the network is the noisy side."""
-    values, inverse, weight = given
-    reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
-    spread = np.subtract(*np.quantile(values, (0.9, 0.1)))
-    floor = config.scale.relative_floor * float(spread / max(reach, 1e-12))
-    back = robust_line(inverse, values, weight, floor=floor, rules=config.regression)
+    # First without a shift, unless the network often gives less than 0.
+    plain = None
+    if positive.mean() >= config.scale.least_positive:
+        ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor, rules)
+        plain = None if ratio is None else line_of(float(np.exp(ratio.shift)), 0.0)
+    # A shift determines all far depths, so it must reduce the residuals enough. The network's values are regressed on
+    # the terrain's, because the network is the noisy side.
+    reach, spread = (float(np.subtract(*np.quantile(these, (0.9, 0.1)))) for these in (inverse, values))
+    back = robust_line(inverse, values, weight, floor * spread / max(reach, 1e-12), rules)
     if back is None or (back.scale <= 0 and plain is not None):
         return plain
     if back.scale == 0:
         return None
-    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight, config)
+    shifted = line_of(1.0 / back.scale, -back.shift / back.scale)
     if plain is None:
-        return line
-    fewer = all(off(line, *given) < config.scale.shift_gain * off(plain, *given) for off in (_off, _off_values))
-    return line if fewer else plain
-
-
-def _line_of(
-    scale: float, shift: float, values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
-) -> Line:
-    off = np.abs(scale * values + shift - inverse) * weight
-    sigma = max(1.4826 * float(np.median(off)), config.scale.relative_floor)
-    return Line(scale, shift, sigma, off <= config.regression.band * sigma)
-
-
-def _off(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """Return the median residual of a line, in inverse depth."""
-    return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
-
-
-def _off_values(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """Return the same in the network's values."""
-    return _off(line, values, inverse, weight) / abs(line.scale)
-
-
-def _spread_out(inliers: BoolArray, known: BoolArray) -> BoolArray:
-    everywhere = np.zeros(len(known), np.bool_)
-    everywhere[known] = inliers
-    return everywhere
+        return shifted
+    before, after = (float(np.median(np.abs(x.scale * values + x.shift - inverse) * weight)) for x in (plain, shifted))
+    gain = config.scale.shift_gain
+    fewer = after < gain * before and after / abs(shifted.scale) < gain * before / abs(plain.scale)
+    return shifted if fewer else plain
 
 
 def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
@@ -286,13 +242,6 @@ def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
         else:
             depth = np.where(values > 0, values, np.nan) * np.exp(line.shift)
         return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
-
-
-def _neighbours(image: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Return the largest and least value among each pixel's neighbours."""
-    known = np.nan_to_num(image, nan=0.0)
-    square = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)
 
 
 def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> ScaleFit:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum, StrEnum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -157,56 +157,110 @@ class Fusion:
     @property
     def settled(self) -> bool:
         """Return whether `outcome` is known without another fit."""
-        return self._judged.refused is not None or "_fitted" in self.__dict__
+        return self._refused is not None or "_fitted" in self.__dict__
 
     @cached_property
     def outcome(self) -> FusionOutcome:
         """Return the verdict, the fit and what the network measures, without fusing pixels if possible."""
-        judged = self._judged
-        if judged.refused is None:
-            verdict, reason = self._verdict(judged.ground)
-            if verdict is FusionVerdict.MOSTLY_UNKNOWN:
-                return self.fused  # the network may know some of it
-            return FusionOutcome(verdict, reason, judged.check, self._fitted[2], self.config, self.hidden)
-        return FusionOutcome(*judged.refused, judged.check, None, self.config, self.hidden)
+        if self._refused is not None:
+            return FusionOutcome(*self._refused, self._check, None, self.config, self.hidden)
+        verdict, reason = self._verdict(self._ground)
+        if verdict is FusionVerdict.MOSTLY_UNKNOWN:
+            return self.fused  # the network may know some of it
+        return FusionOutcome(verdict, reason, self._check, self._fitted[2], self.config, self.hidden)
 
     @cached_property
     def fused(self) -> FusedDepth:
         """Return the fused depth of every pixel."""
-        judged, hidden, classes, config = self._judged, self.hidden, self.classes, self.config
-        check, ground, labels = judged.check, judged.ground, judged.labels
-        if judged.refused is not None:
-            return _traced_alone(self.traced.depth(), *judged.refused, check, hidden)
-        expected, sigma, fit = self._fitted
-        view = standing = None
+        hidden, config, fit = self.hidden, self.config, None
+        if self._refused is not None:
+            verdict = self._refused
+            ground = self.traced.depth()
+            depth = ground if hidden is None else ground.copy()
+            sigma = np.full(depth.shape, np.nan, np.float32)
+            kinds = DepthSource.TERRAIN, DepthSource.UNKNOWN
+            source = np.select((np.isfinite(depth), np.isnan(depth)), kinds, DepthSource.SKY).astype(np.uint8)
+        else:
+            ground, (depth, sigma, fit) = self._ground, self._fitted
+            source = self._fuse(depth, sigma, fit)
+            verdict = self._verdict(depth)
+        if hidden is not None:
+            depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, DepthSource.UNKNOWN
+            ground = np.where(hidden, np.float32(np.nan), ground)  # a copy: it may be the tracer's own
+        return FusedDepth(*verdict, self._check, fit, config, hidden, depth, sigma, source, ground)
+
+    def _fuse(self, depth: Float32Array, sigma: Float32Array, fit: ScaleFit | None) -> UInt8Array:
+        """Fuse in place what the terrain predicts; return the sources of the pixels."""
+        ground, labels, classes, config = self._ground, self._labels, self.classes, self.config
+        camera, seen, view, standing = self.traced.camera, self._seen, None, None
         if fit is not None and not fit.trouble:
             view = NetworkView.of(fit, self.rgb, config)
-            pose, camera = judged.seen.pose, judged.seen.camera
-            standing = OcclusionPrior.of(judged.seen.depth(), labels, classes, camera, pose, view.shape, config)
+            standing = OcclusionPrior.of(seen.depth(), labels, classes, camera, seen.pose, view.shape, config)
         # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
-        camera, edges = self.traced.camera, DepthDiscontinuities.of(ground, config.surface.jump)
-        edges = edges if hidden is None else edges_seen(edges, hidden)
-        refine_occlusion_boundaries(self.rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
+        edges = DepthDiscontinuities.of(ground, config.surface.jump)
+        edges = edges if self.hidden is None else edges_seen(edges, self.hidden)
+        refine_occlusion_boundaries(self.rgb, depth, sigma, ground, edges, labels, classes, camera, config)
         over = None if self.surface is None else self.surface.depth()
         if over is not None and labels is not None:
             over = with_labelled_sky(over, labels, classes.sky)
         source = np.empty(ground.shape, np.uint8)
-        fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
+        fuse_pixels(depth, sigma, over, view, standing, labels, classes, source, config)
         # Where the network alone speaks of land beyond the raster, nothing is known.
-        clear_unenclosed(ground, expected, sigma, source)
-        verdict = self._verdict(expected)
-        ground = _hide(hidden, expected, sigma, source, ground)
-        return FusedDepth(*verdict, check, fit, config, hidden, expected, sigma, source, ground)
+        clear_unenclosed(ground, depth, sigma, source)
+        return source
 
     @cached_property
-    def _judged(self) -> _JudgedPhoto:
-        return _judge(self)
+    def _refused(self) -> tuple[FusionVerdict, str] | None:
+        """Why nothing is fused. Raises ImageError if sizes differ."""
+        size, surface = (self.traced.camera.height, self.traced.camera.width), self.surface
+        for what, shape in (
+            ("photo", self.rgb.shape[:2]),
+            ("label image", size if self.labels is None else self.labels.shape),
+            ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
+            ("mask", size if self.hidden is None else self.hidden.shape),
+        ):
+            if shape != size:
+                raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
+        if self.unusable:
+            return FusionVerdict.PICTURE_UNUSABLE, self.unusable
+        ground = self._ground
+        # A sample first: where it has ground, as it nearly always does, that is all.
+        if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
+            return FusionVerdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM"
+        return (FusionVerdict.POSE_SUSPECTED, self._check.reason) if self._check.suspected else None
+
+    @cached_property
+    def _labels(self) -> UInt8Array | None:
+        """The labels, with those that are expected behind hidden pixels."""
+        if self.labels is None or self.hidden is None:
+            return self.labels
+        return labels_behind(self.hidden, self.labels, self.traced.depth(), self.classes.sky)
+
+    @cached_property
+    def _ground(self) -> Float32Array:
+        """The traced depth of bare ground, with the sky that labels tell."""
+        ground = self.traced.depth()
+        return ground if self._labels is None else with_labelled_sky(ground, self._labels, self.classes.sky)
+
+    @cached_property
+    def _seen(self) -> DepthImage:
+        """The ground that is not hidden."""
+        ground = self._ground if self.hidden is None else np.where(self.hidden, np.float32(np.nan), self._ground)
+        return DepthImage(ground, self.traced.camera, self.traced.pose)
+
+    @cached_property
+    def _check(self) -> PoseCheck:
+        """Whether the terrain lies where the photo has it: if not, nothing else means anything."""
+        if self.unusable:
+            return PoseCheck.none()
+        config, sigmas = self.config, (self.settings.angle_sigma, self.settings.dem_sigma)
+        given = self.rgb, self._ground, self.traced.camera, *sigmas, config.pose_check
+        return check_pose(*given, self._labels, self.classes, config.surface.jump, self.hidden)
 
     @cached_property
     def _fitted(self) -> tuple[Float32Array, Float32Array, ScaleFit | None]:
         """Depth and sigma of the expected surface, which `fused` changes, and the network's fit."""
-        judged = self._judged
-        return fitted(judged.seen, self.network, judged.labels, self.classes, self.settings, self.config)
+        return fitted(self._seen, self.network, self._labels, self.classes, self.settings, self.config)
 
     def _verdict(self, depth: Float32Array) -> tuple[FusionVerdict, str]:
         """Judge a photo of which this depth is known."""
@@ -240,71 +294,3 @@ def fuse(
     terrain. `unusable`: why the photo is not used; empty: it is."""
     given = settings or FusionSettings(), surface, config or FusionConfig(), hidden, unusable
     return Fusion(traced, network, rgb, labels, classes, *given).fused
-
-
-class _JudgedPhoto(NamedTuple):
-    """A photo before anything is expected of its pixels. `ground`: (H, W) traced, with the sky that labels tell;
-    `seen`: the same where the terrain is seen; `refused`: why nothing is to be fused, None: it is."""
-
-    ground: Float32Array
-    seen: DepthImage
-    labels: UInt8Array | None
-    check: PoseCheck
-    refused: tuple[FusionVerdict, str] | None
-
-
-def _judge(photo: Fusion) -> _JudgedPhoto:
-    traced, rgb, labels, classes, settings = photo.traced, photo.rgb, photo.labels, photo.classes, photo.settings
-    surface, config, hidden, unusable = photo.surface, photo.config, photo.hidden, photo.unusable
-    as_traced = traced.depth()
-    size = as_traced.shape
-    for what, shape in (
-        ("photo", rgb.shape[:2]),
-        ("label image", size if labels is None else labels.shape),
-        ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
-        ("mask", size if hidden is None else hidden.shape),
-    ):
-        if shape != size:
-            raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
-    camera, ground = traced.camera, as_traced
-    told = DepthImage(ground, camera, traced.pose)
-    if unusable:
-        return _JudgedPhoto(ground, told, labels, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
-    if labels is not None and hidden is not None:
-        labels = labels_behind(hidden, labels, ground, classes.sky)
-    if labels is not None:
-        ground = with_labelled_sky(ground, labels, classes.sky)
-    # Whether the terrain lies where the photo has it: if not, nothing below means anything.
-    sigmas = settings.angle_sigma, settings.dem_sigma
-    check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, config.surface.jump, hidden)
-    refused: tuple[FusionVerdict, str] | None = None
-    # A sample first: where it has ground, as it nearly always does, that is all.
-    if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
-        refused = FusionVerdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM"
-    elif check.suspected:
-        refused = FusionVerdict.POSE_SUSPECTED, check.reason
-    seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
-    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, check, refused)
-
-
-def _traced_alone(
-    traced: Float32Array, verdict: FusionVerdict, reason: str, check: PoseCheck, hidden: BoolArray | None
-) -> FusedDepth:
-    source = np.where(
-        np.isfinite(traced), DepthSource.TERRAIN, np.where(np.isnan(traced), DepthSource.UNKNOWN, DepthSource.SKY)
-    )
-    source = source.astype(np.uint8)
-    sigma = np.full(traced.shape, np.nan, np.float32)
-    depth = traced if hidden is None else traced.copy()
-    ground = _hide(hidden, depth, sigma, source, traced)
-    return FusedDepth(verdict, reason, check, None, FusionConfig(), hidden, depth, sigma, source, ground)
-
-
-def _hide(
-    hidden: BoolArray | None, depth: Float32Array, sigma: Float32Array, source: UInt8Array, ground: Float32Array
-) -> Float32Array:
-    """Clear the hidden pixels in place; return the ground without them, a copy, because it may be the tracer's own."""
-    if hidden is None:
-        return ground
-    depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, DepthSource.UNKNOWN
-    return np.asarray(np.where(hidden, np.float32(np.nan), ground), np.float32)

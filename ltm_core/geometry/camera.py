@@ -70,28 +70,15 @@ class Camera:
         """The camera of the image `image[::step, ::step]`: every step-th pixel, sampled at its centre."""
         if step < 1:
             raise CameraError(f"sampling step must be at least 1, got {step}")
-        return Camera(
-            (self.width + step - 1) // step,
-            (self.height + step - 1) // step,
-            self.fx / step,
-            self.fy / step,
-            self.cx / step,
-            self.cy / step,
-            self.distortion,
-        )
+        width, height = (self.width + step - 1) // step, (self.height + step - 1) // step
+        fx, fy, cx, cy = (v / step for v in (self.fx, self.fy, self.cx, self.cy))
+        return Camera(width, height, fx, fy, cx, cy, self.distortion)
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of an image of another size, in pixels, that shows the same, edge to edge."""
         across, down = width / self.width, height / self.height
-        return Camera(
-            width,
-            height,
-            self.fx * across,
-            self.fy * down,
-            (self.cx + 0.5) * across - 0.5,
-            (self.cy + 0.5) * down - 0.5,
-            self.distortion,
-        )
+        centre = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
+        return Camera(width, height, self.fx * across, self.fy * down, *centre, self.distortion)
 
     def zoomed(self, factor: float) -> Camera:
         """Return the camera with `factor` times the focal length."""

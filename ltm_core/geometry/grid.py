@@ -93,14 +93,8 @@ class GridGeometry:
 
     def window(self, row: int, col: int, height: int, width: int) -> GridGeometry:
         """Return the part of the raster whose first cell is (row, col)."""
-        return GridGeometry(
-            self.x_min + col * self.resolution,
-            self.y_max - row * self.resolution,
-            self.resolution,
-            width,
-            height,
-            self.crs,
-        )
+        corner = self.x_min + col * self.resolution, self.y_max - row * self.resolution
+        return GridGeometry(*corner, self.resolution, width, height, self.crs)
 
     @classmethod
     def snapped(
@@ -110,19 +104,10 @@ class GridGeometry:
         resolution.
 
         LANDFIRE's grid has resolution 30 and phase 15 in EPSG:5070."""
-        x_min, y_min, x_max, y_max = bounds
-        first_col = math.floor((x_min - phase) / resolution)
-        last_col = math.ceil((x_max - phase) / resolution)
-        first_row = math.floor((y_min - phase) / resolution)
-        last_row = math.ceil((y_max - phase) / resolution)
-        return cls(
-            first_col * resolution + phase,
-            last_row * resolution + phase,
-            resolution,
-            max(1, last_col - first_col),
-            max(1, last_row - first_row),
-            crs,
-        )
+        west, south = (math.floor((v - phase) / resolution) for v in bounds[:2])
+        east, north = (math.ceil((v - phase) / resolution) for v in bounds[2:])
+        corner = west * resolution + phase, north * resolution + phase
+        return cls(*corner, resolution, max(1, east - west), max(1, north - south), crs)
 
     def transform(self) -> Any:
         """Return the affine transform (pixel corner -> map) that rasterio writes."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,32 +17,25 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 
 
+def _rotations() -> Any:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
 def matrix_of_quaternion(quaternion: ArrayLike) -> Float64Array:
     """Return the matrix (3, 3) of a quaternion (x, y, z, w) of any norm but 0."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), np.float64)
-
-
-def quaternion_of_matrix(matrix: ArrayLike) -> Float64Array:
-    """Return the quaternion (x, y, z, w) of unit norm with w >= 0 of a matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_quat(canonical=True), np.float64)
+    return np.asarray(_rotations().from_quat(quaternion).as_matrix(), np.float64)
 
 
 def matrix_of_vector(vector: ArrayLike) -> Float64Array:
     """Return the matrix (3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
+    return np.asarray(_rotations().from_rotvec(vector).as_matrix(), np.float64)
 
 
 def vector_of_matrix(matrix: ArrayLike) -> Float64Array:
     """Return the rotation vector (3,), radians, of (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec(), np.float64)
+    return np.asarray(_rotations().from_matrix(matrix).as_rotvec(), np.float64)
 
 
 def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
@@ -57,9 +51,7 @@ def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
 
 def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
     """Return the matrix (3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
+    return np.asarray(_rotations().from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +137,7 @@ class Pose:
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
         """Return (x, y, z, w), optical to map, with w >= 0."""
-        x, y, z, w = quaternion_of_matrix(self.rotation)
+        x, y, z, w = _rotations().from_matrix(self.rotation).as_quat(canonical=True)
         return float(x), float(y), float(z), float(w)
 
     def after(self, outer: Pose) -> Pose:

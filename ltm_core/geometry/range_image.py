@@ -14,6 +14,13 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 
 
+def _require_shape(what: str, image: Float32Array, camera: Camera) -> None:
+    rows, columns = camera.height, camera.width
+    if image.shape != (rows, columns):
+        size = f"{rows} x {columns} (rows x columns)"
+        raise ImageError(f"{what} image of shape {image.shape} does not fit a camera of {size}")
+
+
 @dataclass(frozen=True, eq=False)
 class RangeImage:
     """Ranges of one image, and where its pixels lie on the map.
@@ -30,11 +37,7 @@ class RangeImage:
     geometry: GridGeometry | None = None
 
     def __post_init__(self) -> None:
-        if self.range.shape != (self.camera.height, self.camera.width):
-            raise ImageError(
-                f"range image of shape {self.range.shape} does not fit a camera of "
-                f"{self.camera.height} x {self.camera.width} (rows x columns)"
-            )
+        _require_shape("range", self.range, self.camera)
 
     @classmethod
     def from_depth(
@@ -42,10 +45,7 @@ class RangeImage:
     ) -> RangeImage:
         """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
         `depth()`."""
-        if depth.shape != (camera.height, camera.width):
-            raise ImageError(
-                f"depth image of shape {depth.shape} does not fit a camera of {camera.height} x {camera.width}"
-            )
+        _require_shape("depth", depth, camera)
         slant = (depth / camera.cosines()).astype(np.float32, copy=False)
         return cls(slant, camera, pose, bend, geometry)
 
@@ -104,11 +104,7 @@ class DepthImage:
     pose: Pose
 
     def __post_init__(self) -> None:
-        if self.along.shape != (self.camera.height, self.camera.width):
-            raise ImageError(
-                f"depth image of shape {self.along.shape} does not fit a camera of "
-                f"{self.camera.height} x {self.camera.width} (rows x columns)"
-            )
+        _require_shape("depth", self.along, self.camera)
 
     def depth(self) -> Float32Array:
         """Return the depth as `RangeImage.depth`, row by row, without a copy if already in this order."""

@@ -49,7 +49,7 @@ def _terrain(site: Site) -> None:
     """Compile with two observations of a subsided plain, which exercise everything up to a change."""
     from ltm_core.raster.dem import Dem
     from ltm_core.surface.config import TerrainConfig
-    from ltm_core.surface.observation import DepthFrame, LabelImage
+    from ltm_core.surface.observation import DepthFrame
     from ltm_core.surface.reference_surface import Reference
     from ltm_core.surface.surface_map import SurfaceMap
     from ltm_core.tracing import TerrainTracer
@@ -59,7 +59,7 @@ def _terrain(site: Site) -> None:
     sunk = TerrainTracer(Dem(plain.elevation - 10, plain.geometry)).trace(camera, pose).depth()
     sure, seen = np.full(sunk.shape, 0.1, np.float32), np.ones(sunk.shape, np.bool_)
     covariance = np.diag([1e-4] * 3 + [1e-5] * 3)
-    told, gone = LabelImage(np.ones(sunk.shape, np.uint8), camera), np.ones(256, np.float32)
+    told, gone = (np.ones(sunk.shape, np.uint8), camera), np.ones(256, np.float32)
     for stable in (None, seen):
         small = (site.terrain or TerrainConfig()).model_copy(update={"cache_mb": 32.0})
         tiny = SurfaceMap(Reference.of(plain), small, ("any",), gone=gone)

@@ -24,8 +24,7 @@ from ltm_core.geometry.geodesy import (
     scale_problem,
 )
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.heights_check import HeightsDoubt, HeightsSurvey, doubt_of_relief, elevation_band, unit_of
-from ltm_core.raster.prepared_heights_io import map_heights, write_heights
+from ltm_core.raster.heights_check import HeightsDoubt, clean_heights, doubt_of_relief, elevation_band, unit_of
 from ltm_core.raster.raster_io import check_size, open_raster, read_band
 
 Bounds = tuple[float, float, float, float]
@@ -61,23 +60,20 @@ class StoredHeights:
         """Return the cell size in metres, roughly."""
         return float(abs(self.source.transform.a)) * (1 if self.crs.is_projected else _DEGREE)
 
-    def read(self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None) -> Float32Array:
-        """Return a window in metres, NaN where unknown, north up if it is the whole."""
-        height, width = height or self.source.height, width or self.source.width
-        check_size(self.source, self.path, height, width)
-        elevation = np.empty((height, width), np.float32)
-        self.fill(elevation, row0, col0)
-        return self.judged(elevation)
-
-    def fill(self, elevation: Float32Array, row0: int = 0, col0: int = 0) -> None:
-        """Read strip by strip, so that only the result is held as a whole. Raises RasterError: impossible heights."""
+    def read(
+        self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None, ground: bool = True
+    ) -> Float32Array:
+        """Return a window in metres, NaN where unknown, north up if it is the whole; read strip by strip, so that only
+        the result is held as a whole. `ground`: whether they must have the relief of ground. Raises RasterError for
+        heights that are no ground's."""
         from rasterio.windows import Window
 
-        source, (height, width) = self.source, elevation.shape
+        source, height, width = self.source, height or self.source.height, width or self.source.width
+        check_size(source, self.path, height, width)
+        elevation = np.empty((height, width), np.float32)
         scale, offset = (v[self.band - 1] * self.unit for v in (source.scales, source.offsets))
         blocks = source.block_shapes[self.band - 1][0]
         rows = max(blocks, _ROWS // blocks * blocks)
-        survey = HeightsSurvey(self.resolution)
         for start in range(0, height, rows):
             count = min(rows, height - start)
             values, unknown = read_band(source, self.band, Window(col0, row0 + start, width, count))
@@ -85,54 +81,20 @@ class StoredHeights:
             with np.errstate(over="ignore"):
                 strip[...] = values if (scale, offset) == (1.0, 0.0) else values.astype(np.float64) * scale + offset
             strip[unknown | ~np.isfinite(strip)] = np.nan
-            survey.add(strip)
-        self.doubts.extend(survey.finish(elevation, self.path))
-        if source.transform.e > 0:
-            _turn(elevation)
-
-    def judged(self, elevation: Float32Array) -> Float32Array:
-        """Return heights that were read. Raises RasterError if their relief is no ground's."""
-        doubt = doubt_of_relief(elevation, self.resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
-        self.doubts.extend([] if doubt is None else [doubt.required()])
+        self.doubts.extend(clean_heights(elevation, self.resolution, self.path))
+        if source.transform.e > 0:  # south-up
+            for row in range(height // 2):
+                elevation[[row, -1 - row]] = elevation[[-1 - row, row]]
+        byte = source.dtypes[self.band - 1] == "uint8"
+        if ground and (doubt := doubt_of_relief(elevation, self.resolution, byte, self.path)) is not None:
+            self.doubts.append(doubt.required())
         return elevation
-
-
-def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
-    """Read the elevations of a raster, (H, W) float32 metres, north up, NaN where unknown, their geometry, and what may
-    be wrong; see `Dem.open`. The prepared heights of a large raster are mapped (see `prepared_heights_io`)."""
-    with open_raster(path) as source:
-        heights = StoredHeights.of(source, path, crs)
-        problem = map_problem(heights.crs)
-        if problem is not None:
-            raise RasterError(f"{path}: {problem}")
-        t = source.transform
-        if t.b or t.d:
-            raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
-        if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
-            raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
-        y_max = t.f if t.e < 0 else t.f + source.height * t.e
-        geometry = GridGeometry(t.c, y_max, t.a, source.width, source.height, name_of(heights.crs))
-        problem = scale_problem(heights.crs, geometry)
-        if problem is not None:
-            raise RasterError(f"{path}: {problem}")
-        prepared = map_heights(path, source)
-        elevation = heights.read() if prepared is None else heights.judged(prepared)
-    return elevation, geometry, tuple(heights.doubts)
-
-
-def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
-    """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
-
-    Raises RasterError: not readable; OSError: no file can be written beside it."""
-    with open_raster(path) as source:
-        check_size(source, path, source.height, source.width)
-        return write_heights(path, source, StoredHeights.of(source, path, crs).fill)
 
 
 def read_around(
     path: Path | str, crs: str | None, target: str, bounds: Bounds
 ) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
-    """Read elevations as `read_heights` does, over `bounds` (x_min, y_min, x_max, y_max) in the CRS `target`, warped
+    """Read elevations as `Dem.open` does, over `bounds` (x_min, y_min, x_max, y_max) in the CRS `target`, warped
     bilinearly if their own grid differs; degrees are allowed.
 
     Raises RasterError: not readable, no CRS, or nothing of it within the bounds."""
@@ -165,17 +127,9 @@ def read_around(
         if t.e > 0:
             t = Affine(t.a, -t.b, t.c + t.b * len(read), t.d, -t.e, t.f + t.e * len(read))
         elevation = np.full(part.shape, np.nan, np.float32)
-        reproject(
-            read,
-            elevation,
-            src_transform=t,
-            src_crs=stated,
-            src_nodata=np.nan,
-            dst_transform=part.transform(),
-            dst_crs=wanted,
-            dst_nodata=np.nan,
-            resampling=Resampling.bilinear,
-        )
+        given = {"src_transform": t, "src_crs": stated, "src_nodata": np.nan, "resampling": Resampling.bilinear}
+        into = {"dst_transform": part.transform(), "dst_crs": wanted, "dst_nodata": np.nan}
+        reproject(read, elevation, **given, **into)
     return elevation, part, tuple(heights.doubts)
 
 
@@ -203,13 +157,6 @@ def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridG
             f"{tuple(round(v) for v in bounds)}; give a DEM of this site"
         )
     return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
-
-
-def _turn(elevation: Float32Array) -> None:
-    """South-up to north-up, in place."""
-    for row in range(len(elevation) // 2):
-        north = elevation[row].copy()
-        elevation[row], elevation[-1 - row] = elevation[-1 - row], north
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str, ellipsoidal: bool = False) -> tuple[CRS, float | None]:
@@ -266,7 +213,20 @@ class Dem:
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
         south-up are turned. Raises RasterError: not readable, no CRS, one that is no map's or distorts distances,
         rotated, cells not square, or values that are no heights (see `heights_check`)."""
-        return cls(*read_heights(path, crs))
+        with open_raster(path) as source:
+            heights = StoredHeights.of(source, path, crs)
+            t, problem = source.transform, map_problem(heights.crs)
+            if problem is None and (t.b or t.d):
+                problem = f"rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)"
+            elif problem is None and (not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0):
+                problem = f"cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)"
+            if problem is None:
+                y_max = t.f if t.e < 0 else t.f + source.height * t.e
+                geometry = GridGeometry(t.c, y_max, t.a, source.width, source.height, name_of(heights.crs))
+                problem = scale_problem(heights.crs, geometry)
+            if problem is not None:
+                raise RasterError(f"{path}: {problem}")
+            return cls(heights.read(), geometry, tuple(heights.doubts))
 
     def in_frame(self, frame: SiteFrame) -> Dem:
         """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem, read_around
@@ -74,8 +74,21 @@ class DemStack(Dem):
     coarser: tuple[Dem, ...]
     """Coarser levels, finest first."""
 
-    def __init__(self, levels: Sequence[Dem]) -> None:
-        self._assemble([Dem(level.elevation.copy(), level.geometry) for level in levels[:-1]] + list(levels[-1:]))
+    def __init__(
+        self, levels: Sequence[Dem], doubts: tuple[HeightsDoubt, ...] = (), fitted: bool = False, own: bool = False
+    ) -> None:
+        """`fitted`: the levels are fitted to each other already. `own`: they may be written to; else they are
+        copied."""
+        if len(levels) < 2:
+            raise RasterError(f"a stack needs a fine and at least one coarser raster, got {len(levels)}")
+        levels = list(levels)
+        for k in () if fitted else range(len(levels) - 2, -1, -1):
+            fine, coarse = levels[k], levels[k + 1]
+            levels[k] = fine = _within(fine if own else Dem(fine.elevation.copy(), fine.geometry), coarse)
+            fill_holes(fine, coarse)
+            lead_over(fine, coarse)
+        super().__init__(levels[0].elevation, levels[0].geometry, doubts)
+        object.__setattr__(self, "coarser", tuple(levels[1:]))
 
     @classmethod
     def open(cls, path: Path | str, crs: str | None = None, *coarser: tuple[Path | str, str | None]) -> DemStack:
@@ -94,10 +107,7 @@ class DemStack(Dem):
             own, other = (sampled(level, finest.geometry) for level in (finest, levels[-1]))
             doubt = doubt_of_heights(own, other, str(path), str(place))
             doubts += [] if doubt is None else [doubt.required()]
-        stack = cls.__new__(cls)
-        stack._assemble(levels)
-        object.__setattr__(stack, "doubts", tuple(doubts))
-        return stack
+        return cls(levels, tuple(doubts), own=True)
 
     @property
     def levels(self) -> tuple[Dem, ...]:
@@ -106,7 +116,7 @@ class DemStack(Dem):
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
         """Return the same stack in a site's map frame; see `Dem.in_frame`."""
-        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels], self.doubts)
+        return DemStack([level.in_frame(frame) for level in self.levels], self.doubts, fitted=True)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Return the bilinear height at map points of the finest level over them; NaN beyond the coarsest and in
@@ -121,30 +131,6 @@ class DemStack(Dem):
             height[here] = level.elevation_at(x[here], y[here])
             left &= ~here
         return height
-
-    def _assemble(self, levels: list[Dem]) -> None:
-        """Check and fit levels, of which all but the last may be written to."""
-        if len(levels) < 2:
-            raise RasterError(f"a stack needs a fine and at least one coarser raster, got {len(levels)}")
-        for k in range(len(levels) - 2, -1, -1):
-            levels[k] = _within(levels[k], levels[k + 1])
-            fine, coarse = levels[k], levels[k + 1]
-            fill_holes(fine.elevation, fine.geometry, coarse.elevation, coarse.geometry)
-            lead_over(fine.elevation, fine.geometry, coarse.elevation, coarse.geometry)
-        self._hold(levels)
-
-    @classmethod
-    def of_fitted(cls, fitted: list[Dem], doubts: tuple[HeightsDoubt, ...] = ()) -> DemStack:
-        """Return a stack of levels, finest first, that are already fitted to each other."""
-        stack = cls.__new__(cls)
-        stack._hold(fitted)
-        object.__setattr__(stack, "doubts", doubts)
-        return stack
-
-    def _hold(self, levels: list[Dem]) -> None:
-        object.__setattr__(self, "elevation", levels[0].elevation)
-        object.__setattr__(self, "geometry", levels[0].geometry)
-        object.__setattr__(self, "coarser", tuple(levels[1:]))
 
 
 def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
@@ -168,17 +154,13 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
     for row in np.flatnonzero([np.isnan(heights).any() for heights in tops]):
         cols = np.flatnonzero(np.isnan(tops[row]))
         tops[row, cols] = ground.elevation_at(*surface.geometry.to_map(row, cols))
-    levels = [level for level in ground.levels if not _covers(surface.geometry, level.geometry)]
+    levels = [level for level in ground.levels if any(_excess(level.geometry, surface.geometry))]
     whole, doubts = Dem(tops, surface.geometry, ground.doubts + surface.doubts), ground.doubts + surface.doubts
     if not levels:
         return whole
     whole = _within(whole, levels[0])
-    lead_over(whole.elevation, whole.geometry, levels[0].elevation, levels[0].geometry)
-    return DemStack.of_fitted([whole, *levels], doubts)
-
-
-def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
-    return _excess(inner, outer) == (0, 0, 0, 0)
+    lead_over(whole, levels[0])
+    return DemStack([whole, *levels], doubts, fitted=True)
 
 
 def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, int]:
@@ -221,29 +203,24 @@ def _rounded(geometry: GridGeometry) -> tuple[int, ...]:
     return tuple(round(v) for v in geometry.bounds)
 
 
-def fill_holes(
-    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
-) -> None:
-    """Fill the holes of `fine` (H, W) from `coarse`, where that is known, in place."""
+def fill_holes(fine: Dem, coarse: Dem) -> None:
+    """Fill the holes of `fine` from `coarse`, where that is known, in place."""
     from ltm_core.raster.dem_seam_kernels import fill  # here, because most processes of a graph need no numba
 
-    fill(fine, coarse, *_places(fine_geometry, coarse_geometry))
+    fill(fine.elevation, coarse.elevation, *_places(fine.geometry, coarse.geometry))
 
 
-def lead_over(
-    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
-) -> None:
-    """Lead the border of `fine` (H, W) over to `coarse`, where that is known, in place."""
+def lead_over(fine: Dem, coarse: Dem) -> None:
+    """Lead the border of `fine` over to `coarse`, where that is known, in place."""
     from ltm_core.raster.dem_seam_kernels import blend  # here, as above
 
-    band = BAND * coarse_geometry.resolution / fine_geometry.resolution
-    blend(fine, coarse, *_places(fine_geometry, coarse_geometry), min(band, (min(fine.shape) - 1) / 4))
+    band = BAND * coarse.geometry.resolution / fine.geometry.resolution
+    band = min(band, (min(fine.elevation.shape) - 1) / 4)
+    blend(fine.elevation, coarse.elevation, *_places(fine.geometry, coarse.geometry), band)
 
 
 def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
     """Return where the fine rows and columns lie in the coarse raster."""
-    x, _ = fine.to_map(0, np.arange(fine.width))
-    _, y = fine.to_map(np.arange(fine.height), 0)
-    rows, _ = coarse.to_grid(coarse.x_min, y)
-    _, cols = coarse.to_grid(x, coarse.y_max)
+    rows, _ = coarse.to_grid(coarse.x_min, fine.to_map(np.arange(fine.height), 0)[1])
+    _, cols = coarse.to_grid(fine.to_map(0, np.arange(fine.width))[0], coarse.y_max)
     return rows, cols

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -121,81 +121,58 @@ def unit_of(source: Any, band: int, vertical: float | None, path: Path | str) ->
     return size
 
 
-@dataclass
-class HeightsSurvey:
-    """Find values that are no ground while a raster is read, strip by strip, and remove them afterwards."""
+def clean_heights(heights: Float32Array, resolution: float, path: Path | str) -> list[HeightsDoubt]:
+    """Replace values of heights (H, W) in metres that mark nodata by NaN, in place; return what may be wrong.
 
-    resolution: float
-    """Cell size in metres."""
-    odd: set[float] = field(default_factory=set)
-    lowest: float = math.inf
-    highest: float = -math.inf
-    zero: bool = False
-    nearest: float = math.inf
-    """Absolute height nearest to 0, apart from 0 itself."""
+    `resolution`: cell size in metres. Raises RasterError for other heights that no ground has."""
+    odd: set[float] = set()
+    lowest, highest, nearest, zero = math.inf, -math.inf, math.inf, False  # nearest: to 0, apart from 0 itself
+    for strip in _strips(heights):
+        strange = (strip < LOWEST) | (strip > HIGHEST)
+        if strange.any() and len(odd) <= _MOST_ODD:
+            odd.update(np.unique(strip[strange])[: _MOST_ODD + 1].tolist())
+        ground = strip[~strange & ~np.isnan(strip)]
+        lowest, highest = float(ground.min(initial=lowest)), float(ground.max(initial=highest))
+        nearest = float(np.abs(ground).min(initial=nearest, where=ground != 0))
+        zero = zero or not ground.all()
+    marks = _marks(odd, lowest, highest) | ({0.0} if zero and _APART < nearest < math.inf else set())
+    doubts, counts = [], dict.fromkeys(sorted(marks), 0)
+    for strip in _strips(heights) if marks else ():
+        for value in counts:
+            counts[value] += int((strip == np.float32(value)).sum())
+            strip[strip == np.float32(value)] = np.nan
+    if marks:
+        told = ", ".join(f"{value:.6g} ({cells} cells)" for value, cells in counts.items())
+        text = f"{path}: {told} cannot be ground there and is taken as nodata; declare it (gdal_edit -a_nodata)"
+        doubts.append(HeightsDoubt("nodata", text))
+    if odd - marks:
+        doubts.append(_impossible(heights, odd - marks, resolution, path).required())
+    return doubts
 
-    def add(self, strip: Float32Array) -> None:
-        """Survey a strip (h, W) of heights in metres; NaN is unknown."""
-        low, high = float(np.fmin.reduce(strip, axis=None)), float(np.fmax.reduce(strip, axis=None))
-        if low < LOWEST or high > HIGHEST:
-            odd = (strip < LOWEST) | (strip > HIGHEST)
-            if len(self.odd) <= _MOST_ODD:
-                self.odd.update(np.unique(strip[odd]).tolist()[: _MOST_ODD + 1])
-            strip = np.where(odd, np.float32(np.nan), strip)
-            low, high = float(np.fmin.reduce(strip, axis=None)), float(np.fmax.reduce(strip, axis=None))
-        if math.isnan(low):
-            return
-        self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
-        if low > 0 or high < 0:
-            self.nearest = min(self.nearest, low if low > 0 else -high)
-            return
-        apart = np.abs(strip[(strip != 0) & np.isfinite(strip)])
-        self.zero |= apart.size < int(np.isfinite(strip).sum())
-        self.nearest = min(self.nearest, float(apart.min(initial=np.inf)))
 
-    def finish(self, heights: Float32Array, path: Path | str) -> list[HeightsDoubt]:
-        """Replace marks for nodata in `heights` (H, W) by NaN, in place; return what may be wrong.
+def _marks(values: set[float], lowest: float, highest: float) -> set[float]:
+    """Return the impossible values that mark nodata: few, and far from all others and from the ground."""
+    odd = np.array(sorted(values))
+    if len(odd) > _MOST_ODD:
+        return set()
+    ground = [lowest, highest] if lowest <= highest else []
+    others = np.concatenate([[-np.inf], np.sort(np.concatenate([odd, ground])), [np.inf]])
+    at = np.searchsorted(others, odd)
+    alone = np.minimum(odd - others[at - 1], others[at + 1] - odd) > _APART
+    return set(odd[alone].tolist()) if alone.sum() <= _MOST_MARKS else set()
 
-        Raises RasterError for other heights that no ground has."""
-        marks, rest = self._marks()
-        doubts, counts = [], dict.fromkeys(sorted(marks), 0)
-        for strip in _strips(heights) if marks else ():
-            for value in counts:
-                counts[value] += int((strip == np.float32(value)).sum())
-                strip[strip == np.float32(value)] = np.nan
-        if marks:
-            told = ", ".join(f"{value:.6g} ({cells} cells)" for value, cells in counts.items())
-            text = f"{path}: {told} cannot be ground there and is taken as nodata; declare it (gdal_edit -a_nodata)"
-            doubts.append(HeightsDoubt("nodata", text))
-        if rest:
-            doubts.append(self._impossible(heights, rest, path).required())
-        return doubts
 
-    def _marks(self) -> tuple[set[float], set[float]]:
-        """Return the values that mark nodata, and the other impossible ones."""
-        odd = np.array(sorted(self.odd))
-        if len(odd) > _MOST_ODD:
-            return set(), self.odd
-        ground = [self.lowest, self.highest] if self.lowest <= self.highest else []
-        others = np.concatenate([[-np.inf], np.sort(np.concatenate([odd, ground])), [np.inf]])
-        at = np.searchsorted(others, odd)
-        alone = np.minimum(odd - others[at - 1], others[at + 1] - odd) > _APART
-        marks = set(odd[alone].tolist()) if alone.sum() <= _MOST_MARKS else set()
-        if self.zero and _APART < self.nearest < math.inf:
-            marks.add(0.0)
-        return marks, self.odd - marks
-
-    def _impossible(self, heights: Float32Array, values: set[float], path: Path | str) -> HeightsDoubt:
-        low, high = min(values), max(values)
-        said = f"{path}: heights of {low:.0f} to {high:.0f} m, ground is {LOWEST:.0f} to {HIGHEST:.0f} m"
-        if low < _DEEPEST or high > HIGHEST:
-            return HeightsDoubt("unit", f"{said}: convert its unit to metres, and declare its nodata value", True)
-        for strip in _strips(heights):
-            step = np.abs(np.diff(strip, axis=1))
-            if (step[np.minimum(strip[:, 1:], strip[:, :-1]) < LOWEST] > _TOO_STEEP * self.resolution + _APART).any():
-                text = f"{said}, with steps as beside an undeclared nodata value: declare that, and resample it again"
-                return HeightsDoubt("nodata", text, True)
-        return HeightsDoubt("sea", f"{said}: if that is the sea floor, give a raster of the land")
+def _impossible(heights: Float32Array, values: set[float], resolution: float, path: Path | str) -> HeightsDoubt:
+    low, high = min(values), max(values)
+    said = f"{path}: heights of {low:.0f} to {high:.0f} m, ground is {LOWEST:.0f} to {HIGHEST:.0f} m"
+    if low < _DEEPEST or high > HIGHEST:
+        return HeightsDoubt("unit", f"{said}: convert its unit to metres, and declare its nodata value", True)
+    for strip in _strips(heights):
+        step = np.abs(np.diff(strip, axis=1))
+        if (step[np.minimum(strip[:, 1:], strip[:, :-1]) < LOWEST] > _TOO_STEEP * resolution + _APART).any():
+            text = f"{said}, with steps as beside an undeclared nodata value: declare that, and resample it again"
+            return HeightsDoubt("nodata", text, True)
+    return HeightsDoubt("sea", f"{said}: if that is the sea floor, give a raster of the land")
 
 
 def _strips(heights: Float32Array) -> Any:

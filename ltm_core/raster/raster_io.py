@@ -163,29 +163,18 @@ def write_geotiff(
     bands = array if array.ndim == 3 else array[None]
     if bands.shape[1:] != geometry.shape:
         raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")
-    predictor = 3 if np.issubdtype(array.dtype, np.floating) else 2
-    options: dict[str, Any] = {
-        "driver": "GTiff",
-        "width": geometry.width,
-        "height": geometry.height,
-        "count": len(bands),
-        "dtype": array.dtype,
-        "crs": geometry.crs,
-        "transform": geometry.transform(),
-        "nodata": nodata,
-        "tiled": True,
-        "blockxsize": _BLOCK,
-        "blockysize": _BLOCK,
-        "compress": "deflate",
-        "predictor": predictor,
-    }
+    height, width = geometry.shape
+    options: dict[str, Any] = {"width": width, "height": height, "count": len(bands), "dtype": array.dtype}
+    options |= {"driver": "GTiff", "crs": geometry.crs, "transform": geometry.transform(), "nodata": nodata}
+    options |= {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "compress": "deflate"}
+    options["predictor"] = 3 if np.issubdtype(array.dtype, np.floating) else 2
     # GDAL keeps the errors of a disk that fills up while it writes to itself, and leaves half a file.
     with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB), MemoryFile() as memory:
         with memory.open(**options) as sink:
             # Strip after strip, every band of it: a block that left the cache half written would be written twice.
-            for row in range(0, geometry.height, _BLOCK):
+            for row in range(0, height, _BLOCK):
                 strip = bands[:, row : row + _BLOCK]
-                sink.write(strip, window=Window(0, row, geometry.width, strip.shape[1]))
+                sink.write(strip, window=Window(0, row, width, strip.shape[1]))
             if colormap is not None:
                 sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
             if tags:

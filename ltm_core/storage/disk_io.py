@@ -4,27 +4,16 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError
 
-
-def is_file(path: Path) -> bool:
-    """Return whether a file exists; False also for invalid names and unreadable places: until Python 3.14,
-    `Path.is_file` raises OSError for names that are too long."""
-    return os.path.isfile(path)  # noqa: PTH113
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether a folder exists; see `is_file`."""
-    return os.path.isdir(path)  # noqa: PTH112
-
-
-def is_there(path: Path) -> bool:
-    """Return whether a file, a folder or a device exists; see `is_file`."""
-    return os.path.exists(path)  # noqa: PTH110
+is_file, is_folder, is_there = os.path.isfile, os.path.isdir, os.path.exists
+"""Return whether a file, a folder, or anything exists; False also for invalid names and unreadable places, for which
+`Path.is_file` raises OSError until Python 3.14."""
 
 
 def folder_that_exists(path: Path) -> Path:
@@ -43,6 +32,15 @@ def make_folder(folder: Path) -> None:
         raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; create it first") from error
     except OSError as error:
         raise ConfigError(f"{folder}: not a usable folder ({error.strerror})") from error
+
+
+def sync(path: Path) -> None:
+    """Write a file's content, or a folder's names, to the disk, so that they outlive a power cut. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def disk_bytes(path: Path) -> int:
@@ -132,10 +130,8 @@ class DiskReserve:
 
     def give_up(self) -> None:
         """Release the reserve."""
-        try:
+        with suppress(OSError):
             self.path.unlink(missing_ok=True)
-        except OSError:
-            return
 
 
 @contextmanager
@@ -168,7 +164,10 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
             raise ConfigError(f"{file}: is a folder; give a file name for {what}")
         if is_there(file) and not overwrite:
             raise ConfigError(f"{file}: exists already; name another file, or replace it with --overwrite")
-        reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
+        if is_there(file):
+            reason = _why_not(partial(_open_and_close, file))
+        else:
+            reason = _why_not_into(file.parent) or _why_no_name(file)
         if reason is not None:
             raise ConfigError(f"{file}: cannot write {what} ({reason}): name another file")
 
@@ -178,24 +177,20 @@ def _why_not_into(folder: Path) -> str | None:
     there = folder_that_exists(folder.expanduser())
     if not is_folder(there):
         return f"{there} is not a folder"
-    try:
-        with tempfile.TemporaryFile(dir=there):
-            return _why_no_name(folder)
-    except OSError as error:
-        return error.strerror or str(error)
+    return _why_not(lambda: tempfile.TemporaryFile(dir=there).close()) or _why_no_name(folder)
 
 
 def _why_no_name(place: Path) -> str | None:
-    try:
-        place.exists()  # raises for a name that is too long
-    except OSError as error:
-        return error.strerror or str(error)
-    return None
+    return _why_not(place.exists)  # raises for a name that is too long
 
 
-def _why_not_over(file: Path) -> str | None:
+def _open_and_close(file: Path) -> None:
+    os.close(os.open(file, os.O_WRONLY))
+
+
+def _why_not(attempt: Callable[[], object]) -> str | None:
     try:
-        os.close(os.open(file, os.O_WRONLY))
+        attempt()
     except OSError as error:
         return error.strerror or str(error)
     return None

@@ -218,22 +218,17 @@ def _check_pixels(width: int, height: int, what: str) -> None:
         )
 
 
-def _by_opencv(data: bytes, what: str, reduced: int) -> UInt8Array:
-    flags = _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION
+def _png_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
+    if not _png_is_whole(data):
+        raise ImageError(f"{what} is truncated: its chunks state more bytes than it has")
+    _check_pixels(*stated_size(data, what), what)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ImageError(f"{what} cannot be decoded: {error.err}") from error
     if image is None:
         raise ImageError(f"{what} is corrupt: OpenCV cannot decode it")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
-
-
-def _png_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
-    if not _png_is_whole(data):
-        raise ImageError(f"{what} is truncated: its chunks state more bytes than it has")
-    _check_pixels(*stated_size(data, what), what)
-    return _by_opencv(data, what, reduced)
 
 
 def _png_is_whole(data: bytes) -> bool:
@@ -312,7 +307,7 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
     ended, tidy, strict = kinds[-1:] == [_IMAGE_END], False, True
     while True:
         try:
-            pixels = simplejpeg.decode_jpeg(data, "CMYK" if inks else "RGB", strict=strict, **size)
+            pixels: UInt8Array = simplejpeg.decode_jpeg(data, "CMYK" if inks else "RGB", strict=strict, **size)
         except ValueError as error:
             reason = str(error)
             if not ended and reason.startswith("Premature end"):
@@ -324,11 +319,9 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
             else:
                 raise ImageError(f"{what} is truncated or corrupt ({reason}); send or copy it again") from error
         else:
-            return _by_pillow(data, what, reduced) if inks else pixels
-
-
-def _by_pillow(data: bytes, what: str, reduced: int) -> UInt8Array:
-    """Decode a JPEG of printing inks."""
+            break
+    if not inks:
+        return pixels
     with opened_picture(data, what) as image:
         image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))
         return np.asarray(image.convert("RGB"), np.uint8)

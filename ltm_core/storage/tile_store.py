@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from math import prod
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from numpy.typing import NDArray
@@ -91,16 +90,12 @@ class TileStore:
             if not path.exists():
                 create_store(path, schema)
             database, stored = open_store(path, read_only=False)
-            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
-            try:
-                if differences := schema.differences(stored):
-                    raise ConfigError(
-                        f"{path}: not a store of this map: {differences}; move it away or name another file"
-                    )
-            except BaseException:
+            if differences := schema.differences(stored):
                 database.close()
-                raise
-            store = cls(database, schema, str(path), lock, kept_frames, reserve)
+                raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
+            store = cls(
+                database, schema, str(path), lock, kept_frames, DiskReserve(path.with_name(f".{path.name}.reserve"))
+            )
             store._hold()
             return store
         except BaseException:
@@ -138,9 +133,7 @@ class TileStore:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def keys(self) -> list[Key]:
@@ -256,8 +249,13 @@ class TileStore:
             reserve = self._reserve
             if reserve is None or not wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
                 raise
-            with _lent(reserve, self._db):
-                self._write(packed, frames, changes)
+            with reserve.lent():
+                try:
+                    self._write(packed, frames, changes)
+                finally:
+                    # What the transaction took beside the file is free again for the next.
+                    with contextlib.suppress(sqlite3.Error):
+                        self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self.strain = f"{error}; this was written to reserved space, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
@@ -281,15 +279,3 @@ class TileStore:
             if packed:
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
                 db.execute("DELETE FROM waiting")
-
-
-@contextlib.contextmanager
-def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
-    """Return the room that was held, for one transaction."""
-    with reserve.lent():
-        try:
-            yield
-        finally:
-            # What the transaction took beside the file is free again for the next.
-            with contextlib.suppress(sqlite3.Error):
-                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.storage.disk_io import sync
 from ltm_core.storage.tile_store_schema import FrameRecord, StoreSchema, compressed
 
 APPLICATION_ID = 0x4C544D31  # "LTM1"
@@ -76,11 +77,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
             db.executescript(TABLES)
             db.execute("INSERT INTO description VALUES (?)", (schema.described(),))
         partial.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)  # the name, too, must survive a power cut
-        finally:
-            os.close(folder)
+        sync(path.parent)  # the name, too, must survive a power cut
     except OSError as error:
         raise StoreError(f"{path}: cannot be created ({error.strerror}); check its folder and the disk") from error
 
@@ -217,13 +214,6 @@ def count_frames(db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord
     `most`: stamps kept per source.
 
     Raises ValueError where a frame has been counted already, ConfigError where the store is damaged."""
-    _count(db, frames, keep)
-    _touch(db, frames)
-    for source in {frame.source for frame in frames}:
-        _forget(db, name, source, most)
-
-
-def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) -> None:
     sources = {
         name: db.execute(
             "INSERT INTO sources (name, counted, kept) VALUES (?1, ?2, ?2) "
@@ -246,28 +236,19 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
                 if frame.payload
             ),
         )
-
-
-def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
-    """Count the frames of each tile, source and network in one row."""
-    touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
-    for frame in frames:
-        at = frame.stamp_ns
-        for row, col in frame.tiles:
-            key = row, col, frame.source, frame.model
-            count, first, last = touches.get(key, (0, at, at))
-            touches[key] = count + 1, min(first, at), max(last, at)
+    # The frames of each tile, source and network have one row.
     db.executemany(
-        "INSERT INTO touches SELECT ?, ?, id, ?, ?, ?, ? FROM sources WHERE name = ? "
-        "ON CONFLICT DO UPDATE SET frames = frames + excluded.frames, "
-        "first_ns = min(first_ns, excluded.first_ns), last_ns = max(last_ns, excluded.last_ns)",
-        [(row, col, model, *touch, source) for (row, col, source, model), touch in touches.items()],
+        "INSERT INTO touches VALUES (?1, ?2, ?3, ?4, 1, ?5, ?5) "
+        "ON CONFLICT DO UPDATE SET frames = frames + 1, first_ns = min(first_ns, ?5), last_ns = max(last_ns, ?5)",
+        [(*key, sources[frame.source], frame.model, frame.stamp_ns) for frame in frames for key in frame.tiles],
     )
+    for source, number in sources.items():
+        _forget(db, name, source, number, most)
 
 
-def _forget(db: sqlite3.Connection, name: str, source: str, most: int) -> None:
+def _forget(db: sqlite3.Connection, name: str, source: str, number: int, most: int) -> None:
     """Limit the stamps kept of a source to about the `most` newest."""
-    ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
+    ((kept,),) = checked_rows(db, name, "SELECT kept FROM sources WHERE id = ?", (number,), int)
     spare = kept - most
     if spare <= most // 20:
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from math import ceil, prod
 from typing import Annotated, Any
 
@@ -83,33 +84,21 @@ class StoreSchema:
 
     def described(self) -> str:
         """Return the schema as the JSON text that the file holds."""
-        return json.dumps(
-            {
-                "kind": self.kind,
-                "version": self.version,
-                "geometry": asdict(self.geometry),
-                "tile": self.tile,
-                "fields": {name: [f.stored.str, list(f.shape)] for name, f in self.fields.items()},
-                "terms": self.terms,
-            }
-        )
+        fields = {name: [f.stored.str, list(f.shape)] for name, f in self.fields.items()}
+        content = {"kind": self.kind, "version": self.version, "geometry": asdict(self.geometry), "tile": self.tile}
+        return json.dumps(content | {"fields": fields, "terms": self.terms})
 
     @classmethod
     def from_description(cls, text: str, place: str) -> StoreSchema:
         """Return the schema from `described`. Raises ConfigError on any other text; `place` is its place."""
         try:
             content = _Description.model_validate_json(text)
-            schema = cls(
-                content.kind,
-                content.version,
-                GridGeometry(**asdict(content.geometry)),
-                content.tile,
-                {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content.fields.items()},
-                content.terms,
-            )
         except ValidationError as error:
             found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
             raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+        fields = {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content.fields.items()}
+        geometry = GridGeometry(**asdict(content.geometry))
+        schema = cls(content.kind, content.version, geometry, content.tile, fields, content.terms)
         size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
         if size > LARGEST_TILE:
             raise ConfigError(f"{place}: its description states tiles of {size} bytes; the limit is {LARGEST_TILE}")
@@ -120,6 +109,12 @@ class StoreSchema:
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
 
+    @cached_property
+    def _layout(self) -> np.dtype[Any]:
+        """All arrays of a tile, one after the other."""
+        side = (self.tile, self.tile)
+        return np.dtype([(name, spec.stored, side + spec.shape) for name, spec in self.fields.items()])
+
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
         """Return a tile as compressed bytes with a checksum. Raises ValueError for arrays that do not fit the
         schema."""
@@ -128,31 +123,22 @@ class StoreSchema:
             raise ValueError(f"tile {key} is outside a grid of {across} tiles")
         if arrays.keys() != self.fields.keys():
             raise ValueError(f"a tile of {self.kind} has {sorted(self.fields)}, got {sorted(arrays)}")
-        parts = []
-        for name, spec in self.fields.items():
-            array, shape = arrays[name], (self.tile, self.tile, *spec.shape)
-            if array.shape != shape or array.dtype.newbyteorder("<") != spec.stored:
-                raise ValueError(
-                    f"field {name} of a tile is {array.shape} {array.dtype}, must be {shape} {spec.stored}"
-                )
-            parts.append(np.ascontiguousarray(array, spec.stored).tobytes())
-        return compressed(b"".join(parts))
+        whole = np.empty((), self._layout)
+        for name, array in arrays.items():
+            wanted = self._layout[name]
+            if (array.dtype.newbyteorder("<"), array.shape) != (wanted.base, wanted.shape):
+                raise ValueError(f"field {name} of a tile is {array.shape} {array.dtype}, must be {wanted}")
+            whole[name] = array
+        return compressed(whole.tobytes())
 
     def unpack(self, content: bytes) -> Tile:
         """Return the arrays of packed bytes; they are writable. Raises ConfigError for damaged bytes."""
-        shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
-        sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
-        whole = decompressed(content, sum(sizes.values()))
-        if len(whole) != sum(sizes.values()):
-            raise ConfigError(
-                f"the store's content is damaged: {len(whole)} bytes instead of {sum(sizes.values())}; restore it"
-            )
-        arrays, offset = {}, 0
-        for name, spec in self.fields.items():
-            part = np.frombuffer(whole, spec.stored, prod(shapes[name]), offset)
-            arrays[name] = part.reshape(shapes[name]).astype(np.dtype(spec.dtype).newbyteorder("="))
-            offset += sizes[name]
-        return arrays
+        size = self._layout.itemsize
+        whole = decompressed(content, size)
+        if len(whole) != size:
+            raise ConfigError(f"the store's content is damaged: {len(whole)} bytes instead of {size}; restore it")
+        tile = np.frombuffer(whole, self._layout)[0]
+        return {name: tile[name].astype(np.dtype(spec.dtype).newbyteorder("=")) for name, spec in self.fields.items()}
 
 
 @dataclass(frozen=True)

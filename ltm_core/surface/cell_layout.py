@@ -1,15 +1,13 @@
 """Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
-Values that are read together lie together, to save cache lines. A *place* numbers a cell as the tiles do: tile x TILE^2
-+ the cell in its tile, both in row-major order."""
+A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Int32Array, Int64Array, RecordArray, UInt8Array
@@ -21,59 +19,36 @@ TILE_BITS = 6
 CELLS = TILE * TILE
 PLACE_BITS = 2 * TILE_BITS
 
-
-ESTIMATE = np.dtype(
+CELL = np.dtype(
     [("dz", "f4"), ("looks", "f4"), ("weight", "f4"), ("relative_variance", "f4"), ("pose_variance", "f4"),
-     ("first", "u4"), ("last", "u4"), ("cameras", "u4"), ("base", "f4"), ("c_dz", "f4"), ("c_looks", "f4"),
-     ("frames", "u2"), ("kind", "u1"), ("_", "u1")]
+     ("first", "u4"), ("last", "u4"), ("cameras", "u4"), ("frames", "u2"), ("base", "f4"), ("c_dz", "f4"),
+     ("c_looks", "f4"), ("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"),
+     ("c_first", "u4"), ("c_last", "u4"), ("c_cameras", "u4"), ("c_frames", "u2"), ("kind", "u1"), ("shift", "f4"),
+     ("since", "u4"), ("watched", "u4")],
+    align=True,
 )  # fmt: skip
-"""Fields that every observation of a cell reads: 48 bytes."""
-CANDIDATE = np.dtype(
-    [("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
-     ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
-)  # fmt: skip
-"""Fields read only by observations that contradict the estimate, and by labels."""
-DECISION = np.dtype([("shift", "f4"), ("since", "u4")])
-"""Fields that no observation reads: the decision on change."""
+"""State of a cell.
 
-_STORED = (
-    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames",
-    "base", "c_dz", "c_looks", "c_weight", "c_relative_variance", "c_pose_variance", "c_first", "c_last", "c_cameras",
-    "c_frames",
-    "kind", "shift", "since", "watched",
-)  # fmt: skip
-_BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
-FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) for name in _STORED}
+Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and `weight`,
+that of share / variance; `relative_variance`, the mean of that of a shift of the whole stand, and `pose_variance`;
+`first`, `last` seen (s), `cameras` (a bit each), `frames`. `base`: the canopy that the first observations found (0 with
+a surface raster, NaN before). Of the candidate: the same, with c_. Of an accepted change: `kind`, smoothed `shift`,
+`since`. `watched`: the cameras whose labels have shown for an hour that something stands."""
+FIELDS = {name: Field(CELL[name]) for name in CELL.names or ()}
 """Fields of a tile in the store, in its order."""
-CELL_BYTES = ESTIMATE.itemsize + CANDIDATE.itemsize + DECISION.itemsize + 1
 
 
 class TileCells(NamedTuple):
-    """State of the tiles in memory, (slots, cells of a tile) each.
+    """State of the tiles in memory, (slots, cells of a tile) each: `records` of CELL; `high`, 1 if an estimate or a
+    candidate may be high enough above the reference to be looked for in images."""
 
-    Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and
-    `weight`, that of share / variance; `relative_variance`, the mean of that of a shift of the whole stand, and
-    `pose_variance`; `first`, `last` seen (s), `cameras` (a bit each), `frames`. `base`: the canopy
-    that the first observations found (0 with a surface raster, NaN before). `watched`: the cameras whose labels have
-    shown for an hour that something stands. Of the candidate: the same, with c_. Of an accepted change: kind, smoothed
-    `shift`, since. `high`: 1 if an estimate or a candidate may be high enough above the reference to be looked for
-    in images."""
-
-    estimate: RecordArray
-    candidate: RecordArray
-    decision: RecordArray
+    records: RecordArray
     high: UInt8Array
 
     @classmethod
     def empty(cls, slots: int) -> TileCells:
         """Return cells with arbitrary content; memory is allocated on use."""
-        estimate, candidate, decision = (np.empty((slots, CELLS), dtype) for dtype in (ESTIMATE, CANDIDATE, DECISION))
-        return cls(estimate, candidate, decision, np.empty((slots, CELLS), np.uint8))
-
-    def field(self, name: str) -> NDArray[Any]:
-        """Return one of FIELDS, (slots, cells of a tile), a view."""
-        blocks = (self.estimate, self.candidate, self.decision)
-        return blocks[_BLOCK_OF[name]][name]
+        return cls(np.empty((slots, CELLS), CELL), np.empty((slots, CELLS), np.uint8))
 
 
 @helper(inline="always")
@@ -108,13 +83,8 @@ class FrameSums(NamedTuple):
     @classmethod
     def empty(cls, most: int, tiles: int) -> FrameSums:
         """Return sums for at most `most` cells of a grid of `tiles` tiles; memory is allocated on use."""
-        return cls(
-            np.zeros(2, np.int64),
-            np.empty(most, SUM),
-            np.empty(tiles, np.int32),
-            np.full(tiles, -1, np.int32),
-            np.zeros((tiles, CELLS), np.int32),
-        )
+        numbers, at = np.full(tiles, -1, np.int32), np.zeros((tiles, CELLS), np.int32)
+        return cls(np.zeros(2, np.int64), np.empty(most, SUM), np.empty(tiles, np.int32), numbers, at)
 
     @property
     def seen_tiles(self) -> Int32Array:

@@ -79,17 +79,6 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
     return min(max((float(seconds) - float(last)) / independent_after, 1e-3), 1.0)
 
 
-@helper(inline="always")
-def _remembered(seconds: int, last: int, lasting: float) -> float:
-    """Return what is left of the weight of looks that ended with `last`."""
-    passed = float(seconds) - float(last)
-    if not passed > 0:
-        return 1.0
-    age = passed / lasting
-    # Of a few hours, the series to its second term is exact to float32, and takes a tenth of the time.
-    return 1.0 - age + 0.5 * age * age if age < 1e-3 else math.exp(-age)
-
-
 @kernel()
 def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
@@ -97,7 +86,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
     observed, count = 0, sums.used[0]
     for i in range(count):
         ahead = sums.cells[min(i + _AHEAD, count - 1)].place
-        prefetch(cells.estimate, slots[ahead >> PLACE_BITS] * CELLS + (ahead & (CELLS - 1)))
+        prefetch(cells.records, slots[ahead >> PLACE_BITS] * CELLS + (ahead & (CELLS - 1)))
         one = sums.cells[i]
         slot = slots[one.place >> PLACE_BITS]
         if slot < 0:
@@ -133,7 +122,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
             # That something has gone is no surer than that the ray has passed; how low the cell is then, is.
             relative_variance, bounded = max(variance, (dz / one.passed) ** 2), True
         update_cell(cells, slot, k, dz, variance, relative_variance, pose, bounded, seconds, bit, wait, rules)
-        e = cells.estimate[slot, k]
+        e = cells.records[slot, k]
         if (e.looks > 0 and e.dz > rules.looked_for) or (e.c_looks > 0 and e.c_dz > rules.looked_for):
             cells.high[slot, k] = 1
     return observed
@@ -152,10 +141,10 @@ def _told(
     """Return the height of a cell in which something stood, by its labels, its variance (at which a normal distribution
     would separate the two heights by the labels' log odds), and the pose's part of it. A camera that has seen for an
     hour that it stands has far better odds."""
-    e, c = cells.estimate[slot, k], cells.candidate[slot, k]
+    e = cells.records[slot, k]
     share = one.gone / (one.gone + one.stays)
     odds, pose = (one.gone + one.stays) / one.labelled, one.labelled_pose / one.labelled
-    if c.watched & bit:
+    if e.watched & bit:
         odds = max(odds, np.float32(WATCHED))
     elif (
         share < _STANDS
@@ -164,7 +153,7 @@ def _told(
         and e.dz > -_STANDS * one.stood
         and float(seconds) - float(e.first) >= rules.independent_after
     ):
-        c.watched |= bit
+        e.watched |= bit
     variance = one.stood * one.stood * (np.float32(0.5) / odds + share * (1 - share)) + pose
     return -share * one.stood, variance, pose
 
@@ -188,7 +177,7 @@ def update_cell(
     variance of the change of the stand about the cell. `wait`: seconds after which one camera's contradicting
     observations are independent."""
     # Does the observation agree with the estimate, and with the candidate that contradicts it?
-    e, c = cells.estimate[slot, k], cells.candidate[slot, k]
+    e = cells.records[slot, k]
     known = e.looks > 0
     if known:
         here = e.dz
@@ -203,7 +192,7 @@ def update_cell(
     c_miss, c_slack = 0.0, 0.0
     if pending:
         c_miss = dz - e.c_dz
-        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeated_error_share)
+        c_doubt = mean_variance(e.c_looks, e.c_weight, e.c_pose_variance, e.c_cameras, rules.repeated_error_share)
         c_slack = rules.gate * math.sqrt(c_doubt + variance)
     # It agrees: a further look of the estimate.
     if agrees:
@@ -213,7 +202,8 @@ def update_cell(
             e.first = seconds
             e.last = seconds
         share = _share(seconds, e.last, e.cameras, bit, rules.independent_after)
-        kept = _remembered(seconds, e.last, rules.lasting)
+        # What is left of the weight of looks that ended with the last.
+        kept = math.exp(-max(float(seconds) - float(e.last), 0.0) / rules.lasting)
         looks = kept * e.looks + share
         weight = kept * e.weight + share / variance
         e.dz = here + share / variance / weight * miss if known else dz
@@ -236,34 +226,34 @@ def update_cell(
     if not joins:
         e.c_dz = dz
         e.c_looks = 1
-        c.c_weight = 1 / variance
+        e.c_weight = 1 / variance
         # A deviation from the stand is evidence for the own cell only.
-        c.c_relative_variance = max(variance, relative_variance)
-        c.c_pose_variance = pose
-        c.c_first = c.c_last = seconds
-        c.c_cameras = bit
-        c.c_frames = 1
+        e.c_relative_variance = max(variance, relative_variance)
+        e.c_pose_variance = pose
+        e.c_first = e.c_last = seconds
+        e.c_cameras = bit
+        e.c_frames = 1
         return
     if not bounded or c_miss < 0:
-        share = _share(seconds, c.c_last, c.c_cameras, bit, rules.independent_after)
+        share = _share(seconds, e.c_last, e.c_cameras, bit, rules.independent_after)
         looks = e.c_looks + share
-        weight = c.c_weight + share / variance
+        weight = e.c_weight + share / variance
         e.c_dz += share / variance / weight * c_miss
-        c.c_relative_variance += share / looks * (max(variance, relative_variance) - c.c_relative_variance)
-        c.c_pose_variance += share / looks * (pose - c.c_pose_variance)
-        e.c_looks, c.c_weight = looks, weight
-    c.c_first = min(c.c_first, seconds)
-    c.c_last = max(c.c_last, seconds)
-    c.c_cameras |= bit
-    c.c_frames = min(c.c_frames + 1, 65535)
+        e.c_relative_variance += share / looks * (max(variance, relative_variance) - e.c_relative_variance)
+        e.c_pose_variance += share / looks * (pose - e.c_pose_variance)
+        e.c_looks, e.c_weight = looks, weight
+    e.c_first = min(e.c_first, seconds)
+    e.c_last = max(e.c_last, seconds)
+    e.c_cameras |= bit
+    e.c_frames = min(e.c_frames + 1, 65535)
     # The candidate becomes the estimate when independent looks agree on it.
-    passing = e.c_dz > TALL and e.c_looks < TALL_LOOKS and _bits(c.c_cameras) < 2
-    if not passing and independent(c.c_cameras, c.c_first, c.c_last, wait, rules.settle):
+    passing = e.c_dz > TALL and e.c_looks < TALL_LOOKS and _bits(e.c_cameras) < 2
+    if not passing and independent(e.c_cameras, e.c_first, e.c_last, wait, rules.settle):
         e.dz = e.c_dz
         e.looks = min(e.c_looks, rules.memory)
-        e.weight = c.c_weight * e.looks / e.c_looks
-        e.relative_variance = c.c_relative_variance
-        e.pose_variance = c.c_pose_variance
-        e.first, e.last = c.c_first, c.c_last
-        e.cameras, e.frames = c.c_cameras, c.c_frames
+        e.weight = e.c_weight * e.looks / e.c_looks
+        e.relative_variance = e.c_relative_variance
+        e.pose_variance = e.c_pose_variance
+        e.first, e.last = e.c_first, e.c_last
+        e.cameras, e.frames = e.c_cameras, e.c_frames
         e.c_looks = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
-from ltm_core.storage.tile_store import Key
-from ltm_core.storage.tile_store_schema import Tile
-from ltm_core.surface.cell_layout import TILE
 from ltm_core.surface.cell_update import Rules, independent, mean_variance
 from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.tile_pool import TilePool, Window
 
 SMOOTHING = 1.5
 """Deviation in metres of the Gaussian over which neighbours are averaged."""
@@ -143,8 +141,6 @@ _WEAKLY_SURE, _WEAKLY_CHANGED = 0.33, 0.75
 _COMPATIBLE = 2.0
 """Number of deviations by which a cell's own estimate may differ from its neighbours' shift without contradiction."""
 
-Window = tuple[int, int, int, int]
-
 
 class ChangeKind(IntEnum):
     """Kind of change of a cell."""
@@ -177,34 +173,10 @@ class Changed:
     def joined(self, other: Changed) -> Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
-    def within(self, mask: BoolArray, window: Window) -> Changed:
-        """Return only the cells in `mask`, whose first cell is the window's."""
-        kept = mask[self.rows - window[0], self.cols - window[1]]
-        return Changed(*(getattr(self, f.name)[kept] for f in fields(self)))
-
 
 def margin_of(resolution: float) -> int:
     """Return the number of cells beyond a window that influence cells inside it."""
     return math.ceil(REACH * WIDE / resolution)
-
-
-def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Return fields of the cells of a window, (h, w) each, zero where unseen. The window may start anywhere."""
-    row, col, height, width = window
-    parts: dict[str, NDArray[Any]] = {}
-    for tile_row in range(row // TILE, (row + height - 1) // TILE + 1):
-        for tile_col in range(col // TILE, (col + width - 1) // TILE + 1):
-            tile = peek((tile_row, tile_col))
-            if tile is None:
-                continue
-            r, c = tile_row * TILE - row, tile_col * TILE - col
-            top, left = max(-r, 0), max(-c, 0)
-            bottom, right = min(height - r, TILE), min(width - c, TILE)
-            for name in names:
-                if name not in parts:
-                    parts[name] = np.zeros((height, width), tile[name].dtype)
-                parts[name][r + top : r + bottom, c + left : c + right] = tile[name][top:bottom, left:right]
-    return parts
 
 
 _OF_ESTIMATE = ("looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras")
@@ -212,13 +184,14 @@ _NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "watched")
 
 
 def decide(
-    peek: Callable[[Key], Tile | None], reference: Reference, window: Window, config: TerrainConfig, rules: Rules
+    pool: TilePool, reference: Reference, window: Window, core: BoolArray, config: TerrainConfig, rules: Rules
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
-    """Return the changes in a window, and its new fields base, kind, shift and since, (h, w) each.
+    """Return the changes in the `core` of a window, (h, w) bool, and the window's new fields base, kind, shift and
+    since, (h, w) each.
 
     Change is where the smoothed shift exceeds the threshold and is significant, and the connected cells around it that
     moved the same way; regions smaller than `min_area` are left out."""
-    parts = mosaic(peek, window, _NEEDED)
+    parts = pool.mosaic(window, _NEEDED)
     row, col, height, width = window
     part = slice(row, row + height), slice(col, col + width)
     ground, surface = reference.bare[part], reference.surface[part]
@@ -254,7 +227,7 @@ def decide(
     below = stood + shift < -config.threshold
     kind[kept & (shift > 0)] = ChangeKind.GROWN
     kind[kept & (shift < 0)] = np.where(below, ChangeKind.LOWERED, ChangeKind.REMOVED)[kept & (shift < 0)]
-    new = kind != parts["kind"]
+    new = core & (kind != parts["kind"])
     begun = new & (kind > 0)
     since = np.where(begun, parts["last"], np.where(kind > 0, parts["since"], 0)).astype(np.uint32)
     own = own_shift(cells, variance, shift, reference.geometry.resolution)
@@ -302,8 +275,8 @@ def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArra
 def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
     """Return the variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both
     infinite without an estimate), and whether independent views made it."""
-    variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
-    return variance, relative_variance, sure
+    summary: tuple[Float32Array, Float32Array, BoolArray] = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
+    return summary
 
 
 @kernel()

@@ -15,10 +15,6 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Arra
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, DemStack
-from ltm_core.raster.prepared_heights_io import own_copy
-
-_ROWS = 256
-"""Number of rows of a raster that are processed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +71,7 @@ class ConfirmedSurface:
             return given
         places, heights = self._places()[used], heights[used]
         levels = [self._level(level, places, heights) for level in given.levels]
-        return DemStack.of_fitted(levels) if len(levels) > 1 else levels[0]
+        return DemStack(levels, fitted=True) if len(levels) > 1 else levels[0]
 
     def _level(self, level: Dem, places: Int64Array, heights: Float32Array) -> Dem:
         """Return one raster, each node of which takes the height of the changed cell in which it lies."""
@@ -86,15 +82,14 @@ class ConfirmedSurface:
         first, last = grid.to_grid(west, north), grid.to_grid(east, south)
         top, left = (max(0, int(np.ceil(v))) for v in first)
         bottom, right = (min(n - 1, int(np.floor(v))) for v, n in zip(last, grid.shape, strict=True))
-        elevation = own_copy(level.elevation)
-        col = np.arange(left, right + 1)
-        for start in range(top, bottom + 1, _ROWS):
-            row = np.arange(start, min(start + _ROWS, bottom + 1))
-            x, y = grid.to_map(row[:, None], col[None, :])
-            in_row, in_col = cells.cell_of(*np.broadcast_arrays(x, y))
-            place = np.where(cells.contains(in_row, in_col), in_row * cells.width + in_col, -1)
+        elevation = level.elevation.copy()
+        x, y = grid.to_map(np.arange(top, bottom + 1), np.arange(left, right + 1))
+        in_row, in_col = cells.cell_of(x, y)
+        inside = (in_col >= 0) & (in_col < cells.width)
+        for row, of_cells in enumerate(in_row, start=top):
+            place = np.where(inside, of_cells * cells.width + in_col, -1)
             at = np.minimum(np.searchsorted(places, place), len(places) - 1)
-            part = elevation[row[0] : row[-1] + 1, left : right + 1]
+            part = elevation[row, left : right + 1]
             hit = (places[at] == place) & np.isfinite(part)
             part[hit] = heights[at[hit]]
         return Dem(elevation, grid)

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltm_core.base.kernels import kernel, prefetch
+from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.surface.cell_layout import CELLS, TILE, TileCells
+from ltm_core.surface.cell_layout import TILE, TileCells
 from ltm_core.surface.cell_update import Rules, update_cell
 from ltm_core.surface.observation_kernel import Pixels
 
@@ -23,43 +23,16 @@ there are ignored."""
 FIRM_LOOKS = 2.5
 """Number of observations above which independent views are needed to revert growth; below, one view through it is
 enough."""
-_AT_ONCE = 4 * CELLS
-_WIDER = 1.05
-"""Factor on a camera's view within which objects are looked up and their pixels computed."""
 
 
 class ElevatedCells(NamedTuple):
-    """Cells in memory with an object above the reference, (N,) each: slot, cell of the tile, map coordinates of a point
-    well inside the object, its distance, its height above the reference, and whether it is a candidate."""
+    """Cells in memory with an object above the reference, (N,) each: slot, cell of the tile, the object's height above
+    the reference in metres, and whether it is a candidate."""
 
     slot: Int32Array
     cell: Int32Array
-    point: Float64Array
-    away: Float64Array
     dz: Float32Array
     candidate: BoolArray
-
-    @classmethod
-    def empty(cls, count: int) -> ElevatedCells:
-        """Return an empty array with room for `count` cells."""
-        point, away = np.empty((count, 3)), np.empty(count)
-        dz, candidate = np.empty(count, np.float32), np.empty(count, np.bool_)
-        return cls(np.empty(count, np.int32), np.empty(count, np.int32), point, away, dz, candidate)
-
-    def where(self, part: slice | BoolArray) -> ElevatedCells:
-        return ElevatedCells(*(array[part] for array in self))  # type: ignore[arg-type]
-
-
-class CameraBounds(NamedTuple):
-    """Position and maximum view of a camera: position, rotation to the map, |x / z| and |y / z| of its rays, and the
-    minimum and maximum distance of objects."""
-
-    position: Float64Array
-    rotation: Float64Array
-    aside: float
-    upwards: float
-    nearest: float
-    farthest: float
 
 
 def see_through(
@@ -74,124 +47,53 @@ def see_through(
     bit: int,
     rules: Rules,
     reach: tuple[float, float],
-) -> int:
+) -> None:
     """Drop objects that this image sees through, also those that it has brought itself, because what hovers is smoke or
-    a bird; count it against growth that several observations have seen. Return the number of cells.
+    a bird; count it against growth that several observations have seen.
 
     `places`: (N, 3) slot, tile row and tile column of the tiles in memory. `camera`: of the pixels in use. `reach`:
     minimum and maximum distance of objects in metres."""
-    rows, cols = (np.append(np.arange(0, n - 1, 16), n - 1) for n in (camera.height, camera.width))
-    rays = camera.rays()[np.ix_(rows, cols)]
-    aside, upwards = (_WIDER * float(np.abs(rays[..., i] / rays[..., 2]).max()) for i in (0, 1))
-    place = CameraBounds(
-        np.ascontiguousarray(pose.position), np.ascontiguousarray(pose.rotation), aside, upwards, *map(float, reach)
-    )
-    corner = geometry.x_min, geometry.y_max, geometry.resolution
-    # A few thousand at a time: what is computed of them stays in the processor's caches.
-    room, begin, seen = ElevatedCells.empty(_AT_ONCE), 0, 0
-    while begin < len(places):
-        count, begin = _find(cells, places, begin, surface, corner, rules.looked_for, place, room)
-        some = room.where(slice(0, count))
-        through = _seen_through(some, camera, pose, pixels, rules.gate)
-        seen += _apply(cells, some.where(through), seconds, bit, rules)
-    return seen
-
-
-def _seen_through(standing: ElevatedCells, camera: Camera, pose: Pose, pixels: Pixels, gate: float) -> BoolArray:
-    at = camera.project(pose.to_optical(standing.point))
+    tile, cell = np.nonzero(cells.high[places[:, 0]])
+    slot, top, left = places[tile].T
+    records = cells.records[slot, cell]
+    tall = [(records[c + "looks"] > 0) & (records[c + "dz"] > rules.looked_for) for c in ("c_", "")]
+    cells.high[slot, cell] = tall[0] | tall[1]
+    # Of each cell the candidate comes first, then the estimate.
+    which = np.concatenate([np.flatnonzero(one) for one in tall])
+    candidate = np.arange(len(which)) < np.count_nonzero(tall[0])
+    dz = np.where(candidate, records["c_dz"][which], records["dz"][which])
+    row = np.minimum(top * TILE + cell // TILE, len(surface) - 1)[which]
+    col = np.minimum(left * TILE + cell % TILE, surface.shape[1] - 1)[which]
+    point = np.stack([*geometry.to_map(row, col), surface[row, col] + INSIDE * dz.astype(np.float64)], axis=-1)
+    away = np.linalg.norm(point - pose.position, axis=1)
+    near = np.flatnonzero((reach[0] < away) & (away < reach[1]))
+    at = camera.project(pose.to_optical(point[near])) - 0.5
     with np.errstate(invalid="ignore"):
-        inside = (
-            (at[:, 0] > 0.5) & (at[:, 1] > 0.5) & (at[:, 0] < camera.width - 1.5) & (at[:, 1] < camera.height - 1.5)
-        )
-    u, v = (np.where(inside, at[:, i], 1).round().astype(np.int32) for i in (0, 1))
-    return np.asarray(inside & _passed(u, v, standing.away, pixels, gate), np.bool_)
+        inside = ((at > 0) & (at < (camera.width - 2, camera.height - 2))).all(axis=1)
+    u, v = (at[inside] + 0.5).round().astype(np.int32).T
+    kept = near[inside]
+    kept = kept[_passed(u, v, away[kept], pixels, rules.gate)]
+    seen = ElevatedCells(slot[which[kept]], cell[which[kept]].astype(np.int32), dz[kept], candidate[kept])
+    _apply(cells, seen, seconds, bit, rules)
 
 
-@kernel()
 def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
     """Return whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than
     `away`."""
-    found = np.ones(len(u), np.bool_)
-    step = pixels.step
-    for i in range(len(u)):
-        for row in range(v[i] - 1, v[i] + 2):
-            for col in range(u[i] - 1, u[i] + 2):
-                along = pixels.cosines[row, col]
-                reached, doubt = (
-                    pixels.depth[row * step, col * step] / along,
-                    pixels.sigma[row * step, col * step] / along,
-                )
-                surely = reached == np.inf or (doubt > 0 and reached - gate * doubt > away[i])
-                if not (pixels.informs[row * step, col * step] and surely):
-                    found[i] = False
-                    break
-            if not found[i]:
-                break
-    return found
+    rows = v[:, None] + np.repeat([-1, 0, 1], 3)
+    cols = u[:, None] + np.tile([-1, 0, 1], 3)
+    along, at = pixels.cosines[rows, cols], (rows * pixels.step, cols * pixels.step)
+    reached, doubt = pixels.depth[at] / along, pixels.sigma[at] / along
+    with np.errstate(invalid="ignore"):
+        surely = (doubt > 0) & (reached - np.float64(gate) * doubt > away[:, None])
+    return np.asarray(((pixels.informs[at] > 0) & ((reached == np.inf) | surely)).all(axis=1))
 
 
 @kernel()
-def _find(
-    cells: TileCells,
-    places: Int32Array,
-    begin: int,
-    surface: Float32Array,
-    corner: tuple[float, float, float],
-    least: float,
-    place: CameraBounds,
-    found: ElevatedCells,
-) -> tuple[int, int]:
-    """Fill `found` with cells higher than `least` that the camera may see, from the tile `begin` of `places` on; return
-    their number, and where to go on. `corner`: x and y of the grid's north-west corner, and its cell size."""
-    count = 0
-    height, width = surface.shape
-    m = place.rotation
-    high = np.empty(CELLS, np.int32)
-    for number in range(begin, len(places)):
-        if count + 2 * CELLS > len(found.slot):
-            return count, number
-        slot, top, left = places[number, 0], places[number, 1] * TILE, places[number, 2] * TILE
-        listed = 0
-        for k in range(CELLS):
-            if cells.high[slot, k]:
-                high[listed] = k
-                listed += 1
-                prefetch(cells.estimate, slot * CELLS + k)
-                prefetch(surface, (top + k // TILE) * width + left + k % TILE)
-        for k in high[:listed]:
-            e = cells.estimate[slot, k]
-            cells.high[slot, k] = 0
-            for candidate in (True, False):
-                dz = e.c_dz if candidate else e.dz
-                if not ((e.c_looks if candidate else e.looks) > 0 and dz > least):
-                    continue
-                cells.high[slot, k] = 1
-                row = min(top + k // TILE, height - 1)
-                col = min(left + k % TILE, width - 1)
-                x = corner[0] + (col + 0.5) * corner[2]
-                y = corner[1] - (row + 0.5) * corner[2]
-                z = surface[row, col] + INSIDE * np.float64(dz)
-                px, py, pz = x - place.position[0], y - place.position[1], z - place.position[2]
-                away = np.sqrt(px * px + py * py + pz * pz)
-                ahead = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz
-                if (
-                    not place.nearest < away < place.farthest
-                    or abs(m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz) > place.aside * ahead
-                    or abs(m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz) > place.upwards * ahead
-                ):
-                    continue
-                found.slot[count], found.cell[count] = slot, k
-                found.point[count, 0], found.point[count, 1], found.point[count, 2] = x, y, z
-                found.away[count], found.dz[count], found.candidate[count] = away, dz, candidate
-                count += 1
-    return count, len(places)
-
-
-@kernel()
-def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, rules: Rules) -> int:
+def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, rules: Rules) -> None:
     for i in range(len(standing.slot)):
         slot, k = standing.slot[i], standing.cell[i]
-        e = cells.estimate[slot, k]
+        e = cells.records[slot, k]
         if standing.candidate[i]:
             e.c_looks = 0
         elif e.looks < FIRM_LOOKS:
@@ -203,4 +105,3 @@ def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, ru
             update_cell(
                 cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules.independent_after, rules
             )
-    return len(standing.slot)

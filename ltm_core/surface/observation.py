@@ -79,19 +79,7 @@ def add_labels(
 _WIDEST_WINDOW = 24
 """Maximum window in pixels; if a pose is so uncertain that a silhouette may lie further off, silhouettes carry no
 information."""
-
-
-@dataclass(frozen=True, eq=False)
-class LabelImage:
-    """Label image. `ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
-
-    ids: UInt8Array
-    camera: Camera
-
-    def __post_init__(self) -> None:
-        shape = (self.camera.height, self.camera.width)
-        if self.ids.shape != shape:
-            raise ImageError(f"label image of {self.ids.shape} does not fit a camera of {shape} (rows, columns)")
+_IMAGES = ("depth", "sigma", "measured", "labels", "stable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +90,9 @@ class DepthFrame:
     bool, where depth is a measurement; False where it was copied from the terrain, which then says nothing of it.
     `labels`: (H, W) uint8 class ids or None. `covariance`: (6, 6) of the pose over x, y, z (m) and rotations about the
     map's axes (rad); None: not known. `stable`: (H, W) bool, open ground that does not grow, where the frame itself
-    tells it, or None. `full_labels`: labels at their own size, of which the map asks what still stands, or None. Raises
-    ImageError where shapes differ, PoseError for a covariance that is none."""
+    tells it, or None. `full_labels`: labels at their own size, of which the map asks what still stands, and the camera
+    of an image of that size, or None. Raises ImageError where shapes differ, PoseError for a covariance that is none.
+    """
 
     depth: Float32Array
     sigma: Float32Array
@@ -115,7 +104,7 @@ class DepthFrame:
     covariance: Float64Array | None = None
     labels: UInt8Array | None = None
     stable: BoolArray | None = None
-    full_labels: LabelImage | None = None
+    full_labels: tuple[UInt8Array, Camera] | None = None
 
     @classmethod
     def of_photo(
@@ -138,14 +127,16 @@ class DepthFrame:
         if labels is not None:
             small = np.asarray(cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
             if measured.any():
-                full_labels = LabelImage(labels, camera.resized(labels.shape[1], labels.shape[0]))
+                full_labels = labels, camera.resized(labels.shape[1], labels.shape[0])
         own = camera.resized(width, height)
         return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, full_labels)
 
     def __post_init__(self) -> None:
-        shape = (self.camera.height, self.camera.width)
-        for name in ("depth", "sigma", "measured", "labels", "stable"):
-            array = getattr(self, name)
+        images = {
+            name: (getattr(self, name), self.camera) for name in ("depth", "sigma", "measured", "labels", "stable")
+        }
+        for name, (array, camera) in (images | {"full label": self.full_labels or (None, self.camera)}).items():
+            shape = (camera.height, camera.width)
             if array is not None and array.shape != shape:
                 raise ImageError(f"{name} image of {array.shape} does not fit a camera of {shape} (rows, columns)")
         if self.covariance is not None:
@@ -173,18 +164,8 @@ class Observer:
     ) -> None:
         geometry = reference.geometry
         tiles = [-(-n // TILE) for n in geometry.shape]
-        self._ground = ReferenceGrid(
-            reference.surface,
-            reference.bare,
-            reference.slopes.east,
-            reference.slopes.north,
-            block_maxima(reference.surface),
-            BLOCK,
-            geometry.x_min,
-            geometry.y_max,
-            geometry.resolution,
-            tiles[1],
-        )
+        corner = geometry.x_min, geometry.y_max, geometry.resolution
+        self._ground = ReferenceGrid(reference.surface, reference.bare, *reference.slopes, BLOCK, *corner, tiles[1])
         self._tracer, self._limits, self._columns = tracer, limits, columns
         self._gone = np.zeros(256, np.float32) if gone is None else gone
         self._tiles = tiles[0] * tiles[1]
@@ -194,36 +175,25 @@ class Observer:
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
         """Return the observations of a frame by cell, valid until the next call. Raises PoseError as the tracer
         does."""
-        camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
-        view = self._view(camera, frame, covariance)
-        expected_pixels = self._expected_pixels(camera, frame, view)
-        step = -(-full_labels.camera.width // self._columns) if full_labels is not None else 1
-        ids = np.empty((0, 0), np.uint8)
-        if full_labels is not None:
-            ids = np.ascontiguousarray(full_labels.ids[::step, ::step]).view()
+        ids, camera = np.empty((0, 0), np.uint8), self.sampled(frame)
+        if frame.full_labels is not None and self._gone.any():
+            labels, label_camera = frame.full_labels
+            step = -(-label_camera.width // self._columns)
+            ids, label_camera = np.ascontiguousarray(labels[::step, ::step]).view(), label_camera.scaled(step)
             ids.flags.writeable = False  # as a message's are: one compiled kernel serves both
+        view, expected_pixels = self._expected_pixels(camera, frame, covariance)
         if len(self._sums.cells) < 2 * expected_pixels.size + ids.size:
             self._sums = FrameSums.empty(2 * expected_pixels.size + ids.size, self._tiles)
         clear(self._sums)
         pixels = self.pixels(frame)
-        beside = _least_around(frame.depth[:: pixels.step, :: pixels.step])
+        used = frame.depth[:: pixels.step, :: pixels.step]
+        beside = _extremes(np.where(np.isnan(used), np.float32(np.inf), used), 1)[0]
         observe(self._ground, view, expected_pixels, pixels, beside, self._limits, self._sums)
-        if full_labels is not None:
-            camera = full_labels.camera.scaled(step)
-            expected_pixels = self._expected_pixels(camera, frame, self._view(camera, frame, covariance))
-            add_labels(
-                self._ground, expected_pixels, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums
-            )
+        if ids.size:
+            _, expected_pixels = self._expected_pixels(label_camera, frame, covariance)
+            known = label_camera.cosines(), self._gone, pixels, self._limits, self._sums
+            add_labels(self._ground, expected_pixels, ids, *known)
         return self._sums
-
-    def _view(self, camera: Camera, frame: DepthFrame, covariance: Float64Array) -> CameraView:
-        return CameraView(
-            camera.rays(),
-            np.ascontiguousarray(frame.pose.rotation),
-            np.ascontiguousarray(frame.pose.position),
-            np.ascontiguousarray(covariance),
-            self._tracer.bend,
-        )
 
     def sampled(self, frame: DepthFrame) -> Camera:
         """Return the camera of the pixels of a frame that are used."""
@@ -242,8 +212,12 @@ class Observer:
             self.sampled(frame).cosines(),
         )
 
-    def _expected_pixels(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
-        """Return what the reference has for the pixels in use (H, W), which it need not be asked twice."""
+    def _expected_pixels(
+        self, camera: Camera, frame: DepthFrame, covariance: Float64Array
+    ) -> tuple[CameraView, RecordArray]:
+        """Return the view, and what the reference has for its pixels (H, W), which it need not be asked twice."""
+        rotation, position = np.ascontiguousarray(frame.pose.rotation), np.ascontiguousarray(frame.pose.position)
+        view = CameraView(camera.rays(), rotation, position, np.ascontiguousarray(covariance), self._tracer.bend)
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
         expected_pixels = self._views.get(key)
         if expected_pixels is None:
@@ -251,34 +225,14 @@ class Observer:
             turn = math.sqrt(float(np.linalg.eigvalsh(view.covariance[3:, 3:])[-1]))
             window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
             known = np.where(np.isnan(expected), np.float32(np.inf), expected)
-            near, far = _extremes(known, 1)
-            widest = (near, far) if window == 1 else _extremes(known, window)
+            near = _extremes(known, 1)
+            widest = near if window == 1 else _extremes(known, window)
             # A mapping of its own: on the heap, arrays of this size would fragment the memory.
             room = mmap.mmap(-1, expected.size * EXPECTED_PIXEL.itemsize)
             expected_pixels = np.frombuffer(room, EXPECTED_PIXEL).reshape(expected.shape)
-            predict_view(self._ground, view, expected, Extremes(*widest, near, far), expected_pixels)
+            predict_view(self._ground, view, expected, Extremes(*widest, *near), expected_pixels)
             self._views.put(key, expected_pixels)
-        return expected_pixels
-
-
-def block_maxima(surface: Float32Array) -> Float32Array:
-    """Return the maxima of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
-    height, width = surface.shape
-    starts = np.arange(0, width, BLOCK)
-    edges = np.stack([np.maximum(starts - 1, 0), np.minimum(starts + BLOCK, width - 1) + 1], axis=-1).ravel()
-    found = np.empty((-(-height // BLOCK), len(starts)), np.float32)
-    padded = np.empty(width + 1, np.float32)
-    for row in range(len(found)):
-        strip = surface[max(row * BLOCK - 1, 0) : (row + 1) * BLOCK + 1]
-        padded[:-1], padded[-1] = np.fmax.reduce(strip, axis=0), np.nan
-        found[row] = np.fmax.reduceat(padded, edges)[::2]
-    return np.where(np.isnan(found), np.float32(-np.inf), found)
-
-
-def _least_around(depth: Float32Array) -> Float32Array:
-    """Return the minimum of each pixel and its eight neighbours where known."""
-    known = np.where(np.isnan(depth), np.float32(np.inf), depth)
-    return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
+        return view, expected_pixels
 
 
 def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:

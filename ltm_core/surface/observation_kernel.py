@@ -5,9 +5,7 @@
 * A **farther** one, if all around it are farther too, is also one of the cell that it lies in, and caps all cells that
   the ray passed below the surface.
 
-The incidence factor |n.d| / n_z (n: normal of a block of cells, d: direction of the ray) turns metres along the ray
-into metres of height. The variance takes the slope of the cell itself if that is steeper; the *relative variance*, of
-a change of the whole stand, that of the block (docs/how/surface.md)."""
+The relative variance is that of a change of the whole stand (docs/how/surface.md)."""
 
 from __future__ import annotations
 
@@ -90,24 +88,12 @@ def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: f
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
-    # From the measured range outwards: when going farther costs more than the least so far, that is the least.
-    middle = int(max(r - begin, 0.0) / step)
     best, least = r, math.inf
-    for way in (-1, 1):
-        i = middle + (way > 0)
-        while i >= 0:
-            t = begin + i * step
-            unlikely = 0.5 * ((t - r) / sigma) ** 2
-            if t >= end:
-                if way > 0:
-                    break
-            elif unlikely >= least:
-                break
-            else:
-                cost = unlikely + abs(_above(ground, ray, t)) / LIKELY_CHANGE
-                if cost < least:
-                    best, least = t, cost
-            i += way
+    for i in range(int((end - begin) / step) + 1):
+        t = begin + i * step
+        cost = 0.5 * ((t - r) / sigma) ** 2 + abs(_above(ground, ray, t)) / LIKELY_CHANGE
+        if t < end and cost < least:
+            best, least = t, cost
     return best
 
 
@@ -129,50 +115,15 @@ def _carve(
     """Cap the cells over which a ray is less than `below` metres above the reference, between two ranges. `r`, `sigma`:
     the measured range, which determines how surely it passed each of them."""
     stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
-    t, left = begin + 0.5 * stride, _LONGEST_CARVE
-    while t < end and left > 0:
-        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
-        if row < 0:
-            t, left = t + stride, left - 1
-            continue
-        steps = min(_steps_within(ground, ray, t, row, col, stride), left, int((end - t) / stride) + 1)
-        highest = ground.highest[row // ground.block, col // ground.block]
-        if _lowest(ray, t, t + steps * stride) - highest < below:
-            for i in range(steps):
-                at = t + i * stride
-                _cap(ground, ray, at, below, math.inf if math.isinf(r) else (r - at) / sigma, sums)
-        t, left = t + steps * stride, left - steps
-
-
-@helper(inline="always")
-def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
-    """Return the steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
-    side = ground.block * ground.resolution
-    left = math.inf
-    if ray.dx != 0:
-        left = (ground.x_min + (col // ground.block + (ray.dx > 0)) * side - ray.x) / ray.dx
-    if ray.dy != 0:
-        left = min(left, (ground.y_max - (row // ground.block + (ray.dy < 0)) * side - ray.y) / ray.dy)
-    return max(int(min((left - t) / stride, 1e6)), 1)
-
-
-@helper(inline="always")
-def _lowest(ray: Ray, begin: float, end: float) -> float:
-    """Return a bound on the height of a ray between two ranges."""
-    ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
-    bound: float = ray.z + ends - abs(ray.bend) * (end - begin) ** 2
-    return bound
-
-
-@helper(inline="always")
-def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
-    above = _above(ground, ray, t)
-    if above < below:
-        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
-        number = sum_of(sums, place_of(row, col, ground.across)) if row >= 0 else -1
-        if number >= 0 and above < sums.cells[number].lowest:
-            sums.cells[number].lowest = above
-            sums.cells[number].passed = passed
+    for i in range(min(int((end - begin) / stride + 0.5), _LONGEST_CARVE)):
+        t = begin + (i + 0.5) * stride
+        above = _above(ground, ray, t)
+        if above < below:
+            row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+            number = sum_of(sums, place_of(row, col, ground.across)) if row >= 0 else -1
+            if number >= 0 and above < sums.cells[number].lowest:
+                sums.cells[number].lowest = above
+                sums.cells[number].passed = math.inf if math.isinf(r) else (r - t) / sigma
 
 
 @kernel()

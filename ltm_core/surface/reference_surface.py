@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.kernels import helper, kernel
@@ -24,14 +23,12 @@ LEAST_INCIDENCE = 0.1
 
 class ReferenceGrid(NamedTuple):
     """Grids of a reference: `surface`, `bare`: (H, W) metres, with objects on the ground and without; `east`, `north`:
-    rise per metre of blocks of `block` cells a side, `highest`: maximum of each and the cells around it, -inf if
-    unknown; `across`: tiles."""
+    rise per metre of blocks of `block` cells a side; `across`: tiles."""
 
     surface: Float32Array
     bare: Float32Array
     east: Float32Array
     north: Float32Array
-    highest: Float32Array
     block: int
     x_min: float
     y_max: float
@@ -146,11 +143,8 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
     """Return the unit vector of a pixel's ray in the map frame."""
     m = view.rotation
     a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
-    return (
-        m[0, 0] * a + m[0, 1] * b + m[0, 2] * c,
-        m[1, 0] * a + m[1, 1] * b + m[1, 2] * c,
-        m[2, 0] * a + m[2, 1] * b + m[2, 2] * c,
-    )
+    dx, dy = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c, m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
+    return dx, dy, m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
 
 
 @kernel()
@@ -198,15 +192,6 @@ computer."""
 _ROWS = 256
 
 
-class Elevations(Protocol):
-    """Source of heights: a `Dem` or a stack of them."""
-
-    @property
-    def geometry(self) -> GridGeometry: ...
-
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array: ...
-
-
 class Slopes(NamedTuple):
     """Rise per metre to the east and to the north of blocks of BLOCK x BLOCK cells, (h, w) each; 0 where unknown."""
 
@@ -237,7 +222,7 @@ class Reference:
         return Dem(self.surface, self.geometry)
 
     @classmethod
-    def of(cls, bare: Elevations, surface: Elevations | None = None, resolution: float | None = None) -> Reference:
+    def of(cls, bare: Dem, surface: Dem | None = None, resolution: float | None = None) -> Reference:
         """Return both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its
         own); bare earth where the surface raster is unknown or below it. Raises ConfigError if the grid has too many
         cells."""
@@ -263,10 +248,9 @@ class Reference:
         return cls(ground, top, geometry, _slopes(top, cell))
 
 
-def _sampled(source: Elevations, geometry: GridGeometry) -> Float32Array:
-    elevation = getattr(source, "elevation", None)
-    if isinstance(elevation, np.ndarray) and source.geometry == geometry:
-        return np.asarray(elevation, np.float32)
+def _sampled(source: Dem, geometry: GridGeometry) -> Float32Array:
+    if source.geometry == geometry:
+        return source.elevation
     heights = np.empty(geometry.shape, np.float32)
     cols = np.arange(geometry.width)
     for row in range(0, geometry.height, _ROWS):
@@ -293,10 +277,7 @@ def _slopes(surface: Float32Array, resolution: float) -> Slopes:
         sums = np.add.reduceat(np.where(known, strip, 0).sum(axis=0, dtype=np.float64), edges)
         counts = np.add.reduceat(known.sum(axis=0), edges)
         means[row] = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    step = BLOCK * resolution
-    east, north = np.zeros_like(means), np.zeros_like(means)
-    if width > 1:
-        east = np.gradient(means, step, axis=1).astype(np.float32)
-    if height > 1:
-        north = -np.gradient(means, step, axis=0).astype(np.float32)
-    return Slopes(np.nan_to_num(east), np.nan_to_num(north))
+    # A raster of one block has no slope along that side.
+    step, sides = BLOCK * resolution, tuple(np.repeat(means, 1 + (n == 1), axis) for axis, n in enumerate(means.shape))
+    north, east = (np.gradient(side, step, axis=axis)[:height, :width] for axis, side in enumerate(sides))
+    return Slopes(*(np.nan_to_num(rise.astype(np.float32)) for rise in (east, -north)))

@@ -27,7 +27,7 @@ def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
     top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
     for row in range(top, top + height, _STRIP):
         layers = surface.layers((row, left, min(_STRIP, top + height - row), width))
-        seen += int((layers.observed | (layers.change > 0)).sum())
+        seen += int(layers.judged.sum())
         changed = (layers.change > 0) & np.isfinite(layers.height)
         rows, cols = np.nonzero(changed)
         kind, now, bare = layers.change[changed], layers.height[changed], layers.bare[changed]
@@ -47,8 +47,6 @@ _STRIP = 256
 """Number of rows processed at a time; the layers of a whole site may exceed the memory."""
 
 
-UNSEEN = 255
-"""Value in the raster of changes for cells that independent views have not seen."""
 CHANGE_COLORS = {
     ChangeKind.NONE: (236, 236, 232),
     ChangeKind.REMOVED: (190, 50, 35),
@@ -77,6 +75,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
     from rasterio.windows import Window
 
     path, bands = Path(path), BANDS[what]
+    as_of = datetime.fromtimestamp(surface.newest_ns // 1_000_000_000, UTC)
     height, width = geometry.shape
     profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": "float32"}
     profile |= {"crs": geometry.crs, "transform": geometry.transform(), "nodata": float("nan"), "bigtiff": "if_safer"}
@@ -90,7 +89,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
             sink.set_band_description(number, name)
             sink.set_band_unit(number, unit)
         sink.update_tags(
-            as_of=_moment(surface.newest_ns),
+            as_of=as_of.isoformat() if surface.newest_ns else "no frame yet",
             kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
             cameras=json.dumps(surface.cameras),
             heights="metres in the vertical datum of the DEM",
@@ -101,15 +100,6 @@ def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int
     layers = surface.layers(window)
     if what == "surface":
         return [layers.height, layers.sigma]
-    known, nan = layers.observed | (layers.change > 0), np.float32(np.nan)
-    changed = layers.change > 0
-    return [
-        np.where(known, surface.accepted_shift(window), nan),
-        np.where(known, layers.sigma, nan),
-        np.where(known, layers.change, nan).astype(np.float32),
-        np.where(changed, layers.since / np.float32(86_400), nan).astype(np.float32),
-    ]
-
-
-def _moment(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() if stamp_ns else "no frame yet"
+    known, changed, since = layers.judged, layers.change > 0, layers.since / np.float32(86_400)
+    pairs = (known, layers.shift), (known, layers.sigma), (known, layers.change), (changed, since)
+    return [np.where(where, values, np.float32(np.nan)).astype(np.float32) for where, values in pairs]

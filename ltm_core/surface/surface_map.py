@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord
 from ltm_core.surface.cell_layout import TILE
 from ltm_core.surface.cell_update import Rules, merge
-from ltm_core.surface.change import Changed, decide, margin_of, mosaic
+from ltm_core.surface.change import Changed, decide, margin_of
 from ltm_core.surface.config import PoseErrorConfig, TerrainConfig
 from ltm_core.surface.free_space import INSIDE, see_through
 from ltm_core.surface.layers import SurfaceLayers, layers_of
@@ -22,7 +22,7 @@ from ltm_core.surface.observation import DepthFrame, Observer
 from ltm_core.surface.observation_kernel import ObservationLimits
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.registration import Registration, register
-from ltm_core.surface.tile_pool import TilePool, schema_of
+from ltm_core.surface.tile_pool import TilePool, Window, schema_of
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 
@@ -46,16 +46,6 @@ class Added:
     tiles: int
     left_out: int
     registration: Registration | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Turn:
-    """Turn of the frame of a camera of `stamp_ns` with this pose; None: it was not turned."""
-
-    pose: Pose
-    covariance: Float64Array
-    stamp_ns: int
-    turn: Registration | None
 
 
 class SurfaceMap:
@@ -84,40 +74,25 @@ class SurfaceMap:
         # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
         self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction, NOTHING_BEYOND)
         self._limits = ObservationLimits(
-            config.min_range,
-            config.max_range,
-            config.confidence,
-            config.threshold / 2,
-            config.tallest,
-            _OWN_SIGMA,
+            config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA,
             config.threshold,
-        )
+        )  # fmt: skip
         self._observer = Observer(reference, self._tracer, self._limits, config.columns, config.views_mb, gone)
         self._rules = Rules(
-            config.confidence,
-            config.reference_sigma**2,
-            config.independent_after,
-            config.settle,
-            config.memory,
-            config.lasting,
-            config.threshold,
-            _CARVE_SIGMA**2,
-            config.threshold / INSIDE,
-            config.repeated_error_share,
-        )
-        self._pool = TilePool(
-            store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),
-            TilePool.capacity_of(config.cache_mb),
-            reference.canopy_known,
-        )
-        self._turns: dict[str, _Turn] = {}
+            config.confidence, config.reference_sigma**2, config.independent_after, config.settle, config.memory,
+            config.lasting, config.threshold, _CARVE_SIGMA**2, config.threshold / INSIDE, config.repeated_error_share,
+        )  # fmt: skip
+        store = TileStore.in_memory(schema_of(reference.geometry)) if store is None else store
+        self._pool = TilePool(store, TilePool.capacity_of(config.cache_mb), reference.canopy_known)
+        self._turns: dict[str, tuple[Pose, Float64Array, int, Registration | None]] = {}
+        """By camera: pose, covariance and stamp of its last registered frame, and the turn that was found."""
         self._undecided: set[Key] = set(self._pool.known_keys)
-        self.newest_ns = self._pool.store.newest_ns() or 0
+        self.newest_ns = store.newest_ns() or 0
 
     @property
     def uncommitted(self) -> int:
         """Return the frames whose effect is not in the store yet."""
-        return self._pool.uncommitted
+        return len(self._pool.frames)
 
     @property
     def tiles_in_memory(self) -> int:
@@ -131,23 +106,22 @@ class SurfaceMap:
         """Take a frame in. Raises ConfigError for an unknown camera, PoseError as the tracer does, StoreError."""
         if frame.source not in self.cameras:
             raise ConfigError(f"no camera {frame.source!r}; cameras: {', '.join(self.cameras)}")
-        config = self.config
-        covariance = frame.covariance
-        if covariance is None:
-            covariance = self._assumed_covariance
-        turned = None
-        if config.register_frames:
-            turned = self._registered(frame, covariance)
-            if turned is not None:
-                frame, covariance = turned.frame(frame), turned.covariance
+        config, reference, pool = self.config, self.reference, self._pool
+        covariance = self._assumed_covariance if frame.covariance is None else frame.covariance
+        turned = self._registered(frame, covariance) if config.register_frames else None
+        if turned is not None:
+            frame, covariance = turned.frame(frame), turned.covariance
         sums = self._observer.observe(frame, covariance)
         keys, left_out = self._nearest(sums.seen_tiles, frame)
-        self._pool.require(keys)
+        pool.require(keys)
         bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
-        cells = merge(self._pool.cells, sums, self._pool.slots.ravel(), seconds, bit, self._rules)
-        self._see_through(frame, seconds, bit)
-        self._pool.touched(keys)
-        self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
+        cells = merge(pool.cells, sums, pool.slots.ravel(), seconds, bit, self._rules)
+        camera, pixels = self._observer.sampled(frame), self._observer.pixels(frame)
+        grid, reach = (reference.surface, reference.geometry), (config.min_range, config.max_range)
+        given = pool.cells, pool.places(), *grid, camera, frame.pose, pixels
+        see_through(*given, seconds, bit, self._rules, reach)
+        pool.touched(keys)
+        pool.frames.append(FrameRecord(frame.source, frame.stamp_ns, keys))
         self._undecided.update(keys)
         self.newest_ns = max(self.newest_ns, frame.stamp_ns)
         return Added(int(cells), len(keys), left_out, turned)
@@ -156,12 +130,9 @@ class SurfaceMap:
         """Update the changes where frames have touched the map since the last call; return the new ones."""
         found = Changed.none()
         while self._undecided:
-            first = min(self._undecided)
-            core = {
-                key
-                for key in self._undecided
-                if key[0] < first[0] + DECIDED_TILES and first[1] - DECIDED_TILES < key[1] < first[1] + DECIDED_TILES
-            }
+            top, left = min(self._undecided)
+            near = range(left - DECIDED_TILES + 1, left + DECIDED_TILES)
+            core = {key for key in self._undecided if key[0] < top + DECIDED_TILES and key[1] in near}
             left = min(key[1] for key in core)
             core = {key for key in core if key[1] < left + DECIDED_TILES}
             found = found.joined(self._decide(core))
@@ -173,115 +144,75 @@ class SurfaceMap:
         self.decide()
         return self._pool.commit(last)
 
-    def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
+    def layers(self, window: Window | None = None) -> SurfaceLayers:
         """Return the height, sigma, change and age of a window (row, col, height, width); default: of the whole
         grid."""
-        return layers_of(self._pool, self.reference, window, self._rules)
-
-    def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
-        """Return (H, W) metres by which accepted change has moved the surface of a window, 0 without change."""
-        parts = mosaic(self._pool.peek, window, ("shift",))
-        return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
+        return layers_of(self._pool, self.reference, window or (0, 0, *self.reference.geometry.shape), self._rules)
 
     def close(self) -> None:
         """Close its store; the map cannot be used afterwards. Idempotent."""
         self._pool.store.close()
 
-    def seen_window(self) -> tuple[int, int, int, int] | None:
+    def seen_window(self) -> Window | None:
         """Return the smallest window (row, col, height, width) of whole tiles that any frame has touched."""
         keys = self._pool.known_keys
-        if not keys:
-            return None
-        height, width = self.reference.geometry.shape
-        row, col = min(k[0] for k in keys) * TILE, min(k[1] for k in keys) * TILE
-        bottom, right = (max(k[0] for k in keys) + 1) * TILE, (max(k[1] for k in keys) + 1) * TILE
-        return row, col, min(bottom, height) - row, min(right, width) - col
+        return self._window(keys) if keys else None
 
     def heights_at(self, changed: Changed) -> Float32Array:
         """Return the updated surface at changed cells, (N,) metres."""
-        surface = self.reference.surface[changed.rows, changed.cols]
-        if self.reference.canopy_known:
-            return np.asarray(surface + changed.shift, np.float32)
         base = np.zeros(len(changed.rows), np.float32)
         keys = np.stack([changed.rows // TILE, changed.cols // TILE], axis=-1)
         for key in {(int(r), int(c)) for r, c in keys}:
-            tile = self._pool.peek(key)
-            inside = (keys == key).all(axis=1)
+            tile, inside = self._pool.peek(key), (keys == key).all(axis=1)
             if tile is not None:
                 base[inside] = tile["base"][changed.rows[inside] % TILE, changed.cols[inside] % TILE]
+        surface = self.reference.surface[changed.rows, changed.cols]
         return np.asarray(surface + np.nan_to_num(base) + changed.shift, np.float32)
-
-    def _see_through(self, frame: DepthFrame, seconds: int, bit: int) -> None:
-        see_through(
-            self._pool.cells,
-            self._pool.places(),
-            self.reference.surface,
-            self.reference.geometry,
-            self._observer.sampled(frame),
-            frame.pose,
-            self._observer.pixels(frame),
-            seconds,
-            bit,
-            self._rules,
-            (self.config.min_range, self.config.max_range),
-        )
 
     def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
         """Return the turn of a camera, which is kept for a time while it does not move: one more image would add
         little, and its reference is traced already."""
-        kept = self._turns.get(frame.source)
-        period = int(self.config.independent_after * 1e9)
-        if (
-            kept is not None
-            and kept.pose == frame.pose
-            and 0 <= frame.stamp_ns - kept.stamp_ns < period
-            and np.array_equal(kept.covariance, covariance)
-        ):
-            return kept.turn
+        if frame.source in self._turns:
+            pose, given, stamp_ns, turn = self._turns[frame.source]
+            recent = 0 <= frame.stamp_ns - stamp_ns < int(self.config.independent_after * 1e9)
+            if recent and pose == frame.pose and np.array_equal(given, covariance):
+                return turn
         turn = register(frame, covariance, self.reference, self._tracer, self._limits)
-        self._turns[frame.source] = _Turn(frame.pose, covariance, frame.stamp_ns, turn)
+        self._turns[frame.source] = frame.pose, covariance, frame.stamp_ns, turn
         return turn
 
     def _nearest(self, tiles: Int32Array, frame: DepthFrame) -> tuple[list[Key], int]:
         """Return these tiles, the nearest of them where there are more than fit into memory."""
         rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
-        most = self._pool.capacity
-        if len(rows) > most:
-            row, col = self.reference.geometry.to_grid(frame.pose.position[0], frame.pose.position[1])
-            order = np.argsort(np.hypot(rows - row / TILE, cols - col / TILE), kind="stable")[:most]
-            keys = sorted((int(rows[i]), int(cols[i])) for i in order)
-            return keys, len(rows) - most
-        return [(int(r), int(c)) for r, c in zip(rows, cols, strict=True)], 0
+        row, col = self.reference.geometry.to_grid(frame.pose.position[0], frame.pose.position[1])
+        nearest = np.argsort(np.hypot(rows - row / TILE, cols - col / TILE), kind="stable")
+        kept = np.sort(nearest[: self._pool.capacity])
+        return [(int(rows[i]), int(cols[i])) for i in kept], len(tiles) - len(kept)
+
+    def _window(self, keys: Iterable[Key], margin: int = 0) -> Window:
+        """Return the smallest window over tiles, and over `margin` tiles around them."""
+        (top, left), (bottom, right) = ([edge(k[i] for k in keys) for i in (0, 1)] for edge in (min, max))
+        row, col = max(top - margin, 0) * TILE, max(left - margin, 0) * TILE
+        height, width = self.reference.geometry.shape
+        down, across = min((bottom + margin + 1) * TILE, height), min((right + margin + 1) * TILE, width)
+        return row, col, down - row, across - col
 
     def _decide(self, core: set[Key]) -> Changed:
-        margin = margin_of(self.reference.geometry.resolution)
-        assert margin <= TILE  # nosec B101 # of constants
-        tile_rows, tile_cols = self._pool.slots.shape
-        top, left = max(min(k[0] for k in core) - 1, 0), max(min(k[1] for k in core) - 1, 0)
-        bottom = min(max(k[0] for k in core) + 2, tile_rows)
-        right = min(max(k[1] for k in core) + 2, tile_cols)
-        height, width = self.reference.geometry.shape
-        window = (
-            top * TILE,
-            left * TILE,
-            min(bottom * TILE, height) - top * TILE,
-            min(right * TILE, width) - left * TILE,
-        )
-        changed, fields = decide(lambda key: self._pool.peek(key), self.reference, window, self.config, self._rules)
-        keys = sorted(core)
-        slots = self._pool.require(keys)
-        inside = np.zeros(window[2:], np.bool_)
-        for key, slot in zip(keys, slots, strict=True):
-            r, c = key[0] * TILE - window[0], key[1] * TILE - window[1]
-            part = slice(r, r + TILE), slice(c, c + TILE)
+        assert margin_of(self.reference.geometry.resolution) <= TILE  # nosec B101 # of constants
+        window = self._window(core, 1)
+        keys, inside = sorted(core), np.zeros(window[2:], np.bool_)
+        corners = [(row * TILE - window[0], col * TILE - window[1]) for row, col in keys]
+        parts = [(slice(row, row + TILE), slice(col, col + TILE)) for row, col in corners]
+        for part in parts:
             inside[part] = True
+        changed, fields = decide(self._pool, self.reference, window, inside, self.config, self._rules)
+        for part, slot in zip(parts, self._pool.require(keys), strict=True):
             h, w = inside[part].shape
+            records = self._pool.cells.records[slot].reshape(TILE, TILE)[:h, :w]
             for name, values in fields.items():
-                self._pool.cells.field(name)[slot].reshape(TILE, TILE)[:h, :w] = values[part]
+                records[name] = values[part]
         self._pool.touched(keys)
-        changed = changed.within(inside, window)
         if len(changed.rows):
-            self._pool.journal(
-                CellChanges("change", self.newest_ns, changed.rows, changed.cols, changed.before, changed.kind)
-            )
+            cells = changed.rows, changed.cols, changed.before, changed.kind
+            self._pool.changes.append(CellChanges("change", self.newest_ns, *cells))
         return changed

@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import io
 import itertools
-import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from pydantic import ValidationError
 from ltm_core.base.errors import RasterError, StoreError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
+from ltm_core.storage.disk_io import is_there, sync
 from ltm_core.surface.confirmed_surface import AS_GIVEN, KEPT, ConfirmedSurface, SurfaceManifest, SurfaceVersion
 
 FOLDER = "surfaces"
@@ -28,10 +28,6 @@ MANIFEST = "surfaces.json"
 _MOST_MANIFEST = 1 << 20
 _MOST_FILE = 1 << 30
 _ARRAYS = ("rows", "cols", "surface", "ground")
-
-
-class BrokenManifestError(StoreError):
-    """The file at this path is not a manifest."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +43,13 @@ class SurfaceVersions:
         """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read or is of another
         site."""
         path = self.folder / MANIFEST
-        try:
-            content = _read(path, _MOST_MANIFEST)
-        except FileNotFoundError:
+        if not is_there(path):
             return SurfaceManifest(site=self.site)
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read as a list of surfaces ({error}); move the folder away") from error
         try:
-            found = SurfaceManifest.model_validate_json(content)
+            found = SurfaceManifest.model_validate_json(_read(path, _MOST_MANIFEST))
         except ValidationError as error:
             problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
-            raise BrokenManifestError(problem) from error
+            raise StoreError(problem) from error
         if found.site != self.site:
             raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site its own folder")
         return found
@@ -67,16 +59,17 @@ class SurfaceVersions:
         a message about it (empty: none). Raises StoreError as `manifest` does for anything else."""
         try:
             return self.manifest(), ""
-        except BrokenManifestError as error:
+        except StoreError as error:
+            if not isinstance(error.__cause__, ValidationError):
+                raise
             places = (self.folder.with_name(f"{self.folder.name}.{number}") for number in itertools.count(1))
             aside = next(place for place in places if not place.exists())
             try:
                 self.folder.rename(aside)
             except OSError as broken:
                 raise StoreError(f"{error}; it could not be moved away ({broken.strerror or broken})") from broken
-            return SurfaceManifest(
-                site=self.site
-            ), f"{error}; it was moved to {aside}, and the list of surfaces starts afresh"
+            afresh = f"{error}; it was moved to {aside}, and the list of surfaces starts afresh"
+            return SurfaceManifest(site=self.site), afresh
 
     def file(self, version: str) -> Path:
         """Return the path of a version of the manifest."""
@@ -85,10 +78,7 @@ class SurfaceVersions:
     def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
         """Load a version's cells. Raises StoreError if its file is missing, modified, or of another grid."""
         path = self.file(entry.version)
-        try:
-            content = _read(path, _MOST_FILE)
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
+        content = _read(path, _MOST_FILE)
         if hashlib.sha256(content).hexdigest() != entry.digest:
             raise StoreError(f"{path}: not the file written for this version; restart the node terrain")
         try:
@@ -107,59 +97,43 @@ class SurfaceVersions:
         """Write a version and make it the current one. Raises StoreError."""
         before, content = self.manifest(), _to_bytes(surface)
         digest = hashlib.sha256(content).hexdigest()
-        version, cells = digest[:16], self.geometry.width * self.geometry.height
+        counts = {"seen": seen, "changed": len(surface), "lowered": surface.lowered}
         entry = SurfaceVersion(
-            version=version,
-            digest=digest,
-            parent=before.current,
-            as_of_ns=as_of_ns,
-            cells=cells,
-            seen=seen,
-            changed=len(surface),
-            lowered=surface.lowered,
-        )
+            version=digest[:16], digest=digest, parent=before.current, as_of_ns=as_of_ns,
+            cells=self.geometry.width * self.geometry.height, **counts,
+        )  # fmt: skip
         versions = (*before.versions, entry)
-        kept = versions[-KEPT:]
-        self._write(self.file(version), content)
-        forgotten = before.forgotten or len(versions) > KEPT
-        self._replace(SurfaceManifest(site=before.site, versions=kept, forgotten=forgotten))
-        self._remove_all_but({self.file(one.version) for one in kept})
-        return entry
-
-    def _remove_all_but(self, kept: set[Path]) -> None:
-        """Of the versions' files; a writer that was killed may have left some that no manifest names."""
-        for path in self.folder.glob(f"surface-{'[0-9a-f]' * 16}.npz"):
-            if path not in kept:
-                with contextlib.suppress(OSError):
-                    path.unlink()
-
-    def _replace(self, manifest: SurfaceManifest) -> None:
+        kept, forgotten = versions[-KEPT:], before.forgotten or len(versions) > KEPT
+        manifest = SurfaceManifest(site=before.site, versions=kept, forgotten=forgotten)
+        self._write(self.file(entry.version), content)
         self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
+        # A writer that was killed may have left files that no manifest names.
+        for path in {*self.folder.glob(f"surface-{'[0-9a-f]' * 16}.npz")} - {self.file(one.version) for one in kept}:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        return entry
 
     def _write(self, path: Path, content: bytes) -> None:
         """Write the file completely or not at all, even if the power fails."""
         partial = path.with_name(f".{path.name}.partial")
         try:
             self.folder.mkdir(exist_ok=True)
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            partial.write_bytes(content)
+            sync(partial)
             partial.replace(path)
-            folder = os.open(self.folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            sync(self.folder)
         except OSError as error:
             raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def _read(path: Path, most: int) -> bytes:
-    with path.open("rb") as file:
-        content = file.read(most + 1)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
     if len(content) > most:
-        raise OSError(f"larger than {most} bytes")
+        raise StoreError(f"{path}: cannot be read (it is larger than {most} bytes); move the folder away")
     return content
 
 

@@ -3,18 +3,12 @@
 Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: each ray is intersected with the
 bilinear surface, and earth curvature and refraction bend it (docs/how/tracing.md).
 
-**The ray.** Horizontal range r (metres along the map), height z(r) = z0 + s r + bend r^2, where s is the ray's slope
-at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
-
-**The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
-hole of unknown ground, which is bounded (`possible_ground`, `holes`).
-
 **The answer** for a ray is
 
 * the range to the first point where it is on or below known ground;
 * NaN (unknown) if, before that but after it has been over known ground, it comes as low as unknown ground may be high;
   and NaN if it comes into known ground from outside the DEM already below the surface;
-* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >= 0)
+* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon,
   and is there above `highest`, or climbs by `steepest` or more, so that no ground ahead can reach it. Else NaN. A ray
   that has never been over known ground is judged at the camera.
 
@@ -27,7 +21,7 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -55,11 +49,11 @@ class TracerStatistics:
     """Counts since the tracer was created, and the bytes of its caches. `frame_hits`: camera and pose were as before,
     so nothing was traced; `profile_hits`: the position's profile was complete."""
 
-    frames: int = 0
-    frame_hits: int = 0
-    profile_hits: int = 0
-    profile_bytes: int = 0
-    frame_bytes: int = 0
+    frames: int
+    frame_hits: int
+    profile_hits: int
+    profile_bytes: int
+    frame_bytes: int
 
 
 class BoundedCache(Generic[_Value]):
@@ -133,13 +127,15 @@ class TerrainTracer:
         self._beyond = possible.steepest, highest_possible(dem, possible)
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
-        self._counts = TracerStatistics()
+        self._counts = np.zeros(3, np.int64)  # frames, frame hits, profile hits
         self._lock = threading.Lock()
 
     @property
     def statistics(self) -> TracerStatistics:
         """Return cache hits and sizes."""
-        return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
+        frames, frame_hits, profile_hits = self._counts.tolist()
+        held = self._profiles.held_bytes, self._frames.held_bytes
+        return TracerStatistics(frames, frame_hits, profile_hits, *held)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
         """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
@@ -149,7 +145,7 @@ class TerrainTracer:
         the DEM, below the ground around it."""
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
-        frame_hit = ranges is not None
+        frame_hit, profile_hit = ranges is not None, False
         if way != "pyramid":
             _caching.add(self)
         if ranges is None:
@@ -158,15 +154,8 @@ class TerrainTracer:
             ranges.flags.writeable = False
             if way == "auto":
                 self._frames.put(seen, ranges, _share(FRAME_BYTES))
-        else:
-            profile_hit = False
         with self._lock:
-            self._counts = replace(
-                self._counts,
-                frames=self._counts.frames + 1,
-                frame_hits=self._counts.frame_hits + frame_hit,
-                profile_hits=self._counts.profile_hits + profile_hit,
-            )
+            self._counts += (1, frame_hit, profile_hit)
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
 
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
@@ -175,7 +164,9 @@ class TerrainTracer:
         place = (pose.position.tobytes(), self.bend)
         kept = self._profiles.get(place)
         few = way == "auto" and kept is None and camera.width * camera.height < _FEW_PIXELS
-        if way == "pyramid" or few or not self._stands_over_known_ground(pose.position):
+        # A profile needs a position over the finest raster, and in no outer hole.
+        around = filled_corners(self.dem.levels[0], self._grounds[0], pose.position)
+        if way == "pyramid" or few or around is None or np.isnan(around).any():
             flat = self._trace(pose.position, pose.rotation, rays.reshape(-1, 3))
             return False, flat.reshape(camera.height, camera.width)
         rotation = np.ascontiguousarray(pose.rotation, np.float64)
@@ -192,11 +183,6 @@ class TerrainTracer:
         if not whole:
             self._profiles.put(place, tuple(profile), _share(PROFILE_BYTES))
         return whole, ranges
-
-    def _stands_over_known_ground(self, position: Float64Array) -> bool:
-        """Return whether a position is over the finest raster, and in no outer hole."""
-        filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
-        return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
         """Return the slant range in metres of rays from one origin (3,), (N,) float32. `directions`: (N, 3) x, y, z of

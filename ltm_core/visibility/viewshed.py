@@ -149,18 +149,14 @@ def _may_be_framed(sight: PointVisibility, view: PosedCamera, places: Float64Arr
         return np.ones(len(places), np.bool_)
     ahead = (places[:, :2] - view.pose.position[:2]) @ forward[:2] / horizontal
     sideways = (places[:, :2] - view.pose.position[:2]) @ np.array([forward[1], -forward[0]]) / horizontal
-    corners = _border_rays(view.camera) @ view.pose.rotation.T
+    rays = view.camera.rays()
+    corners = np.concatenate([rays[0], rays[-1], rays[:, 0], rays[:, -1]]) @ view.pose.rotation.T
     if np.isnan(corners).any() or (corners[:, :2] @ forward[:2] <= 1e-3).any():
         return np.ones(len(places), np.bool_)
     tangents = (corners[:, :2] @ np.array([forward[1], -forward[0]])) / (corners[:, :2] @ forward[:2])
     return np.asarray(
         (ahead > 0) & (sideways >= (tangents.min() - 0.01) * ahead) & (sideways <= (tangents.max() + 0.01) * ahead)
     )
-
-
-def _border_rays(camera: Camera) -> Float64Array:
-    rays = camera.rays()
-    return np.concatenate([rays[0], rays[-1], rays[:, 0], rays[:, -1]])
 
 
 def _framed(sight: PointVisibility, view: PosedCamera, places: Float64Array, above: Float64Array) -> BoolArray:

@@ -21,12 +21,10 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_lab.training.fusion_samples import CLASSES, FrameSamples, Samples
 
 STANDING = (*(f"occlusion.standing.{name}" for name in CLASSES), "occlusion.metre", "decision.likelihood_weight")
-OUTLINE = (*(f"boundaries.outline.{name}" for name in CLASSES), "boundaries.toward")
 CANOPY = (*(f"decision.canopy.{name}" for name in CLASSES), "decision.canopy_weight")
 _POSITIVE = (
     "occlusion.metre",
     "decision.likelihood_weight",
-    "boundaries.toward",
     "decision.canopy_weight",
 )
 LEAST = 500
@@ -49,7 +47,7 @@ def fit_fusion(folders: Sequence[Sequence[FrameSamples]], config: FusionConfig) 
     """Fit all choices to the frames of several folders; each frame counts alike. Raises ModelError without samples."""
     changes: dict[str, Any] = {}
     counts, loss = {}, {}
-    for choice, names in (("standing", STANDING), ("outline", OUTLINE), ("canopy", CANOPY)):
+    for choice, names in (("standing", STANDING), ("canopy", CANOPY)):
         sets = [[getattr(frame, choice) for frame in folder] for folder in folders]
         start = np.array([reduce(getattr, name.split("."), config) for name in names])
         everything = [samples for folder in sets for samples in folder if len(samples.right)]

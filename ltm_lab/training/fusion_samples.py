@@ -1,7 +1,7 @@
 """Rendered pixels on which fusion has to choose, with what it knows of them and what is true.
 
-Three choices: does something stand before the ground, where the network sees it nearer? Does a pixel above a crest
-belong to it? Is bare ground what shows, or the canopy raster? Each sample has the quantities that fusion's log odds are
+Two choices: does something stand before the ground, where the network sees it nearer? Is bare ground what shows, or the
+canopy raster? Each sample has the quantities that fusion's log odds are
 sums of, so that logistic regression finds their weights.
 """
 
@@ -14,11 +14,11 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.depth.error_model import expected_prediction, interpolation_table
+from ltm_core.depth.error_model import expected_prediction
 from ltm_core.depth.expected_surface import FusionSettings, fitted
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
-from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
+from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities, OcclusionPrior, ground_contact, height_above
@@ -42,10 +42,9 @@ class Samples(NamedTuple):
 
 class FrameSamples(NamedTuple):
     """Of one frame. Features of `standing`: class shares, -height, -log likelihood of the terrain; of
-    `outline`: class, nearness to the crest; of `canopy`: class, log likelihood of the canopy."""
+    `canopy`: class, log likelihood of the canopy."""
 
     standing: Samples
-    outline: Samples
     canopy: Samples
 
 
@@ -74,23 +73,19 @@ def frame_samples(
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
     depth, sigma = seen.copy(), spread.copy()
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    raised = refine_occlusion_boundaries(rgb, ground, depth, sigma, labels, classes, traced.camera, config, view, edges)
-    above = _above_crests(edges.rows, edges.cols, raised, ground, seen, view, true, step)
+    refine_occlusion_boundaries(rgb, depth, sigma, ground, edges, labels, classes, traced.camera, config)
     return FrameSamples(
         _standing(depth, sigma, view, standing, labels, ids, classes, true, step, config),
-        _outline(above, labels, ids, traced.camera.fy),
         _empty(len(CLASSES) + 1) if over is None else _canopy(seen, spread, over, view, labels, ids, true, step),
     )
 
 
-def _shares(labels: UInt8Array, ids: UInt8Array, sky: int, cells: tuple[int, int], about: int) -> Float32Array:
-    """(h, w, C) of each class in the labels about a place, as `OcclusionPrior` hears them."""
+def _shares(labels: UInt8Array, ids: UInt8Array, sky: int, cells: tuple[int, int]) -> Float32Array:
+    """(h, w, C) of each class in the label of a place, as `OcclusionPrior` hears it; zeros for the sky."""
     small = cv2.resize(labels, cells[::-1], interpolation=cv2.INTER_NEAREST)
-    land = (small != sky).astype(np.float32)
-    masks = [(small == i).astype(np.float32) for i in ids]
-    masks.append(land - np.sum(masks, axis=0))
-    share = np.maximum(cv2.blur(land, (about, about)), np.float32(1e-3))
-    return np.stack([cv2.blur(mask, (about, about)) / share for mask in masks], axis=-1)
+    masks = [small == i for i in ids]
+    masks.append((small != sky) & ~np.any(masks, axis=0))
+    return np.stack(masks, axis=-1).astype(np.float32)
 
 
 def _standing(
@@ -108,7 +103,7 @@ def _standing(
     rules, seen = DecisionRules.of(config.decision), LabelView.of(labels, classes)
     found = _disagreements(depth, sigma, view, prior, seen, true, step, rules)
     row, col, height, against, other, terrain, truth = found.T
-    shares = _shares(labels, ids, classes.sky, prior.odds.shape, config.occlusion.about)
+    shares = _shares(labels, ids, classes.sky, prior.odds.shape)
     place = shares[
         (row * prior.odds.shape[0] // depth.shape[0]).astype(int),
         (col * prior.odds.shape[1] // depth.shape[1]).astype(int),
@@ -135,10 +130,8 @@ def _disagreements(
     truth."""
     width = depth.shape[1]
     errors, odds, feet = view.errors, prior.odds, prior.feet
-    tables = interpolation_table(errors)
     seen, between = np.empty((3, width), np.float32), np.empty((4, view.cells.shape[2]), np.float32)
-    work = np.empty((7, width), np.float32)
-    place, asked = np.empty(width, np.int32), np.zeros(width, np.bool_)
+    work, asked = np.empty((6, width), np.float32), np.zeros(width, np.bool_)
     unlabelled, kind = np.full(width, np.uint8(255)), np.empty(width, np.uint8)
     found, n = np.empty((truth.size, 7), np.float64), 0
     for k in range(truth.shape[0]):
@@ -146,12 +139,11 @@ def _disagreements(
         d, s = depth[v].copy(), sigma[v].copy()
         label = labels.ids[v] if labels.known else unlabelled
         row = FusionRow(
-            d, s, kind, label, seen[0], seen[1], seen[2], work[0], work[1], work[2], work[3], work[4], work[5], work[6],
-            place, asked,
-        )  # fmt: skip
+            d, s, kind, label, seen[0], seen[1], seen[2], work[0], work[1], work[2], work[3], work[4], work[5], asked
+        )
         upsample_row(view, v, between, seen)
         begin_row(d, s, kind)
-        compare_row(row, tables, labels.sky, rules)
+        compare_row(row, errors, labels.sky, rules)
         for m in range(truth.shape[1]):
             u, t = m * step, truth[k, m]
             if not (asked[u] and kind[u] > 0 and row.off[u] > 0 and t > 0 and t < np.float32(1e9)):
@@ -168,48 +160,6 @@ def _disagreements(
             out[4], out[5], out[6] = other, row.true[u], 1.0 / t
             n += 1
     return found[:n]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _above_crests(
-    rows: np.ndarray,
-    cols: np.ndarray,
-    raised: np.ndarray,
-    ground: Float32Array,
-    surface: Float32Array,
-    view: NetworkView,
-    truth: Float32Array,
-    step: int,
-) -> Float64Array:
-    """(N, 7) of pixels with truth that the photo gives to a crest below them: row, column, pixels above it, its depth,
-    nearness to it, depth of the surface behind, truth."""
-    found, n = np.empty((truth.size, 7), np.float64), 0
-    for i in range(len(rows)):
-        v, u = rows[i], cols[i]
-        d = ground[v, u]
-        for s in range(1, raised[i] + 1):
-            r = v - s
-            if r % step or u % step or n == len(found) or surface[r, u] <= d or not ground[r, u] > d:
-                continue
-            t = truth[r // step, u // step] if r // step < truth.shape[0] and u // step < truth.shape[1] else np.nan
-            if not t > 0:
-                continue
-            behind = np.float32(1.0) / ground[r, u]
-            toward = (upsample_pixel(view, r, u) - behind) / (np.float32(1.0) / d - behind)
-            out = found[n]
-            out[0], out[1], out[2], out[3] = r, u, s, d
-            out[4], out[5], out[6] = min(max(toward, np.float32(-0.5)), np.float32(1.5)), surface[r, u], t
-            n += 1
-    return found[:n]
-
-
-def _outline(above: Float64Array, labels: UInt8Array, ids: UInt8Array, focal: float) -> Samples:
-    row, col, up, near, toward, behind, truth = above.T
-    usable = np.isfinite(toward)
-    truth, behind = np.minimum(truth, _FARTHEST), np.minimum(behind, _FARTHEST)
-    right = np.abs(np.log(truth / near)) < np.abs(np.log(truth / behind))
-    features = np.concatenate([_one_hot(labels[row.astype(int), col.astype(int)], ids), toward[:, None]], axis=1)
-    return _part(features, -np.log(up * near / focal), right, usable)
 
 
 def _canopy(
@@ -238,13 +188,15 @@ def _two_surfaces(
     canopy, depth of the ground, of the canopy, truth."""
     errors = view.errors
     found, n = np.empty((truth.size, 6), np.float64), 0
+    seen, between = np.empty((3, over.shape[1]), np.float32), np.empty((4, view.cells.shape[2]), np.float32)
     for k in range(truth.shape[0]):
+        upsample_row(view, k * step, between, seen)
         for m in range(truth.shape[1]):
             v, u, t = k * step, m * step, truth[k, m]
             c, d = over[v, u], depth[v, u]
             if not (c < np.float32(1e9) and t > 0 and (not d < np.float32(1e9) or abs(c - d) > sigma[v, u])):
                 continue
-            y, a = upsample_pixel(view, v, u), np.float32(0.0)
+            y, a = seen[0, u], np.float32(0.0)
             if d < np.float32(1e9):
                 a = np.float32(1.0) / d
             less, spread = expected_prediction(a, errors)

@@ -248,11 +248,9 @@ def _read(tile: Tile, window: tuple[int, int, int, int], elevation: bool, remark
             row = source.height - row - height
         if elevation:
             stored = StoredHeights.of(source, tile.path, None, ellipsoidal=True)
-            values = stored.read(row, col, height, width)
         else:
             stored = StoredHeights(source, tile.path, 1, unit_of(source, 1, None, tile.path), tile.crs, [])
-            values = np.empty((height, width), np.float32)
-            stored.fill(values, row, col)
+        values = stored.read(row, col, height, width, ground=elevation)
     remarks += [doubt.text for doubt in stored.doubts]
     return values
 

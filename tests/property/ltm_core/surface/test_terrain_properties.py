@@ -38,7 +38,7 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
     """A fresh cell, the first of the first tile, after these looks."""
     one = pool(canopy_known)
     for name in FIELDS:
-        one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
+        one.cells.records[name][0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
         own = float(np.float32(variance))
         called(update_cell)(
@@ -49,7 +49,7 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
 
 def believed(one: TilePool) -> bool:
     """Whether independent views stand behind the cell's estimate."""
-    c = one.cells.estimate[0, 0]
+    c = one.cells.records[0, 0]
     return bool(c["looks"] > 0) and bool(
         called(independent)(c["cameras"], c["first"], c["last"], RULES.independent_after, RULES.settle)
     )
@@ -85,8 +85,8 @@ def test_what_is_elsewhere_each_time_never_becomes_the_estimate(levels: list[int
         if data.draw(st.booleans()):
             looks.append((seconds + 7200, data.draw(st.sampled_from([1, 2, 4])), 0.0, 0.05, False))
     one = seen_by(looks)
-    assert abs(float(one.cells.estimate[0, 0]["dz"])) < 1e-6
-    assert one.cells.estimate[0, 0]["looks"] <= sum(1 for look in looks if look[2] == 0.0)
+    assert abs(float(one.cells.records[0, 0]["dz"])) < 1e-6
+    assert one.cells.records[0, 0]["looks"] <= sum(1 for look in looks if look[2] == 0.0)
 
 
 @settings(max_examples=100, deadline=None)
@@ -96,7 +96,7 @@ def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
     times = (0, 3600 * first, 3600 * (first + second))
     one = seen_by([(BEGIN + t, bit, height, 0.05, False) for t, bit in zip(times, (1, 2, 1), strict=True)])
     assert believed(one)
-    assert abs(float(one.cells.estimate[0, 0]["dz"]) - height) < 1e-3
+    assert abs(float(one.cells.records[0, 0]["dz"]) - height) < 1e-3
 
 
 @settings(max_examples=40, deadline=None)
@@ -106,8 +106,8 @@ def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, qua
     begin, age = 1_000_000_000, quarters * 8_000_000
     one = seen_by([(begin, 1, 0.0, 4.0, False), (begin + age, 1, rise, 4.0, False)])
     kept = math.exp(-age / RULES.lasting)
-    assert one.cells.estimate[0, 0]["dz"] == pytest.approx(rise / (1 + kept), rel=1e-4)
-    assert one.cells.estimate[0, 0]["looks"] == pytest.approx(1 + kept, rel=1e-5)
+    assert one.cells.records[0, 0]["dz"] == pytest.approx(rise / (1 + kept), rel=1e-4)
+    assert one.cells.records[0, 0]["looks"] == pytest.approx(1 + kept, rel=1e-5)
 
 
 @settings(max_examples=200, deadline=None)
@@ -127,7 +127,7 @@ def passed_below(relative_variance: float) -> TilePool:
     """A cell 8 m below whose surface the rays of two cameras have passed, four times; `relative_variance`: of that."""
     one = pool(True)
     for name in FIELDS:
-        one.cells.field(name)[0, 0] = 0
+        one.cells.records[name][0, 0] = 0
     for number in range(4):
         when, camera, after = BEGIN + 3600 * number, 1 + number % 2, RULES.independent_after
         called(update_cell)(one.cells, SLOT, 0, -8.0, 0.25, relative_variance, EXACT, True, when, camera, after, RULES)
@@ -138,7 +138,7 @@ def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
     """Two cameras whose rays passed 8 m below the crowns, by 4 sigmas of range: how low the cell is, is known, and that
     its stand has gone is known by 4 sigmas, less what two cameras and their looks make of them."""
     one = passed_below(relative_variance=4.0)
-    c = one.cells.estimate[0, 0]
+    c = one.cells.records[0, 0]
     assert believed(one)
     assert c["dz"] == pytest.approx(-8.0)
     assert c["looks"] / c["weight"] == pytest.approx(0.25)
@@ -148,4 +148,4 @@ def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
 def test_a_ray_that_may_not_have_passed_contradicts_nothing() -> None:
     one = passed_below(relative_variance=(8.0 / 2.9) ** 2)
     assert not believed(one)
-    assert one.cells.estimate[0, 0]["c_looks"] == 0
+    assert one.cells.records[0, 0]["c_looks"] == 0

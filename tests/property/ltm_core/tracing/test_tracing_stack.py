@@ -48,7 +48,7 @@ def three_levels(seed: int) -> DemStack:
 def holed(whole: DemStack, seed: int, margin: bool) -> DemStack:
     """The same after the fitting, with holes in both levels that nothing fills."""
     levels = [with_holes(level, seed + k, margin=margin) for k, level in enumerate(whole.levels)]
-    return DemStack.of_fitted(levels)
+    return DemStack(levels, fitted=True)
 
 
 def positions(dem: DemStack, rng: np.random.Generator, count: int) -> list[Float64Array]:

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, depth_scene
 
-from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
-from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities
+from ltm_core.vision.labels import LabelSet
 
 CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
 
@@ -45,40 +43,11 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)) + rng.normal(0, 8, (height, width, 1))
     surface, sigma = ground.copy(), np.full_like(ground, 2.0)
     camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
+    edges = DepthDiscontinuities.of(ground, CONFIG.surface.jump)
     raised = refine_occlusion_boundaries(
-        np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera, CONFIG
+        np.clip(photo, 0, 255).astype(np.uint8), surface, sigma, ground, edges, None, CLASSES, camera, CONFIG
     )
     assert (np.abs(raised - 5) <= 1).mean() > 0.9
     strip = grown & (rows < crest)
     assert (surface[strip] == 400.0).mean() > 0.85
     assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99
-
-
-def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests() -> None:
-    height, width, crest = 200, 240, 110
-    rows = np.mgrid[0:height, 0:width][0]
-    ground = np.where(rows >= crest, 400.0, 1500.0).astype(np.float32)
-    grown = rows >= crest - 5
-    photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)).astype(np.uint8)
-    photo = np.asarray(np.ascontiguousarray(np.broadcast_to(photo, (height, width, 3))))
-    camera = replace(CAMERA, width=width, height=height, fx=300.0, fy=300.0)
-    strip = grown & (rows < crest)
-
-    def raised(label: int, seen_at: float) -> float:
-        """Of the way from the far side to the crest, where the strip is, on average, where the network sees all of the
-        photo at `seen_at` metres; what is between both says so."""
-        inverse = np.full((25, 30), 1 / seen_at, np.float32)
-        inverse[14:] = 1 / 400
-        fit = ScaleFit(inverse, inverse, inverse, ErrorModel.none(), 0.05, None, "")
-        surface, sigma = ground.copy(), np.full_like(ground, 2.0)
-        labels = np.full(ground.shape, label, np.uint8)
-        view = NetworkView.of(fit, photo, CONFIG)
-        refine_occlusion_boundaries(photo, ground, surface, sigma, labels, CLASSES, camera, CONFIG, view)
-        torn = strip & (surface > 400) & (surface < 1500)
-        assert np.all(surface + 3 * sigma >= 1500, where=torn)
-        assert np.all(surface - 3 * sigma <= 400, where=torn)
-        return float((1500 - surface[strip]).mean() / 1100)
-
-    assert raised(int(Label.TREE), 400.0) > 0.85
-    assert 0.2 < raised(int(Label.TREE), 1500.0) < 0.7
-    assert raised(int(Label.GRASS), 1500.0) < 0.2

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from scenes.called import called
@@ -56,23 +55,18 @@ def test_the_higher_a_thing_would_have_to_be_the_less_likely_it_stands() -> None
     assert odds_at(standing, 100, 90.0, 2.0) == pytest.approx(odds_at(standing, 100, 90.0) + 2.0)
 
 
-def test_labels_are_heard_about_a_place() -> None:
-    """In the middle of a meadow nothing stands; beside a wood, on either side, it may; sky says nothing."""
+def test_the_label_of_a_place_gives_its_odds() -> None:
+    """In a meadow nothing stands, in a wood it may; sky says nothing."""
     classes = ClassPriors.of(LabelSet.load())
     labels = np.full((120, 200), Label.GRASS, np.uint8)
     labels[:, 80:] = Label.TREE
     labels[:40] = Label.SKY
     odds = standing_of(labels, (24, 40)).odds
-    grass, tree = classes.occluder_log_odds[int(Label.GRASS)], classes.occluder_log_odds[int(Label.TREE)]
-    np.testing.assert_allclose(odds[9:, :12], grass, rtol=1e-5)
-    np.testing.assert_allclose(odds[9:, 20:], tree, rtol=1e-5)
-    assert np.all(np.diff(odds[15, 12:20]) > 0)
-    assert odds[15, 15] == pytest.approx((4 * grass + 3 * tree) / 7, rel=1e-4)
-    np.testing.assert_allclose(odds[8], odds[15], atol=1e-4)  # beside the sky
+    for part, wanted in ((odds[8:, :16], classes.occluder_log_odds[int(Label.GRASS)]), (odds[:8], 0.0),
+                         (odds[8:, 16:], classes.occluder_log_odds[int(Label.TREE)])):  # fmt: skip
+        assert (part == wanted).all()
     unlabelled = standing_of(None, (24, 40)).odds
     assert np.unique(unlabelled).tolist() == [classes.occluder_log_odds[255]]
-    one = cv2.blur(classes.occluder_log_odds[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
-    assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
 
 
 @pytest.mark.parametrize("likely", [0.25, 0.5, 0.7])
@@ -94,9 +88,8 @@ def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
     depth, sigma, kind = 1 / true, own / true**2, np.ones(3, np.uint8)
     none = np.empty(3, np.float32)
     row = FusionRow(
-        depth, sigma, kind, kind, none, none, none, true, own, none, none, off, joint, np.empty(3, np.float32),
-        np.empty(3, np.int32), np.ones(3, np.bool_),
-    )  # fmt: skip
+        depth, sigma, kind, kind, none, none, none, true, own, none, off, joint, none.copy(), np.ones(3, np.bool_)
+    )
     called(average_row)(row, RULES)
     np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
     np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)

@@ -27,5 +27,5 @@ def test_that_of_things_seen_through_is_ready_before_any_is(tmp_path: Path) -> N
     run = subprocess.run([sys.executable, "-c", CODE, site], env=paths, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     kernels = {name: count for name, count in json.loads(run.stdout).items() if ".free_space." in name}
-    assert len(kernels) > 1
+    assert kernels
     assert all(count > 0 for count in kernels.values()), kernels

@@ -9,7 +9,7 @@ from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, dem, fra
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.observation import DepthFrame, LabelImage
+from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
@@ -39,7 +39,7 @@ def shown(source: str, cells: BoolArray = PATCH) -> BoolArray:
 def labelled(source: str, hours: float, labels: UInt8Array, **changes: object) -> DepthFrame:
     """A frame in which nothing is measured but for what `changes` say."""
     nowhere = np.zeros(labels.shape, np.bool_)
-    full_labels = LabelImage(labels, CAMERA)
+    full_labels = labels, CAMERA
     return frame(STAND, source, hours, **{"measured": nowhere, "full_labels": full_labels} | changes)
 
 
@@ -99,7 +99,7 @@ def test_a_standing_wood_stays_though_a_tenth_of_its_labels_are_wrong() -> None:
         for camera in PLACES:
             seen = standing(camera, 2.0 * look, 0.1)
             assert seen.full_labels is not None
-            wrong += float((seen.full_labels.ids[shown(camera)] == Label.GRASS).mean()) / 12
+            wrong += float((seen.full_labels[0][shown(camera)] == Label.GRASS).mean()) / 12
             surface.add(seen)
     assert wrong == pytest.approx(0.1, abs=0.03)
     assert len(surface.decide().rows) == 0

@@ -11,7 +11,7 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.training.fusion_fit import CANOPY, OUTLINE, STANDING, constants, fit_fusion, updated, write_fusion_config
+from ltm_lab.training.fusion_fit import CANOPY, STANDING, constants, fit_fusion, updated, write_fusion_config
 from ltm_lab.training.fusion_samples import CLASSES, FrameSamples, Samples, frame_samples
 
 TRUE = {"occlusion.standing.grass": -1.0, "occlusion.standing.tree": 1.5, "occlusion.metre": 0.3, "decision.heard": 0.7}
@@ -35,7 +35,7 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
     config = FusionConfig()
     values = {name: value for name, value, _, _ in constants(config)} | TRUE
     weights = np.array([values[name] for name in STANDING])
-    folders = [[FrameSamples(drawn(weights, seed), nothing(len(OUTLINE)), nothing(len(CANOPY)))] for seed in (1, 2, 3)]
+    folders = [[FrameSamples(drawn(weights, seed), nothing(len(CANOPY)))] for seed in (1, 2, 3)]
     fit = fit_fusion(folders, config)
     found = {name: value for name, value, _, _ in constants(fit.config)}
     for name in STANDING:
@@ -43,9 +43,9 @@ def test_odds_that_made_the_samples_are_found_again() -> None:
         assert found[name] == pytest.approx(values[name], abs=0.7 if "standing" in name else 0.25), name
     before, after = fit.loss["standing"]
     assert after < before
-    assert fit.counts == {"standing": 18_000, "outline": 0, "canopy": 0}
+    assert fit.counts == {"standing": 18_000, "canopy": 0}
     # What has no samples stays as it was.
-    assert found["boundaries.toward"] == config.boundaries.toward
+    assert found["decision.canopy_weight"] == config.decision.canopy_weight
 
 
 def test_constants_survive_their_file(tmp_path: Path) -> None:
