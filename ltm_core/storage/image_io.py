@@ -307,7 +307,7 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
     ended, tidy, strict = kinds[-1:] == [_IMAGE_END], False, True
     while True:
         try:
-            pixels: UInt8Array = simplejpeg.decode_jpeg(data, "CMYK" if inks else "RGB", strict=strict, **size)
+            pixels = simplejpeg.decode_jpeg(data, "CMYK" if inks else "RGB", strict=strict, **size)
         except ValueError as error:
             reason = str(error)
             if not ended and reason.startswith("Premature end"):

@@ -19,6 +19,7 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import project_path
+from ltm_core.raster.dem import prepare_heights
 from ltm_core.site.site_io import load_site
 from ltm_lab.bench.graph_cameras import CameraSender, Listener
 from ltm_lab.bench.graph_site import NAME, Load, write_site
@@ -101,6 +102,7 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
         folder = Path(name)
         traffic = write_site(folder, project_path("bags/demo"), load)
         site = load_site(traffic.site)
+        prepare_heights(site.dem.path)  # as `ltm run` does
         graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
         runner = Runner(graph, domain_id=domain_id, console=lambda line: None)
         with runner, Listener() as listener:
