@@ -25,6 +25,7 @@ from ltm_core.geometry.geodesy import (
 )
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.heights_check import HeightsDoubt, clean_heights, doubt_of_relief, elevation_band, unit_of
+from ltm_core.raster.prepared_heights_io import map_heights, write_heights
 from ltm_core.raster.raster_io import check_size, open_raster, read_band
 
 Bounds = tuple[float, float, float, float]
@@ -63,14 +64,19 @@ class StoredHeights:
     def read(
         self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None, ground: bool = True
     ) -> Float32Array:
-        """Return a window in metres, NaN where unknown, north up if it is the whole; read strip by strip, so that only
-        the result is held as a whole. `ground`: whether they must have the relief of ground. Raises RasterError for
-        heights that are no ground's."""
+        """Return a window in metres, NaN where unknown, north up if it is the whole. `ground`: whether they must have
+        the relief of ground. Raises RasterError for heights that are no ground's."""
+        height, width = height or self.source.height, width or self.source.width
+        check_size(self.source, self.path, height, width)
+        elevation = np.empty((height, width), np.float32)
+        self.fill(elevation, row0, col0)
+        return self.judged(elevation) if ground else elevation
+
+    def fill(self, elevation: Float32Array, row0: int = 0, col0: int = 0) -> None:
+        """Read strip by strip, so that only the result is held as a whole. Raises RasterError: impossible heights."""
         from rasterio.windows import Window
 
-        source, height, width = self.source, height or self.source.height, width or self.source.width
-        check_size(source, self.path, height, width)
-        elevation = np.empty((height, width), np.float32)
+        source, (height, width) = self.source, elevation.shape
         scale, offset = (v[self.band - 1] * self.unit for v in (source.scales, source.offsets))
         blocks = source.block_shapes[self.band - 1][0]
         rows = max(blocks, _ROWS // blocks * blocks)
@@ -85,10 +91,21 @@ class StoredHeights:
         if source.transform.e > 0:  # south-up
             for row in range(height // 2):
                 elevation[[row, -1 - row]] = elevation[[-1 - row, row]]
-        byte = source.dtypes[self.band - 1] == "uint8"
-        if ground and (doubt := doubt_of_relief(elevation, self.resolution, byte, self.path)) is not None:
-            self.doubts.append(doubt.required())
+
+    def judged(self, elevation: Float32Array) -> Float32Array:
+        """Return heights that were read. Raises RasterError if their relief is no ground's."""
+        doubt = doubt_of_relief(elevation, self.resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
+        self.doubts.extend([] if doubt is None else [doubt.required()])
         return elevation
+
+
+def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
+    """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
+
+    Raises RasterError: not readable; OSError: no file can be written beside it."""
+    with open_raster(path) as source:
+        check_size(source, path, source.height, source.width)
+        return write_heights(path, source, StoredHeights.of(source, path, crs).fill)
 
 
 def read_around(
@@ -212,7 +229,8 @@ class Dem:
 
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
         south-up are turned. Raises RasterError: not readable, no CRS, one that is no map's or distorts distances,
-        rotated, cells not square, or values that are no heights (see `heights_check`)."""
+        rotated, cells not square, or values that are no heights (see `heights_check`). The prepared heights of a
+        large raster are mapped (see `prepared_heights_io`)."""
         with open_raster(path) as source:
             heights = StoredHeights.of(source, path, crs)
             t, problem = source.transform, map_problem(heights.crs)
@@ -226,7 +244,9 @@ class Dem:
                 problem = scale_problem(heights.crs, geometry)
             if problem is not None:
                 raise RasterError(f"{path}: {problem}")
-            return cls(heights.read(), geometry, tuple(heights.doubts))
+            prepared = map_heights(path, source)
+            elevation = heights.read() if prepared is None else heights.judged(prepared)
+            return cls(elevation, geometry, tuple(heights.doubts))
 
     def in_frame(self, frame: SiteFrame) -> Dem:
         """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""

@@ -15,6 +15,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Arra
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import BAND, DemStack
+from ltm_core.raster.prepared_heights_io import own_copy
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ class ConfirmedSurface:
         first, last = grid.to_grid(west, north), grid.to_grid(east, south)
         top, left = (max(0, int(np.ceil(v))) for v in first)
         bottom, right = (min(n - 1, int(np.floor(v))) for v, n in zip(last, grid.shape, strict=True))
-        elevation = level.elevation.copy()
+        elevation = own_copy(level.elevation)
         x, y = grid.to_map(np.arange(top, bottom + 1), np.arange(left, right + 1))
         in_row, in_col = cells.cell_of(x, y)
         inside = (in_col >= 0) & (in_col < cells.width)

@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,6 +15,7 @@ from types import ModuleType
 from pydantic import BaseModel
 
 from ltm_core.base.errors import ConfigError, LtmError, SiteFinding, SiteVerdict
+from ltm_core.raster.dem import prepare_heights
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_check import SiteCheck, check_site
@@ -100,7 +102,26 @@ def exit_status(findings: Sequence[SiteFinding]) -> int:
 
 
 def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
-    return examine(path, wanted).findings
+    """Check a graph that is about to start; a large DEM is prepared first."""
+    prepared = list(_prepare(path))
+    return [*examine(path, wanted).findings, *prepared]
+
+
+def _prepare(path: Path) -> Iterator[SiteFinding]:
+    """Prepare rasters so that the graph's processes share them. The check reports errors of the site or the raster."""
+    with suppress(LtmError):
+        dem = load_site(path).dem
+        raster = dem.path
+        try:
+            prepared = prepare_heights(raster, dem.crs)
+        except OSError as error:
+            why = error.strerror or error
+            yield SiteFinding(
+                MACHINE, "dem", SiteVerdict.OK, f"no file beside {raster} ({why}): each process loads its own copy"
+            )
+        else:
+            if prepared is not None:
+                yield SiteFinding(MACHINE, "dem", SiteVerdict.OK, f"prepared in {prepared}: the processes share it")
 
 
 def _config_of(module: ModuleType) -> type[BaseModel]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ import yaml
 from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import SiteFinding, SiteVerdict
+from ltm_core.raster import prepared_heights_io
 from ltm_ros.launching import site_check
 from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
 
@@ -103,3 +106,27 @@ def test_what_a_source_or_an_alert_lacks_is_doubted_and_keeps_nothing_from_start
     (tmp_path / "drop").mkdir()
     (tmp_path / "camera.pem").touch()
     assert doubts() == []
+
+
+def test_the_dem_of_a_graph_that_starts_is_prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(site_check, "ProcessPoolExecutor", lambda *_, **__: ThreadPoolExecutor(1))
+    monkeypatch.setattr(prepared_heights_io, "LEAST_CELLS", 100)
+    small = write_small_site(tmp_path, recording=False)
+
+    def said() -> list[str]:
+        found = [one for one in examined_apart(small.path, Wanted()) if (one.area, one.name) == (MACHINE, "dem")]
+        assert {one.verdict for one in found} <= {SiteVerdict.OK}
+        return [one.said for one in found]
+
+    examine(small.path, Wanted())
+    raster = small.site.dem.path
+    assert not list(raster.parent.glob("*.ltm-heights.npy"))
+    (first,) = said()
+    (prepared,) = raster.parent.glob("*.ltm-heights.npy")
+    assert str(prepared) in first
+    assert said() == []
+
+    prepared.unlink()
+    monkeypatch.setattr(os, "posix_fallocate", lambda *_: (_ for _ in ()).throw(OSError(30, "Read-only file system")))
+    (refused,) = said()
+    assert "Read-only file system" in refused
