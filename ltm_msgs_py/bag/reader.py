@@ -17,8 +17,7 @@ from mcap.records import Channel, Message, Schema
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_msgs_py.bag.cdr import TF_TYPE, Transforms, transforms_of
-from ltm_msgs_py.bag.mcap_chunk import LARGEST_MESSAGE
-from ltm_msgs_py.bag.mcap_index import McapIndex
+from ltm_msgs_py.bag.mcap_index import LARGEST_MESSAGE, McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
 from ltm_msgs_py.bag.schemas import message_class
 
