@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -202,8 +202,8 @@ class McapIndex:
         counts = Counter(message.channel_id for message in messages)
         start, last = (pick((m.log_time for m in messages), default=0) for pick in (min, max))
         if opcode == Opcode.CHUNK:
-            place = end - offset, offset, chunk.compression, len(chunk.data), last, 0, {}, start
-            self.chunks.append((ChunkIndex(*place, chunk.uncompressed_size), counts))
+            index = ChunkIndex(end - offset, offset, "", len(chunk.data), last, 0, {}, start, chunk.uncompressed_size)
+            self.chunks.append((replace(index, compression=chunk.compression), counts))
         if messages:
             self.counts = dict(Counter(self.counts) + counts)
             self._spans.append((start, last, offset))

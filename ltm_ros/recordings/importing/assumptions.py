@@ -240,9 +240,9 @@ def _climbed(sensed: Sensed, site: Surroundings, assumed: Assumptions) -> tuple[
         return assumed.start_height + sensed.climb, assumed.climb_sigma, what
     if sensed.walk is None or site.dem is None:
         return None
-    walk = sensed.walk
-    ground = site.dem.elevation_at(*site.frame.from_lonlat(walk.lon, walk.lat))
-    starts = (ground - walk.climb)[np.isfinite(ground)]
+    lon, lat, climb = sensed.walk.T
+    ground = site.dem.elevation_at(*site.frame.from_lonlat(lon, lat))
+    starts = (ground - climb)[np.isfinite(ground)]
     if not len(starts):
         return None
     start = float(np.median(starts)) + assumed.height_above_ground

@@ -10,6 +10,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from ltm_core.base.errors import RecordingError
@@ -31,7 +32,10 @@ class CaptureFiles:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._archive = None if path.is_dir() else self._opened()
-        self.names: tuple[str, ...] = tuple(self._below() if self._archive is None else self._members(self._archive))
+        names = self._below() if self._archive is None else self._archive.namelist()
+        self.names = [name for name in islice(names, MOST_MEMBERS + 1) if name and not name.endswith("/")]
+        if len(self.names) > MOST_MEMBERS:
+            raise RecordingError(f"{path}: the number of its files is more than {MOST_MEMBERS}: split the recording")
 
     def find(self, name: str) -> str | None:
         """Return the member of this name, in any case: in a zip the one nearest to the top, in a folder directly in it,
@@ -72,20 +76,10 @@ class CaptureFiles:
                 f"{self.path}: is not a complete zip ({type(error).__name__}: {error}); export or copy it again"
             ) from error
 
-    def _members(self, archive: zipfile.ZipFile) -> list[str]:
-        infos = archive.infolist()
-        if len(infos) > MOST_MEMBERS:
-            raise RecordingError(f"{self.path}: has {len(infos)} files, more than {MOST_MEMBERS}: split the recording")
-        return [info.filename for info in infos if info.filename and not info.filename.endswith("/")]
-
     def _below(self) -> Iterator[str]:
         """Return the files in the folder and one level below."""
         for pattern in ("*", "*/*"):
-            for count, path in enumerate(self.path.glob(pattern)):
-                if count >= MOST_MEMBERS:
-                    raise RecordingError(f"{self.path}: has more than {MOST_MEMBERS} files: split the recording")
-                if path.is_file():
-                    yield path.relative_to(self.path).as_posix()
+            yield from (path.relative_to(self.path).as_posix() for path in self.path.glob(pattern) if path.is_file())
 
 
 def is_zip(path: Path) -> bool:
@@ -110,18 +104,17 @@ def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, 
         if not header or len(set(header)) < len(header):
             raise RecordingError(f"{place}: its first line is not a header of different columns, got {header[:8]}")
         columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
-        kept = [(header.index(column), values) for column, values in columns.items()]
-        short = 0
-        for number, row in enumerate(rows, start=2):
-            if short:
-                raise RecordingError(f"{place}, line {short}: has fewer values than the {len(header)} columns")
-            if number > MOST_ROWS:
+        places = {column: header.index(column) for column in columns}
+        for row in filter(None, rows):
+            if rows.line_num > MOST_ROWS:
                 raise RecordingError(f"{place}: has more than {MOST_ROWS} rows: split the recording")
-            if row and len(row) < len(header):
-                short = number
-            elif row:
-                for i, values in kept:
-                    values.append(row[i].strip())
+            if len(row) < len(header):
+                number = rows.line_num
+                if next(rows, None):
+                    raise RecordingError(f"{place}, line {number}: has fewer values than the {len(header)} columns")
+                break
+            for column, values in columns.items():
+                values.append(row[places[column]].strip())
     except (csv.Error, UnicodeDecodeError) as error:
         what = "not text in UTF-8" if isinstance(error, UnicodeDecodeError) else "no CSV"
         raise RecordingError(f"{place} is {what} ({error}); export the recording again") from error

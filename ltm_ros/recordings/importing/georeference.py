@@ -162,7 +162,7 @@ def _azimuth_deg(
         raise PoseError(
             f"{photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or --refine"
         )
-    found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
+    found["azimuth_sigma_deg"] = assumed.compass_sigma_deg
     if sensed.azimuth_ref == "M":
         return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
     if sensed.azimuth_ref is None:
