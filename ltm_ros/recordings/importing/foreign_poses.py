@@ -36,12 +36,10 @@ def read_foreign_poses(
     `size`: width and height of formats that do not state them. `camera`: of formats that state no lens. `transform`: of
     a reconstruction that is not on the map. Raises PoseError that names file and entry."""
     if path.is_dir():
-        for name in ("images.txt", "reconstruction.json"):
-            if (path / name).is_file():
-                path = path / name
-                break
-        else:
+        found = [path / name for name in ("images.txt", "reconstruction.json") if (path / name).is_file()]
+        if not found:
             raise PoseError(f"{path}: contains neither images.txt (COLMAP) nor reconstruction.json (OpenSfM)")
+        path = found[0]
     text = read_text(path, LARGEST, PoseError, "utf-8-sig")
     head = text.lstrip()[:4000]
     readers: list[tuple[str, bool, Callable[[], list[ForeignPose]]]] = [
@@ -58,9 +56,7 @@ def read_foreign_poses(
     try:
         poses = read()
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
-        raise PoseError(
-            f"{path}: is not a file of {tool} that can be read ({type(error).__name__}: {error})"
-        ) from error
+        raise PoseError(f"{path}: is not a readable file of {tool} ({type(error).__name__}: {error})") from error
     if not poses:
         raise PoseError(f"{path}: contains no pose ({tool})")
     return tool, poses
@@ -101,11 +97,7 @@ def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
 
         camera = closest_camera(start, project, place)
     pan, tilt, roll = (math.radians(float(p[key])) for key in ("pan", "tilt", "roll"))
-    turn = (
-        Rotation.from_euler("x", -(tilt + math.pi / 2))
-        * Rotation.from_euler("y", -roll)
-        * Rotation.from_euler("z", pan)
-    )
+    turn = Rotation.from_euler("XYZ", [-(tilt + math.pi / 2), -roll, pan])
     position = np.array([float(p[key]) for key in "xyz"])
     return ForeignPose(name, place, position, (UPWARD @ turn.as_matrix()).T, camera)
 
@@ -118,16 +110,7 @@ def _imgraft(path: Path, text: str) -> list[ForeignPose]:
     start = Camera(int(v[4]), int(v[3]), fx, fy, cx - 1, cy - 1)
 
     def turned(a: Float64Array) -> Float64Array:
-        c, s = np.cos(a), np.sin(a)
-        rows = np.array(
-            [
-                [s[2] * s[1] * c[0] - c[2] * s[0], s[2] * s[1] * s[0] + c[2] * c[0], s[2] * c[1]],
-                [c[2] * s[1] * c[0] + s[2] * s[0], c[2] * s[1] * s[0] - s[2] * c[0], c[2] * c[1]],
-                [c[1] * c[0], c[1] * s[0], -s[1]],
-            ]
-        )
-        rows[:2] *= -1
-        return np.asarray(rows.T, np.float64)
+        return np.asarray(Rotation.from_euler("ZYX", a).as_matrix()[:, [1, 2, 0]] * [-1, -1, 1], np.float64)
 
     def project(rays: Float64Array) -> Float64Array:
         x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
@@ -156,24 +139,11 @@ def _practise(path: Path, text: str, size: tuple[int, int] | None) -> list[Forei
     f, high, wide = values("cam_foc")[0], values("cam_hei")[0], values("cam_wid")[0]
     lens = Camera(width, height, f / wide * width, f / high * height, (width - 1) / 2, (height - 1) / 2)
     east, north = target[0] - at[0], target[1] - at[1]
-    # The pitch follows from the DEM under both, see `aimed`.
+    # The pitch follows from the DEM under both, see `ForeignPose.pose`.
     pose = Pose.from_angles((0, 0, 0), math.degrees(math.atan2(east, north)), 0.0, values("cam_rol")[0])
     position = np.array([*at[:2], off[0]])
     aim = np.array([*target[:2], off[1]])
     return [ForeignPose(path.stem, str(path), position, pose.rotation, lens, target=aim)]
-
-
-def aimed(
-    foreign: ForeignPose, pose: Pose, ground: Callable[[float, float], float], origin: tuple[float, float]
-) -> Pose:
-    """Return a pose pitched at its target, if it has one."""
-    if foreign.target is None:
-        return pose
-    x, y, off = foreign.target
-    x, y = x - origin[0], y - origin[1]
-    way = np.array([x, y, ground(x, y) + off]) - pose.position
-    azimuth, _, roll = pose.angles_deg
-    return Pose.from_angles(pose.position, azimuth, math.degrees(math.atan2(way[2], math.hypot(way[0], way[1]))), roll)
 
 
 def _pic2map(path: Path, text: str, size: tuple[int, int] | None) -> list[ForeignPose]:
@@ -185,18 +155,9 @@ def _pic2map(path: Path, text: str, size: tuple[int, int] | None) -> list[Foreig
     x, y, z, f = (values[key] for key in ("x", "y", "z", "focal"))
 
     def turned(a: Float64Array) -> Float64Array:
-        (st, sa, ss), (ct, ca, cs) = np.sin(a), np.cos(a)
-        rows = np.array(
-            [
-                [-ca * cs - sa * ct * ss, sa * cs - ca * ct * ss, -st * ss],
-                [ca * ss - sa * ct * cs, -sa * ss - ca * ct * cs, -st * cs],
-                [-sa * st, -ca * st, ct],
-            ]
-        )
-        # u = u0 - f (R0 d) / (R2 d), and d points west first.
-        return np.asarray((np.diag([1.0, 1.0, -1.0]) @ rows @ np.diag([-1.0, 1.0, 1.0])).T, np.float64)
+        return np.asarray(Rotation.from_euler("ZXZ", np.add(a, [0.0, math.pi, 0.0])).as_matrix(), np.float64)
 
-    angles = np.array([values[key] for key in ("tilt", "heading", "swing")])
+    angles = np.array([values[key] for key in ("heading", "tilt", "swing")])
     lens = Camera(width, height, f, f, width / 2 - 0.5, height / 2 - 0.5)
     position = np.array([-x, y, z])
     return [ForeignPose(path.stem, str(path), position, turned(angles), lens, angles=angles, turned=turned)]

@@ -22,7 +22,6 @@ from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
 from ltm_core.raster.dem import Dem
-from ltm_ros.recordings.importing.foreign_poses import aimed
 
 STATED = "as stated"
 _LEAST_GAP = 4.0
@@ -73,7 +72,6 @@ class Placement:
         if foreign.camera is None:
             raise PoseError(f"{foreign.place}: no focal length is known; give --focal and --size or --photos")
         pose = foreign.pose(self.frame, self.ground, self.undulation)
-        pose = aimed(foreign, pose, self.ground, (self.frame.x_origin, self.frame.y_origin))
         return PlacedPhoto(foreign.name, pose, foreign.camera, self._problem(pose, foreign.camera))
 
     def _problem(self, pose: Pose, camera: Camera) -> str | None:
@@ -119,11 +117,10 @@ def readings(
     found: list[Reading] = []
     sample = [pose for pose in poses if pose.name in photos] or list(poses[:3])
     for how in alternatives(sample[0]):
-        problem, costs, shares = None, [], []
+        problem, fits = None, list[SkylineFit]()
         for foreign in sample:
             try:
-                other = alternatives(foreign)[how]
-                placed = placement.placed(other)
+                placed = placement.placed(alternatives(foreign)[how])
             except (LtmError, KeyError) as error:
                 if how == STATED:
                     raise
@@ -132,14 +129,11 @@ def readings(
             problem = placed.problem and f"{foreign.name}: {placed.problem}"
             if problem is not None:
                 break
-            fit = placement.fit(placed, *photos[foreign.name]) if foreign.name in photos else None
-            if fit is not None:
-                costs.append(fit.cost)
-                shares.append(fit.support)
-        known = bool(costs) and problem is None
-        found.append(
-            Reading(how, problem, float(np.mean(costs)) if known else None, float(np.mean(shares)) if known else None)
-        )
+            if foreign.name in photos and (fit := placement.fit(placed, *photos[foreign.name])) is not None:
+                fits.append(fit)
+        means = [float(np.mean(values)) for values in zip(*((fit.cost, fit.support) for fit in fits), strict=True)]
+        cost, share = means if means and problem is None else (None, None)
+        found.append(Reading(how, problem, cost, share))
     return found
 
 
@@ -147,13 +141,10 @@ def chosen_reading(found: Sequence[Reading]) -> Reading:
     """Return the reading to use: the stated one, unless photos fit another one clearly better. Raises PoseError if the
     stated one is impossible and photos do not show which is right."""
     stated = found[0]
-    measured = [reading for reading in found if reading.cost is not None]
-    best = min(measured, key=lambda reading: reading.cost or 0.0, default=None)
-    if best is not None and (
-        stated.problem is not None
-        or (stated.cost is not None and best.cost is not None and best.cost < stated.cost - _LEAST_GAP)
-    ):
-        return best
+    costs = {reading.cost: reading for reading in reversed(found) if reading.cost is not None}
+    limit = math.inf if stated.problem is not None else -math.inf if stated.cost is None else stated.cost - _LEAST_GAP
+    if costs and min(costs) < limit:
+        return costs[min(costs)]
     if stated.problem is not None:
         others = [reading.how for reading in found[1:] if reading.problem is None]
         possible = f"; possible {', or '.join(others)}" if others else ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree  # nosec B405 # documents with a DTD are rejected before they are parsed
@@ -59,8 +58,8 @@ def metashape_poses(path: Path, text: str) -> list[ForeignPose]:
     if chunk is None:
         raise PoseError(f"{path}: has no <chunk>; export the cameras of Metashape as XML")
     cameras = {sensor.get("id"): _metashape_camera(sensor, str(path)) for sensor in chunk.iter("sensor")}
-    place = chunk.find("transform")
-    place = place if place is not None else chunk.find("components/component/transform")
+    places = (chunk.find(path) for path in ("transform", "components/component/transform"))
+    place = next((found for found in places if found is not None), None)
     if place is None or place.find("rotation") is None:
         raise PoseError(f"{path}: the chunk is not on the map (no <transform>); align it with its GPS or markers first")
     scale = float(place.findtext("scale", "1"))
@@ -114,7 +113,8 @@ def colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[Fo
     """Return the images of images.txt, whose rotations are world to camera; the first pixel's centre is 0.5."""
     cameras: dict[str, Camera] = {}
     place = path.with_name("cameras.txt")
-    for line in _lines(read_text(place, LARGEST, PoseError)):
+    lines = read_text(place, LARGEST, PoseError).splitlines()
+    for line in (line for line in lines if line.strip() and not line.startswith("#")):
         number, model, width, height, *values = line.split()
         if model not in _COLMAP:
             raise PoseError(f"{place}: camera {number} has the model {model}; known are {', '.join(_COLMAP)}")
@@ -123,21 +123,12 @@ def colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[Fo
             raise PoseError(f"{place}: camera {number} has k4 to k6; calibrate it as OPENCV")
         fx = p.get("fx", p.get("f", 0.0))
         lens = tuple(p.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
-        cameras[number] = Camera(
-            int(width),
-            int(height),
-            fx,
-            p.get("fy", fx),
-            p["cx"] - 0.5,
-            p["cy"] - 0.5,
-            lens,  # type: ignore[arg-type]
-        )
+        size, centre = (int(width), int(height)), (p["cx"] - 0.5, p["cy"] - 0.5)
+        cameras[number] = Camera(*size, fx, p.get("fy", fx), *centre, lens)  # type: ignore[arg-type]
     poses = []
     # Each image has a second line, of its points, which may be empty.
-    rows = [line for line in text.splitlines() if not line.startswith("#")]
-    while rows and not rows[-1].strip():
-        rows.pop()
-    for line in rows[::2]:
+    rows = "\n".join(line for line in text.splitlines() if not line.startswith("#")).rstrip().split("\n")
+    for line in rows[::2] if rows[0] else ():
         _, w, x, y, z, tx, ty, tz, camera, name = line.split(maxsplit=9)
         turn = Rotation.from_quat([float(v) for v in (x, y, z, w)]).as_matrix()
         position, rotation = -turn.T @ [float(v) for v in (tx, ty, tz)], turn.T
@@ -147,10 +138,6 @@ def colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[Fo
         name = name.strip()
         poses.append(ForeignPose(name, f"{path}: image {name}", position, rotation, cameras[camera]))
     return poses
-
-
-def _lines(text: str) -> Iterator[str]:
-    return (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
 
 
 def opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
@@ -185,8 +172,5 @@ def _opensfm_camera(values: dict[str, Any], place: str) -> Camera:
     fx = float(values.get("focal_x", values.get("focal", 0.0))) * size
     fy = float(values["focal_y"]) * size if "focal_y" in values else fx
     lens = tuple(float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3"))
-    cx, cy = (
-        (width - 1) / 2 + float(values.get("c_x", 0.0)) * size,
-        (height - 1) / 2 + float(values.get("c_y", 0)) * size,
-    )
-    return Camera(width, height, fx, fy, cx, cy, lens)  # type: ignore[arg-type]
+    cx, cy = (float(values.get(key, 0.0)) * size for key in ("c_x", "c_y"))
+    return Camera(width, height, fx, fy, (width - 1) / 2 + cx, (height - 1) / 2 + cy, lens)  # type: ignore[arg-type]
