@@ -32,10 +32,8 @@ from ltm_core.storage.image_io import (
     without_tail,
 )
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.recordings.importing.dji import sensed_by_xmp
-from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
+from ltm_ros.recordings.importing.exif import ExifFacts, Sensed, exif_facts, sensed_by_xmp, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
-from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
@@ -115,7 +113,7 @@ def photo_of(data: bytes, path: Path) -> Photo:
         else:
             stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
-    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
+    sensed = sensed_by_xmp(xmp, facts.sensed)
     return Photo(path, stored, encoding, width, height, facts, sensed, lens)
 
 
@@ -132,20 +130,6 @@ def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
         subsampling=get_sampling(stored) if stored.layers == 3 else -1,
     )
     return written.getvalue()
-
-
-def sensed_by_exif(facts: ExifFacts) -> Sensed:
-    """Return position and direction from EXIF, which has no pitch and no roll."""
-    return Sensed(
-        lon=facts.lon,
-        lat=facts.lat,
-        position_sigma=facts.position_error,
-        altitude=facts.altitude,
-        ellipsoidal=False if facts.above_sea else None,
-        missing=facts.no_position,
-        azimuth_deg=facts.direction_deg,
-        azimuth_ref=facts.direction_ref,
-    )
 
 
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
@@ -181,12 +165,26 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
         return _pose_files(path)
     if path.suffix.lower() != ".csv":
         raise ConfigError(f"pose file {path} must be a CSV file (.csv), or a folder of pose files")
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
     poses: dict[str, PhotoPose] = {}
-    for place, row in _csv_rows(path):
-        pose = checked(PhotoPose, row, place, unnamed=_SECTIONS)
-        if pose.name in poses:
-            raise ConfigError(f"{place}: {pose.name} is listed twice")
-        poses[pose.name] = pose
+    try:
+        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
+        header = reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
+        unknown = sorted(set(header) - set(columns()))
+        if unknown or len(set(header)) < len(header):
+            named = ", ".join(unknown) or "(duplicates)"
+            raise ConfigError(f"pose file {path}: unknown columns {named}; known: {', '.join(columns())}")
+        for number, row in enumerate(reader, start=1):
+            place = f"{path}, row {number}"
+            if None in row or None in row.values():
+                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
+            content = _sectioned({name: value.strip() for name, value in row.items() if value.strip()})
+            pose = checked(PhotoPose, content, place, unnamed=_SECTIONS)
+            if pose.name in poses:
+                raise ConfigError(f"{place}: {pose.name} is listed twice")
+            poses[pose.name] = pose
+    except csv.Error as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
     if not poses:
         raise ConfigError(f"pose file {path} has no rows")
     return poses
@@ -203,29 +201,6 @@ def _pose_files(folder: Path) -> dict[str, PhotoPose]:
     if not poses:
         raise ConfigError(f"{folder} contains no pose files (NAME.yaml for the photo NAME)")
     return poses
-
-
-def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
-    try:
-        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
-        header = [name.strip() for name in reader.fieldnames or []]
-        unknown = sorted(set(header) - set(columns()))
-        if unknown or len(set(header)) < len(header):
-            raise ConfigError(
-                f"pose file {path}: unknown columns {', '.join(unknown) or '(duplicates)'}; known: "
-                f"{', '.join(columns())}"
-            )
-        reader.fieldnames = header
-        rows = []
-        for number, row in enumerate(reader, start=1):
-            place = f"{path}, row {number}"
-            if None in row or None in row.values():
-                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
-            rows.append((place, _sectioned({name: value.strip() for name, value in row.items() if value.strip()})))
-        return rows
-    except csv.Error as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
 
 
 def _sectioned(row: dict[str, str]) -> dict[str, Any]:

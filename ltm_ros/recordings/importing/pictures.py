@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,16 +50,10 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     for path in paths:
         if not path.exists():
             raise RecordingError(f"no photo, folder or recording at {path}")
-        inside: list[ImportedImage] = []
-        for part in _found_in(path):
-            match part:
-                case SensorTrack():
-                    tracks.append(part)
-                case SkippedFile():
-                    skipped.append(part)
-                case _:
-                    inside.append(part)
-        found += _apart(inside, path)
+        parts = list(_found_in(path))
+        tracks += [part for part in parts if isinstance(part, SensorTrack)]
+        skipped += [part for part in parts if isinstance(part, SkippedFile)]
+        found += _apart([part for part in parts if isinstance(part, ImportedImage)], path)
     if tracks:
         found = [_beside(picture, tracks, assumed) for picture in found]
     names: dict[str, Path] = {}
@@ -136,19 +130,17 @@ def _photo_file(path: Path) -> ImportedImage:
     return ImportedImage(path.name, path, lambda: read_photo(path))
 
 
-def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]:
-    track = read_sensor_logger(files)
-    frames = camera_frames(files)
+def _sensor_logger(files: CaptureFiles) -> Iterator[ImportedImage | SensorTrack]:
+    track, frames = read_sensor_logger(files), camera_frames(files)
     if not frames:
-        return [track]
-
-    def picture(member: str, stamp_ns: int) -> ImportedImage:
+        yield track
+    for member, stamp_ns in frames.items():
         path = files.path / Path(member).name
-        return ImportedImage(
-            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
-        )
 
-    return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
+        def read(member: str = member, path: Path = path, stamp_ns: int = stamp_ns) -> Photo:
+            return _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
+
+        yield ImportedImage(path.name, path, read)
 
 
 def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumptions) -> ImportedImage:
@@ -156,23 +148,20 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
 
     def read() -> Photo:
         photo = picture.read()
-        taken = photo_time(photo, None, assumed.time_zone, [])
-        stamp_ns = stamp_of_moment(taken)
-        for track in tracks:
-            told = _told(photo, track, stamp_ns)
-            if told.sensed.lon is not None:
-                return told
-        return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
+        stamp_ns = stamp_of_moment(photo_time(photo, None, assumed.time_zone, []))
+        told = [_told(photo, track, stamp_ns) for track in tracks]
+        placed = [one for one in (*told, photo) if one.sensed.lon is not None]
+        return placed[0] if placed else told[0]
 
     return replace(picture, read=read)
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
     """Return the photo with the track's values at its time, completed by its EXIF."""
-    return replace(photo, sensed=track.at(stamp_ns, held(photo, track, stamp_ns)).over(photo.sensed))
+    return replace(photo, sensed=track.at(stamp_ns, _held(photo, track, stamp_ns)).over(photo.sensed))
 
 
-def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
+def _held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     """Return (3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
 
     EXIF's orientation decides; without one a portrait was held upright, and a landscape on the side on which it is

@@ -1,8 +1,8 @@
-"""Hold what the sensors of a device recorded, for one photo and along its track."""
+"""Hold what the sensors of a phone recorded along its track."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
 
@@ -13,52 +13,8 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import optical_angles_deg
+from ltm_ros.recordings.importing.exif import Sensed
 
-
-@dataclass(frozen=True, eq=False)
-class Sensed:
-    """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
-
-    `source`: of the values, for the user. `stamp`: exact; None: by EXIF.
-    `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
-    sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
-    (N, 3), longitude, latitude and climb along the way, if the device was carried on foot. `azimuth_deg`, from true
-    ("T") or magnetic ("M") north, `pitch_deg` and `roll_deg` are of the upright image. Sigmas are standard deviations.
-    `missing`: reason why there is no position, if known."""
-
-    source: str = "EXIF"
-    stamp: datetime | None = None
-    lon: float | None = None
-    lat: float | None = None
-    position_sigma: float | None = None
-    altitude: float | None = None
-    altitude_sigma: float | None = None
-    ellipsoidal: bool | None = None
-    in_flight: bool = False
-    climb: float | None = None
-    walk: Float64Array | None = None
-    azimuth_deg: float | None = None
-    azimuth_ref: Literal["T", "M"] | None = None
-    pitch_deg: float | None = None
-    roll_deg: float | None = None
-    tilt_sigma_deg: float | None = None
-    missing: str = ""
-
-    def over(self, own: Sensed) -> Sensed:
-        """Return this, completed from another: position with height, direction, and tilt, each as a whole."""
-        taken: dict[str, Any] = {}
-        for names in _PARTS:
-            if getattr(self, names[0]) is None:
-                taken |= {name: getattr(own, name) for name in names}
-        return replace(self, **taken, stamp=own.stamp or self.stamp)
-
-
-_PARTS = (
-    ("lon", "lat", "position_sigma", "altitude", "altitude_sigma", "ellipsoidal"),
-    ("azimuth_deg", "azimuth_ref"),
-    ("pitch_deg", "roll_deg", "tilt_sigma_deg"),
-)
-"""Values that belong together, by the one that shows whether they are known."""
 _FIX_GAP_NS = 15_000_000_000
 """Maximum ns between a photo and the nearest GPS fix: a walker moves 20 m in it. Phones record one fix per second."""
 _ATTITUDE_GAP_NS = 500_000_000
