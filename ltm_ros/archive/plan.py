@@ -96,17 +96,8 @@ def plan(
     return tasks
 
 
-@dataclass(frozen=True)
-class NodeRules:
-    """Parameters of a site's nodes for joining, tracing and labelling."""
-
-    manifest: ManifestRules
-    tracing: TracingConfig
-    labelling: LabellingConfig
-
-
-def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
-    """Return the parameters, with the nodes' defaults. Raises ConfigError."""
+def node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, TracingConfig, LabellingConfig]:
+    """Return the parameters of a site's nodes for joining, tracing and labelling. Raises ConfigError."""
     from ltm_ros.fuel_map.services import FuelMapConfig
 
     graph = describe(site, path)
@@ -117,7 +108,7 @@ def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
 
     fuel_map = only(FuelMapConfig, "fuel_map")
     rules = ManifestRules(only(FrameJoinConfig, f"{camera}/capture"), fuel_map.max_ahead, fuel_map.max_behind)
-    return NodeRules(rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation"))
+    return rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation")
 
 
 @cache

@@ -30,8 +30,9 @@ from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.files import write_result
+from ltm_ros.archive.manifest import Failure
 from ltm_ros.archive.plan import Task
-from ltm_ros.archive.task import LostFrame, TaskEvidence, read_evidence
+from ltm_ros.archive.task import TaskEvidence, read_evidence
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.fuel_map.source import FuelSource
@@ -47,7 +48,7 @@ class Reduction:
     """`counted`: frames with votes for a cell, by camera; `lost`, `unused` as of the tasks."""
 
     counted: Counter[str] = field(default_factory=Counter)
-    lost: list[LostFrame] = field(default_factory=list)
+    lost: list[Failure] = field(default_factory=list)
     unused: Counter[str] = field(default_factory=Counter)
 
 

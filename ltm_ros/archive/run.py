@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -103,8 +103,8 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         except (LtmError, OSError) as error:
             unread.append(Failure(recording.name, "unread", str(error)))
         progress(number, len(found))
-    rules = node_rules(site, options.site, cameras[0])
-    manifest = make_manifest(scans, site, cameras, rules.manifest)
+    rules, tracing, labelling = node_rules(site, options.site, cameras[0])
+    manifest = make_manifest(scans, site, cameras, rules)
     manifest.unread = unread
     warn_of_ignored(site, partial(first_message, scans))
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
@@ -113,7 +113,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     if options.sample.count:
         frames, passed = chosen(frames, options.sample, site, results)
     path = str(options.site.resolve())
-    settings = TaskSettings(path, results, code_digest(), rules.tracing, rules.labelling)
+    settings = TaskSettings(path, results, code_digest(), tracing, labelling)
     tasks = plan(frames, site, settings, options.frames_per_task, burns)
     return Plan(options, site, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
@@ -143,7 +143,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
         store = Path(folder) / STORE_FILE
         found = reduce_to_store(whole, results, planned.site, store, planned.burns)
-        failures = (*failures, *(Failure("frame", lost.cause, lost.why) for lost in found.lost))
+        failures = (*failures, *found.lost)
         summary = Summary(len(tasks), worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures) or _empty(summary):
             _write_record(planned, summary)
@@ -181,29 +181,26 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
 
 def _no_frames(planned: Plan) -> str:
     """Return why there is no frame, with the archive's topics beside the expected ones."""
-    manifest, options = planned.manifest, planned.options
+    manifest = planned.manifest
     if manifest.frames:
         passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items())
         return (
             f"none of {len(manifest.frames)} frames is usable in the given time span and sample"
             f"{f' ({passed})' if passed else ''}: no map was written; change --since, --until or --sample"
         )
-    lost = (f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in manifest.failures[:5])
-    beside = beside_expected(planned.site, manifest.recorded, options.cameras)
-    return f"no frame was found, no map was written: {'; '.join((*lost, beside))}"
+    beside = beside_expected(planned.site, manifest.recorded, planned.options.cameras)
+    return f"no frame was found, no map was written: {'; '.join((*_named(manifest.failures), beside))}"
 
 
 def _empty(summary: Summary) -> str:
-    if summary.merged:
-        return ""
-    why = "; ".join(
-        (
-            *(f"{count} x {reason}" for reason, count in summary.unused.items()),
-            *(f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in summary.failures[:5]),
-        )
-    )
+    unused = (f"{count} x {reason}" for reason, count in summary.unused.items())
+    why = "; ".join((*unused, *_named(summary.failures)))
     why = why or "none shows a cell of the fuel map; check the poses and the DEM's extent"
-    return f"no frame reached the map, none was written: {why}"
+    return "" if summary.merged else f"no frame reached the map, none was written: {why}"
+
+
+def _named(failures: Sequence[Failure]) -> list[str]:
+    return [f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in failures[:5]]
 
 
 def _write_record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None) -> None:
