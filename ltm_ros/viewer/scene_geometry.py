@@ -40,16 +40,11 @@ def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
     height, width = dem.elevation.shape
     step = max(1, math.ceil(math.sqrt(2 * height * width / max_triangles)))
     step = min(step, height - 1, width - 1)
-    g = dem.geometry
-    elevation = dem.elevation[::step, ::step]
+    g, elevation = dem.geometry, dem.elevation[::step, ::step]
     # The first sample keeps its place, half a fine cell inside the raster; it is now the centre of a coarse cell.
     inset = (step - 1) / 2 * g.resolution
-    return Dem(
-        elevation,
-        GridGeometry(
-            g.x_min - inset, g.y_max + inset, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs
-        ),
-    )
+    corner = g.x_min - inset, g.y_max + inset
+    return Dem(elevation, GridGeometry(*corner, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs))
 
 
 def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
