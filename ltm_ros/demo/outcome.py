@@ -47,13 +47,9 @@ def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
     """Return the first frame of each viewing direction of each camera, because a patrol repeats its views."""
     shown: list[RecordedFrame] = []
     for frame in frames:
-        azimuth = frame.pose.angles_deg[0]
-        apart = [
-            abs((azimuth - other.pose.angles_deg[0] + 180) % 360 - 180) >= HEADING_STEP_DEG
-            for other in shown
-            if other.camera_name == frame.camera_name
-        ]
-        if all(apart):
+        others = [other.pose.angles_deg[0] for other in shown if other.camera_name == frame.camera_name]
+        apart = [abs((frame.pose.angles_deg[0] - other + 180) % 360 - 180) for other in others]
+        if min(apart, default=360.0) >= HEADING_STEP_DEG:
             shown.append(frame)
     return shown
 
@@ -64,19 +60,14 @@ def range_scale(frames: Sequence[RecordedFrame]) -> RangeScale:
 
 
 def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: RangeScale) -> list[CameraPictures]:
-    """Return photo, depth and labels of each frame, for the report."""
-    return [
-        CameraPictures.of(
-            frame.camera_name,
-            frame.photo,
-            frame.depth,
-            frame.labels,
-            labels,
-            caption="azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2]),
-            scale=scale,
-        )
-        for frame in frames
-    ]
+    """Return photo, depth and labels of each frame, for the report, which has the legends once."""
+    pictures = []
+    for frame in frames:
+        depth = overlay_depth(frame.photo, frame.depth, scale)
+        labelled = overlay_labels(frame.photo, frame.labels, labels)
+        caption = "azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2])
+        pictures.append(CameraPictures(frame.camera_name, frame.photo, depth, labelled, caption))
+    return pictures
 
 
 class PosedView(Protocol):
@@ -101,11 +92,9 @@ def map_picture(
 ) -> RgbImage:
     """Draw the part of the fuel map with known cells over relief, with the cameras and their sectors, changed cells
     outlined."""
-    named: set[str] = set()
-    cameras = []
+    cameras: list[MapCamera] = []
     for frame in frames:
-        name = "" if frame.camera_name in named else frame.camera_name
-        named.add(frame.camera_name)
+        name = "" if any(camera.name == frame.camera_name for camera in cameras) else frame.camera_name
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
     grid = site.in_map(geometry)
@@ -198,9 +187,5 @@ def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: 
     fitting = round((left.shape[0] - margin) * fuel_map.shape[1] / fuel_map.shape[0])
     right = panel([(title, fuel_map)], columns=1, width=fitting)
     height = max(left.shape[0], right.shape[0])
-    return np.hstack([_padded(left, height), _padded(right, height)])
-
-
-def _padded(picture: RgbImage, height: int) -> RgbImage:
-    missing = height - picture.shape[0]
-    return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
+    sides = [np.pad(side, ((0, height - side.shape[0]), (0, 0), (0, 0)), mode="edge") for side in (left, right)]
+    return np.hstack(sides)

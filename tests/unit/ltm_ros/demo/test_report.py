@@ -83,7 +83,7 @@ def full() -> ReportData:
             ),
             NodeRow.of("/ridge/fuel_map", {"frames_in": "40", "frames_out": "12345", "dropped": "0"}),
         ],
-        cameras=[CameraPictures.of("north", photo, truth, labels, LABELS, "frame 1")],
+        cameras=[CameraPictures("north", photo, photo, photo, "frame 1")],
         fuel_map=np.full((60, 80, 3), 200, np.uint8),
         depth=score_depth([truth + 2.0], [truth]),
         labels=pixels,
