@@ -56,14 +56,10 @@ def changed_to_msg(
     """Return changed cells as points. `heights`: (N,) of the updated surface there; `geometry`: the terrain's grid."""
     x, y = geometry.to_map(changed.rows, changed.cols)
     columns: dict[str, NDArray[Any]] = {
-        "x": x.astype(np.float32),
-        "y": y.astype(np.float32),
-        "z": heights.astype(np.float32),
-        "row": changed.rows.astype(np.int32),
-        "col": changed.cols.astype(np.int32),
-        "change": changed.kind.astype(np.uint8),
-        "shift": changed.shift.astype(np.float32),
+        name: values.astype(np.float32) for name, values in (("x", x), ("y", y), ("z", heights))
     }
+    columns |= {"row": changed.rows.astype(np.int32), "col": changed.cols.astype(np.int32)}
+    columns |= {"change": changed.kind.astype(np.uint8), "shift": changed.shift.astype(np.float32)}
     return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
 
 

@@ -1,14 +1,7 @@
-"""Convert class grids and terrain changes to OccupancyGrid and PointCloud2, and back.
-
-North-up class grids <-> nav_msgs/OccupancyGrid.
+"""Convert north-up class grids to nav_msgs/OccupancyGrid, and back.
 
 OccupancyGrid counts rows from the south, its origin is the outer corner of the south-west cell, and its cells are int8
-with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown. This is the one place with the flip.
-
-Surface changes -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
-
-One point a cell whose kind of change is new: x, y, z float32 (its centre on the updated surface), row, col int32 of
-the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface)."""
+with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown. This is the one place with the flip."""
 
 from __future__ import annotations
 
@@ -61,11 +54,7 @@ def tile_to_msg(
     """Return the part `window` = (row, col, height, width) of a class grid as its own OccupancyGrid.
 
     Raises MessageError if the window exceeds the grid, and as `classes_to_msg`."""
-    row, col, height, width = window
-    if row < 0 or col < 0 or height < 1 or width < 1 or row + height > geometry.height or col + width > geometry.width:
-        raise MessageError(
-            f"tile row, col, height, width = {window} is outside the grid of {geometry.height} x {geometry.width} cells"
-        )
+    row, col, height, width = _inside(window, geometry)
     part = classes[row : row + height, col : col + width]
     return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
 
@@ -110,19 +99,19 @@ def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, 
 
     Raises MessageError if its cells have another size, are not aligned with the grid's (to 0.001 cells), or exceed it.
     """
-    row = (grid.y_max - tile.y_max) / grid.resolution
-    col = (tile.x_min - grid.x_min) / grid.resolution
-    if (
-        abs(tile.resolution - grid.resolution) > 1e-6 * grid.resolution
-        or abs(row - round(row)) > 1e-3
-        or abs(col - round(col)) > 1e-3
-    ):
+    corner = (grid.y_max - tile.y_max) / grid.resolution, (tile.x_min - grid.x_min) / grid.resolution
+    off = max(abs(place - round(place)) for place in corner)
+    if abs(tile.resolution - grid.resolution) > 1e-6 * grid.resolution or off > 1e-3:
         raise MessageError(
             f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m is not aligned with "
             f"the cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
         )
-    window = (round(row), round(col), tile.height, tile.width)
-    if min(window[:2]) < 0 or window[0] + tile.height > grid.height or window[1] + tile.width > grid.width:
+    return _inside((round(corner[0]), round(corner[1]), tile.height, tile.width), grid)
+
+
+def _inside(window: tuple[int, int, int, int], grid: GridGeometry) -> tuple[int, int, int, int]:
+    row, col, height, width = window
+    if min(row, col) < 0 or min(height, width) < 1 or row + height > grid.height or col + width > grid.width:
         raise MessageError(
             f"tile row, col, height, width = {window} is outside the grid of {grid.height} x {grid.width} cells"
         )

@@ -29,14 +29,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_msgs_py.stamp import make_header, stamp_of
 
 _DTYPES: dict[int, np.dtype[Any]] = {
-    PointField.INT8: np.dtype(np.int8),
-    PointField.UINT8: np.dtype(np.uint8),
-    PointField.INT16: np.dtype(np.int16),
-    PointField.UINT16: np.dtype(np.uint16),
-    PointField.INT32: np.dtype(np.int32),
-    PointField.UINT32: np.dtype(np.uint32),
-    PointField.FLOAT32: np.dtype(np.float32),
-    PointField.FLOAT64: np.dtype(np.float64),
+    getattr(PointField, name.upper()): np.dtype(name)
+    for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 }
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 _LARGEST_POINT = 2**31 - 1
