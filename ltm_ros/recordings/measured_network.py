@@ -113,11 +113,11 @@ def _votes(
     dem = site.open_dem()
     fixed = {name: (c.pose.pose(dem, site.frame), None) for name, c in site.cameras.items() if c.pose is not None}
     calibrations = {name: c.calibration.camera() for name, c in site.cameras.items() if c.calibration is not None}
-    streams = [FrameStream(bag, site, cameras, _parts()) for bag in bags]
-    found = [(place, f) for place, stream in enumerate(streams) for f in stream.frames(["photo"])]
+    streams = [FrameStream(bag, site, cameras, _PARTS) for bag in bags]
     chosen = [
         (f.stamp_ns, place, f.camera_name)
-        for place, f in found
+        for place, stream in enumerate(streams)
+        for f in stream.frames(["photo"])
         if (_POSE in f or f.camera_name in fixed)
         and ("camera" in f or "depth_camera" in f or f.camera_name in calibrations)
     ]
@@ -161,10 +161,10 @@ def _with_head(site: Site, role: str) -> Site:
     return site.model_copy(update={"cameras": cameras, "vocabulary": {}})
 
 
-def _parts() -> dict[str, Any]:
-    parts = {name: PARTS[name] for name in ("camera", "depth_camera", "photo")}
-    return parts | {_POSE: ((POSE, _posed), (POSED_POSE, _posed))}
-
-
 def _posed(message: Any) -> tuple[Pose, Float64Array | None]:
     return msg_to_pose(message, "map"), msg_to_covariance(message)
+
+
+_PARTS = {name: PARTS[name] for name in ("camera", "depth_camera", "photo")} | {
+    _POSE: ((POSE, _posed), (POSED_POSE, _posed))
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -114,13 +115,10 @@ def site_of(bag: Path) -> Path:
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
             return place / "site.yaml"
-    names = {topic.split("/")[1] for topic in BagReader(bag).topics() if topic.count("/") > 2}
-    for name in sorted(names):
+    for name in sorted({topic.split("/")[1] for topic in BagReader(bag).topics() if topic.count("/") > 2}):
         for shipped in (f"bags/{name}/site.yaml", f"config/sites/{name}.yaml"):
-            try:
+            with suppress(LtmError):
                 return project_path(shipped)
-            except LtmError:
-                continue
     raise RecordingError(f"{bag}: no site.yaml is in it or beside it; give the site file with --site")
 
 
@@ -130,9 +128,9 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
     if camera is None and (calibration := site.cameras[frame.camera_name].calibration) is not None:
         camera = calibration.camera()
     if camera is None:
+        what = f"frame {frame.stamp_ns} of {frame.camera_name}: no camera_info, and no calibration in site {site.name}"
         raise RecordingError(
-            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} has no "
-            "calibration: record camera_info, too"
+            f"{what} has neither camera_info nor a calibration in site {site.name}: record camera_info"
         )
     return camera.height, camera.width
 
@@ -148,9 +146,7 @@ def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, Labe
     no map."""
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)
-    last = None
-    for message in reader.messages([topic]):
-        last = message
+    last = next(iter(deque(reader.messages([topic]), 1)), None)
     if last is None:
         raise RecordingError(f"{bag} has no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
     classes, geometry = msg_to_classes(reader.decode(last))
@@ -174,7 +170,7 @@ def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
 
 
 def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:
-    """Yield names and photos, at most `most`. Raises RecordingError and ImageError."""
+    """Return names and photos, at most `most`. Raises RecordingError and ImageError."""
     paths = evenly(pictures_in(folder, pattern), most)
     return [path.name for path in paths], [read_rgb(path) for path in paths]
 
@@ -185,24 +181,22 @@ def recorded_pictures(
     """Return names by stamps, and images of a camera in a recording, `most` of them at most.
 
     `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError."""
+
+    def looks_at(pose: Pose, view: ViewMask) -> bool:
+        azimuth, pitch, _ = pose.angles_deg
+        return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg
+
     site.camera(camera)
     stream = FrameStream(bag, site, [camera], {part: PARTS[part] for part in ("photo", "pose")})
     if not stream.has("photo"):
         raise RecordingError(f"{bag}: no image of {camera}; its topics are {stream.topics}")
     needed = ("photo",) if view is None else ("photo", "pose")
-    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or _looks_at(f.take("pose"), view)]
-    if not stamps:
-        raise RecordingError(
-            f"{bag}: no image of {camera} has a pose in the direction of view {view.name if view else ''}"
-        )
+    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or looks_at(f.take("pose"), view)]
+    if view is not None and not stamps:
+        raise RecordingError(f"{bag}: no image of {camera} has a pose in the direction of view {view.name}")
     wanted = set(evenly(stamps, most))
     frames = [(f.stamp_ns, f.take("photo")) for f in stream.frames(needed) if f.stamp_ns in wanted]
     return [f"{camera}_{stamp}" for stamp, _ in frames], [photo for _, photo in frames]
-
-
-def _looks_at(pose: Pose, view: ViewMask) -> bool:
-    azimuth, pitch, _ = pose.angles_deg
-    return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg
 
 
 _MOST = 12
@@ -229,7 +223,9 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
         with suppress(LtmError):  # a replay counts what is damaged
             content = decoded_input(topic, message.raw, message.type_name, message.encoding)
             if topic.counted_name == POSE.name:
-                _add(poses[camera], msg_to_pose(content, "map"))
+                pose = msg_to_pose(content, "map")
+                if len(poses[camera]) < _MOST and not any(_alike(pose, other) for other in poses[camera]):
+                    poses[camera].append(pose)
             elif camera not in cameras:
                 cameras[camera] = msg_to_camera(content)
     for name, config in site.cameras.items():
@@ -244,12 +240,7 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     return views
 
 
-def _add(poses: list[Pose], pose: Pose) -> None:
-    if len(poses) >= _MOST:
-        return
-    azimuth, pitch, _ = pose.angles_deg
-    for other in poses:
-        turned = abs((azimuth - other.angles_deg[0] + 180) % 360 - 180)
-        if turned < _ALIKE_DEG and abs(pitch - other.angles_deg[1]) < _ALIKE_DEG:
-            return
-    poses.append(pose)
+def _alike(pose: Pose, other: Pose) -> bool:
+    (azimuth, pitch, _), (azimuth_of_other, pitch_of_other, _) = pose.angles_deg, other.angles_deg
+    turned = abs((azimuth - azimuth_of_other + 180) % 360 - 180)
+    return turned < _ALIKE_DEG and abs(pitch - pitch_of_other) < _ALIKE_DEG

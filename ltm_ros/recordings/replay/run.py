@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import rclpy
@@ -57,9 +56,7 @@ class LivePlayer:
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
         if not longest_pause > 0:
-            raise RecordingError(
-                f"the longest pause of a replay must be more than 0 s, such as 10, got {longest_pause}"
-            )
+            raise RecordingError(f"the longest pause of a replay must exceed 0 s, such as 10, got {longest_pause}")
         self._selection, self._rate, self._longest_pause = selection, rate, longest_pause
         self._context = Context()
         rclpy.init(context=self._context)
@@ -85,9 +82,7 @@ class LivePlayer:
             thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stopping.set()
         for thread in self._threads:
             thread.join()
@@ -103,40 +98,36 @@ class LivePlayer:
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain."""
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
         known, loose = 0, list[str]()
-        truth = tuple(f"/{topic.name}" for topic in CAMERA_TRUTH)  # only a recorder takes it
-        wanted = [
-            name for name, topic in self._selection.topics.items() if is_image(topic) and not name.endswith(truth)
+        images = [
+            name for name, topic in self._selection.topics.items() if is_image(topic) and topic not in CAMERA_TRUTH
         ]
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
-            images = [counts[name] for name in wanted]
             summaries = dict(self.summaries)
             known = min(self._clock.get_subscription_count(), len(summaries))
             loose = unmatched(self._node, summaries)
             if (now := sum(counts.values()) + known) != last or loose:
                 last, since = now, time.monotonic()
-            if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
+            if min(counts[name] for name in images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
-        topics = ", ".join(wanted)
         raise RecordingError(
-            f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
-            f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
-            "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
+            f"no subscribers of {', '.join(images)} after {timeout:.0f} s; {known} of {nodes} nodes were ready, and "
+            f"{', '.join(loose) or 'no topic'} not matched. Start the site's graph in the same ROS_DOMAIN_ID and with "
+            "sim time, or let `ltm replay` start it"
         )
 
     def play(
-        self,
-        loop: bool = False,
-        progress: Callable[[int], None] = lambda done: None,
-        stopped: Callable[[], bool] = bool,
+        self, loop: bool = False, progress: Callable[[int], None] = lambda _: None, stopped: Callable[[], bool] = bool
     ) -> int:
         """Publish every message at its time; return the number published. `stopped` ends it early.
 
         The recording's time is paused while the graph is behind, and before the second frame of a camera until the
         first ones are finished, because those wait for networks and code that are used for the first time. With `loop`,
         stamps of later rounds are moved on with the clock, so that each stays unique."""
-        round_ns = _round_ns(self._selection)
+        span = self._selection.end_ns - self._selection.begin_ns
+        # With the pause between two frames, and at least a second, for recordings of one photo.
+        round_ns = max(span + span // max(self._selection.frame_count - 1, 1), 1_000_000_000)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift, begun, warm = 0, 0, set[str](), False
         while True:
@@ -182,8 +173,7 @@ class LivePlayer:
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
 
     def _first_frames_done(self) -> Callable[[], bool]:
-        """Return a check whether the graph has finished what it can, because a frame may wait for a later message. It
-        ends after `WARM_UP` seconds."""
+        """Return a check, for `WARM_UP` seconds, whether the graph has finished all that waits for no later message."""
         self._changed = time.monotonic()
         deadline = self._changed + WARM_UP
         return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue",))
@@ -231,16 +221,6 @@ class LivePlayer:
             self.summaries[status.name] = summary
 
 
-def _round_ns(selection: Selection) -> int:
-    """Return the duration of one round of a loop: the selection and the pause between two frames, at least a second,
-    for recordings of one photo."""
-    span = selection.end_ns - selection.begin_ns
-    return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
-
-
-NodeParameters = dict[str, ParameterValue]
-
-
 @dataclass(frozen=True)
 class ReplayOptions:
     """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
@@ -268,8 +248,10 @@ class ReplayOptions:
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     """Return the site's graph with the given options."""
-    fuel_map: NodeParameters = {} if options.export is None else {"export_path": str(options.export.resolve())}
-    kept: NodeParameters = {} if options.state is None else {"folder": str(options.state.resolve())}
+    fuel_map: dict[str, ParameterValue] = {}
+    if options.export is not None:
+        fuel_map["export_path"] = str(options.export.resolve())
+    kept: dict[str, ParameterValue] = {} if options.state is None else {"folder": str(options.state.resolve())}
     return describe(
         load_site(site_path),
         site_path,
@@ -324,7 +306,6 @@ def run_live(
     graph = graph_of(site_path, options, sim_time=True)
     if options.rrd is not None:
         options.rrd.unlink(missing_ok=True)  # else the viewer would write another beside that of the last replay
-    names = [node.full_name for node in graph]
     total = selection.message_count
     compile_ahead(graph, site_path, console)
     with Runner(graph, domain_id=options.domain_id, console=console) as runner:
@@ -332,9 +313,9 @@ def run_live(
         with LivePlayer(selection, options.rate, options.longest_pause) as player:
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
-            if not player.drain(names):
+            if not player.drain([node.full_name for node in graph]):
                 raise LtmError(
-                    "the graph is still processing two minutes after the recording's end; its messages are above"
+                    "the graph is still working two minutes after the recording's end; see its messages above"
                 )
             runner.stop()
             return {**player.summaries, RECORDING: selection.health.summary()}
