@@ -15,8 +15,7 @@ from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
-from ltm_ros.recordings.importing.sensor_logger import camera_frames, is_sensor_logger, read_sensor_logger
-from ltm_ros.recordings.importing.sensor_track import SensorTrack
+from ltm_ros.recordings.importing.sensor_logger import SensorTrack, camera_frames, is_sensor_logger, read_sensor_logger
 
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 _NO_PHOTO = {
