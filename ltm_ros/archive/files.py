@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 
-@dataclass(frozen=True)
-class StoredFile:
-    """`name`: its path. `version`: changes with the content."""
-
-    name: str
-    size_bytes: int
-    version: str
-
-
-def files_below(archive: Path) -> list[StoredFile]:
+def files_below(archive: Path) -> list[Path]:
     """Return a file, or the files in a folder at any depth, by name, also behind links, each folder once; none if
     nothing exists. A broken link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises
     OSError also for an unreadable folder, unlike `Path.rglob`."""
@@ -36,12 +26,7 @@ def files_below(archive: Path) -> list[StoredFile]:
         known.add(real)
         below.sort()
         found += [Path(place) / name for name in names]
-    files = []
-    for path in sorted(path for path in found if path.is_file() or path.is_symlink()):
-        state = path.stat() if path.exists() else None
-        size, version = (0, "") if state is None else (state.st_size, str(state.st_mtime_ns))
-        files.append(StoredFile(str(path), size, version))
-    return files
+    return sorted(path for path in found if path.is_file() or path.is_symlink())
 
 
 def write_result(path: Path, content: bytes | Path) -> None:

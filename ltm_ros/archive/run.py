@@ -101,7 +101,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         try:
             scans.append(scan(recording, site, results))
         except (LtmError, OSError) as error:
-            unread.append(Failure(recording.name, "unread", str(error)))
+            unread.append(Failure(str(recording), "unread", str(error)))
         progress(number, len(found))
     rules, tracing, labelling = node_rules(site, options.site, cameras[0])
     manifest = make_manifest(scans, site, cameras, rules)

@@ -20,7 +20,7 @@ from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
-from ltm_ros.archive.files import StoredFile, files_below, write_result
+from ltm_ros.archive.files import files_below, write_result
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
@@ -89,32 +89,33 @@ class Scan:
                 yield from (ScannedMessage(**row) for row in batch.to_pylist())
 
 
-def recordings(archives: Sequence[Path]) -> list[StoredFile]:
-    """Return the files of bags, in folders at any depth; each once, by name.
+def recordings(archives: Sequence[Path]) -> list[Path]:
+    """Return the files of bags, in folders at any depth; each once.
 
     Raises ArchiveError for a place without any, OSError if it cannot be read now."""
-    found: dict[str, StoredFile] = {}
+    found: dict[Path, None] = {}
     for archive in archives:
         alone = archive.expanduser().is_file()
         inside = [file for file in files_below(archive) if alone or is_bag_file(file.name)]
         if not inside:
             raise ArchiveError(f"{archive}: no recordings (*.mcap, *.db3); make one of photos with `ltm import`")
-        found.update({file.name: file for file in inside})
-    return list(found.values())
+        found |= dict.fromkeys(inside)
+    return list(found)
 
 
-def scan(file: StoredFile, site: Site, results: Path) -> Scan:
+def scan(file: Path, site: Site, results: Path) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
     Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
     nothing is stored."""
     cameras = ((name, one.image, one.source is None, one.topics.model_dump()) for name, one in site.cameras.items())
     topics = [site.name, *sorted(cameras, key=itemgetter(0))]
-    kept = results / SCANS / f"{digest(_VERSION, file.name, file.size_bytes, file.version, topics)}.parquet"
+    state = file.stat()
+    kept = results / SCANS / f"{digest(_VERSION, str(file), state.st_size, state.st_mtime_ns, topics)}.parquet"
     if not kept.exists():
-        write_result(kept, _scanned(Path(file.name), site))
+        write_result(kept, _scanned(file, site))
     about: dict[str, Any] = json.loads(pq.read_schema(kept).metadata[_ABOUT])
-    return Scan(file.name, kept, about["begins"], tuple(about["damage"]), about["lost"], about["recorded"])
+    return Scan(str(file), kept, about["begins"], tuple(about["damage"]), about["lost"], about["recorded"])
 
 
 def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:

@@ -20,9 +20,8 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map
-from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, TRUTH_LABELS
 
-DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
+DEPTH_SOURCES = ("traced", "network", "fused")
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
 SHARED = "visible surface, shared pixels"
 """Pixels for which every source has a depth; used to compare the sources."""
@@ -105,25 +104,8 @@ class RunTally:
         ]
         score.labels = self._labels if self._labels.pixels else None
         self._fuel.add_to(score)
-        score.lacking = self._lacking(score)
+        score.lacking = [] if self._fuel.lacking is None else [self._fuel.lacking]
         return score
-
-    def _lacking(self, score: RunScore) -> list[str]:
-        have = {part for _, part in self._stream.counts}
-        lacking = []
-        if score.frames == 0:
-            lacking.append("all scores of frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)")
-        for name, topic in DEPTH_SOURCES.items():
-            if name not in have:
-                lacking.append(f"depth, {name}: the bag has no {topic.name}")
-        if len({row.source for row in score.depth}) > 1 and not any(row.against == SHARED for row in score.depth):
-            lacking.append("depth, shared: no pixel of a frame has a depth of every source")
-        if score.labels is None:
-            absent = [t.name for p, t in (("labels", LABELS_IMAGE), ("truth_labels", TRUTH_LABELS)) if p not in have]
-            lacking.append(f"labels: the bag has no {' and no '.join(absent) or 'frame with both labels and truth'}")
-        if self._fuel.lacking is not None:
-            lacking.append(self._fuel.lacking)
-        return lacking
 
 
 class FuelTally:
