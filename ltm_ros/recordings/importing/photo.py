@@ -90,8 +90,7 @@ def read_photo(path: Path) -> Photo:
 
     JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for other formats, the upright image is
     compressed again: a JPEG with its own quantisation, others with JPEG quality 95. What follows a JPEG's image, such
-    as a motion photo's video, is cut off. Raises
-    ImageError for other files, and for corrupt or incomplete ones."""
+    as a motion photo's video, is cut off. Raises ImageError for other files, and for corrupt or incomplete ones."""
     return photo_of(read_picture(path), path)
 
 
