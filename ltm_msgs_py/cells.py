@@ -64,8 +64,7 @@ def changed_to_msg(
 
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
-    """Return the changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError for other
-    fields or types, and for invalid kinds."""
+    """Return changed cells, with kind 0 before, and places (N, 3) x, y, z. Raises MessageError for invalid fields."""
     columns = msg_to_columns(msg)
     rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
     kind = take(columns, "change", np.uint8, _WHAT)
@@ -93,8 +92,7 @@ def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:
 
 
 def msg_to_version(msg: Any) -> str:
-    """Return the version that a message names; never a file: who takes it looks it up in its own site's folder. Raises
-    MessageError without one."""
+    """Return the version that a message names, which is never a path. Raises MessageError without one."""
     version = msg_to_values(msg).get("version")
     if version == AS_GIVEN or (version is not None and re.fullmatch(VERSION, version, re.ASCII)):
         return version

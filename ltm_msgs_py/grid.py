@@ -23,8 +23,8 @@ LARGEST_CLASS = 127
 def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
     """Return a grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
-    Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError for those,
-    or for a shape other than the geometry's."""
+    Class indices 0..127 fit int8; fuel model numbers (up to 204) do not. Raises MessageError for those and wrong
+    shapes."""
     if classes.shape != geometry.shape or classes.dtype != np.uint8:
         raise MessageError(f"class grid is {classes.shape} {classes.dtype}, its geometry says {geometry.shape} uint8")
     too_large = (classes > LARGEST_CLASS) & (classes != UNKNOWN)
@@ -97,8 +97,7 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
 def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, int]:
     """Return the place of a tile in a grid: (row, col, height, width).
 
-    Raises MessageError if its cells have another size, are not aligned with the grid's (to 0.001 cells), or exceed it.
-    """
+    Raises MessageError if its cells have another size, are not aligned with the grid's, or exceed it."""
     corner = (grid.y_max - tile.y_max) / grid.resolution, (tile.x_min - grid.x_min) / grid.resolution
     off = max(abs(place - round(place)) for place in corner)
     if abs(tile.resolution - grid.resolution) > 1e-6 * grid.resolution or off > 1e-3:

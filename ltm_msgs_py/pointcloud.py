@@ -6,9 +6,8 @@ So votes are sparse and name the classes that they count, and any ROS tool shows
 
 Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
 
-One point a cell, the labelled 3D points of the map: x, y, z float32 (its centre on the terrain), life_form uint8, prior
-and code int16 (fuel models, -9999 none), p_max, entropy and evidence float32, changed and seen_by uint8. Any ROS tool
-colours points by such a field."""
+One point a cell: x, y, z float32 (its centre on the terrain), life_form uint8, prior and code int16 (fuel models, -9999
+none), p_max, entropy and evidence float32, changed and seen_by uint8."""
 
 from __future__ import annotations
 
@@ -71,8 +70,8 @@ def columns_to_msg(
 def msg_to_columns(msg: Any) -> Columns:
     """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
-    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an unknown
-    datatype, or holds more than one element."""
+    Raises MessageError for contradictory sizes, and fields beyond the point, named twice, unknown, or of several
+    elements."""
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
     fits = 1 <= point_step <= _LARGEST_POINT and row_step >= width * point_step
@@ -107,8 +106,7 @@ def msg_to_columns(msg: Any) -> Columns:
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
-    """Return votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
-    `votes_to_columns`."""
+    """Return votes as points; `class_names`: (K,) of the counts' columns. Raises MessageError."""
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
@@ -117,8 +115,7 @@ def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "
 def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:
     """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
 
-    Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
-    message is refused unread."""
+    Raises MessageError as `columns_to_votes` does, and, before reading, for sizes that exceed the grid's."""
     names = checked_names(class_names)
     cells = geometry.width * geometry.height
     most = most_bytes(cells, names)

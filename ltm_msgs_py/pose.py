@@ -177,8 +177,7 @@ def _pose_msg(pose: Pose) -> PoseMsg:
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
-    """Return the rotation of a correction and its covariance; `stamp_ns`: of its last image. A PTZ head's tilt zero is
-    in `correction_values`."""
+    """Return the rotation of a correction and its covariance; the tilt zero is in `correction_values`."""
     turn = Pose(np.zeros(3), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:

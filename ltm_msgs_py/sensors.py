@@ -20,8 +20,7 @@ from ltm_msgs_py.stamp import make_header, stamp_of
 def msg_to_attitude(msg: Any) -> Attitude:
     """Return an attitude in a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is unknown.
 
-    Raises PoseError if the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1, and
-    for an invalid covariance."""
+    Raises PoseError without an orientation (covariance[0] = -1), and for an invalid quaternion or covariance."""
     if msg.orientation_covariance[0] == -1.0:
         raise PoseError(
             "the Imu message states that it has no orientation (orientation_covariance[0] = -1): publish the "

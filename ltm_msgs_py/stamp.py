@@ -16,8 +16,7 @@ LATEST_NS = 2**31 * NS_PER_S - 1
 
 
 def ns_to_time(stamp_ns: int) -> Time:
-    """Return a stamp in nanoseconds since the epoch as a Time. Raises MessageError if it is negative or past
-    `LATEST_NS`."""
+    """Return nanoseconds since the epoch as a Time. Raises MessageError if negative or past `LATEST_NS`."""
     stamp_ns = int(stamp_ns)
     if not 0 <= stamp_ns <= LATEST_NS:
         raise MessageError(
@@ -29,8 +28,7 @@ def ns_to_time(stamp_ns: int) -> Time:
 
 
 def time_to_ns(time: Any) -> int:
-    """Return a Time as nanoseconds since the epoch. Raises MessageError for negative seconds or nanosec of a second or
-    more."""
+    """Return a Time as nanoseconds since the epoch. Raises MessageError if it is negative or not normalised."""
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
         raise MessageError(
@@ -50,8 +48,7 @@ def stamp_of(msg: Any) -> int:
 
 
 def time_text(stamp_ns: int) -> str:
-    """Return nanoseconds since the epoch for people and machines: `2023-11-14T22:13:20.100Z
-    (1700000000100000000 ns)`."""
+    """Return nanoseconds since the epoch as `2023-11-14T22:13:20.100Z (1700000000100000000 ns)`."""
     moment = moment_of_stamp(stamp_ns)
     return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
 

@@ -235,8 +235,7 @@ class PlacedPose(PartialPose):
         return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
 
     def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
-        """Return the position in the map frame. Raises PoseError if the ground under a camera with a relative height is
-        unknown."""
+        """Return the position in the map frame. Raises PoseError if the ground is needed and not known."""
         place = self.xy(frame)
         assert place is not None  # nosec B101 # tells the type checker what holds
         if self.z is not None:
@@ -257,8 +256,7 @@ class PoseConfig(PlacedPose):
     azimuth_deg: AzimuthDeg
 
     def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """Return the pose in the map frame. Raises PoseError for a camera under the ground, and as `position` and
-        `grid_azimuth_deg`."""
+        """Return the pose in the map frame. Raises PoseError, also for a camera under the ground, and ConfigError."""
         place = self.position(dem, frame)
         ground = float(dem.elevation_at(*place[:2]))
         if place[2] <= ground:

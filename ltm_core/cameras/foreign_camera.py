@@ -58,8 +58,7 @@ class ForeignPose:
         return replace(self, rotation=rotation)
 
     def pose(self, frame: SiteFrame, ground: Callable[[float, float], float], undulation: float) -> Pose:
-        """Return the pose in a map frame. `undulation`: of the geoid, metres, subtracted from ellipsoidal heights, as
-        Earth-centred coordinates have them."""
+        """Return the pose in a map frame. `undulation`: of the geoid, subtracted from Earth-centred heights, metres."""
         left, _, right = np.linalg.svd(self.rotation)
         rotation = left @ right
         x, y, z = (float(v) for v in self.position)

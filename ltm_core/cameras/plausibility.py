@@ -1,7 +1,6 @@
 """Detect values in another unit: angles of poses in radians or gon, heights of cameras in feet.
 
-An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
-false warnings."""
+An angle off the circle is an error; possible but unlikely values give a warning in words."""
 
 from __future__ import annotations
 

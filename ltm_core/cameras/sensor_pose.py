@@ -35,8 +35,7 @@ ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
     """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
-    `turned_deg`: counter-clockwise turn of the phone from portrait, as its user sees it: 90 for landscape with the top
-    to the left."""
+    `turned_deg`: counter-clockwise turn of the phone from portrait: 90 for landscape with the top to the left."""
     turn = math.radians(turned_deg)
     cosine, sine = round(math.cos(turn), 12), round(math.sin(turn), 12)
     return np.array([[cosine, -sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
@@ -90,8 +89,8 @@ class SensorsConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Position fix. `altitude`: metres above the WGS 84 ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north,
-    up in m^2, None if unknown."""
+    """Position fix. `altitude`: above the ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north, up, or
+    None."""
 
     stamp_ns: int
     lon: float
@@ -102,8 +101,8 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Attitude of a device. `rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations
-    about these in rad^2, None if unknown."""
+    """Attitude of a device. `rotation`: its axes to east, north, up. `covariance`: (3, 3) of rotations about these, or
+    None."""
 
     stamp_ns: int
     rotation: Float64Array

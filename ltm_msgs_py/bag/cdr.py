@@ -1,9 +1,8 @@
 """Decode images from serialised messages without the middleware, whose libraries are slow to load; decode and encode
 tf2_msgs/TFMessage, whose package has no wheel.
 
-The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields in their order,
-numbers aligned to their size, strings and sequences after a uint32 of their length, a string's with its closing zero.
-"""
+The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields, numbers aligned to
+their size, strings (with a closing zero) and sequences after a uint32 of their length."""
 
 from __future__ import annotations
 
@@ -68,8 +67,7 @@ class RawPicture:
 
 
 def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
-    """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError for
-    another type."""
+    """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError if none."""
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
         raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
@@ -102,8 +100,7 @@ class Transforms:
 
 
 def transforms_of(raw: bytes) -> list[TransformStamped]:
-    """Return the transforms of a serialised TFMessage. Raises RecordingError for invalid bytes, MessageError for an
-    invalid stamp."""
+    """Return the transforms of a serialised TFMessage. Raises RecordingError, MessageError for an invalid stamp."""
     found = []
     try:
         fields = _Fields(raw)

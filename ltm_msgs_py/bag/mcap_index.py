@@ -1,7 +1,7 @@
 """Index the messages in one MCAP file, from its summary, or by a scan if it has none, within limits of memory.
 
-A killed recorder leaves a file without a summary, truncated inside a record. Everything before that is read; the
-position and the reason are reported."""
+A killed recorder leaves a file without a summary, truncated inside a record. All before that is read and the rest
+reported."""
 
 from __future__ import annotations
 
@@ -95,8 +95,7 @@ class McapIndex:
         """Yield messages of the given channels with start_ns <= log_time < end_ns, by log time, then by position in the
         file.
 
-        Corrupt chunks are skipped and noted in `damage`. Raises RecordingError if the file cannot be opened any more.
-        """
+        Corrupt chunks are noted in `damage`. Raises RecordingError if the file cannot be opened any more."""
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
         # most the chunks that overlap in time are in memory.
         begin, end = start_ns or 0, LATEST_NS + 1 if end_ns is None else end_ns
@@ -330,8 +329,7 @@ def _records_of(chunk: Chunk) -> list[McapRecord]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """Return a chunk's records as bytes. mcap's own function allocates what a zstd frame states, and has no limit for
-    lz4."""
+    """Return a chunk's records as bytes. mcap's own function has no limits."""
     stated = chunk.uncompressed_size
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))

@@ -118,8 +118,7 @@ def bag_information(
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml into a bag's folder atomically, even with a power cut, because a bag that has one counts as
-    finished. Raises OSError."""
+    """Write a bag's metadata.yaml atomically, also in a power cut, because it marks a finished bag. Raises OSError."""
     unfinished = folder / f"{FILE_NAME}.tmp"
     with unfinished.open("w", encoding="utf-8") as file:
         file.write(to_yaml({INFORMATION: dict(information)}))

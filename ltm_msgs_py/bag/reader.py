@@ -26,8 +26,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a bag; `type_name`: the first one if its messages have several. `latched`: its publisher was
-    transient local."""
+    """One topic of a bag; `type_name`: the first of several. `latched`: its publisher was transient local."""
 
     type_name: str
     message_count: int
@@ -36,8 +35,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`. `encoding`: `cdr`
-    in every ROS 2 bag."""
+    """One recorded message: its bytes, received at `log_time_ns`, sent at `publish_time_ns`, in `encoding`."""
 
     topic: str
     log_time_ns: int
@@ -246,8 +244,8 @@ class BagReader:
         return files
 
     def _opened(self, path: Path) -> Storage:
-        """Open a file of the bag by its first bytes; one that is compressed as a whole is unpacked into a temporary
-        folder (TMPDIR). Raises RecordingError."""
+        """Open a file by its first bytes; one that is compressed as a whole is unpacked into TMPDIR. Raises
+        RecordingError."""
         plain = path
         try:
             if _magic(path).startswith(zstandard.FRAME_HEADER):
@@ -277,8 +275,7 @@ def by_log_time(
 ) -> Iterator[tuple[int, MessageT]]:
     """Merge streams by log time, equal times in their order; yield each message after the number of its stream.
 
-    `begins`: of each stream, None: empty. Files of a long recording follow each other: only those that overlap in time
-    are open together."""
+    `begins`: of each stream, None: empty. Only streams that overlap in time are open together."""
     waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
     heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
 

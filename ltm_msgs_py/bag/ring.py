@@ -1,5 +1,4 @@
-"""Keep the recordings of one recorder as a ring of files: limited in bytes, the oldest complete files are deleted
-first."""
+"""Keep a recorder's files as a ring: limited in bytes, the oldest complete files are deleted first."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ class RecordingRing:
     the file, or `.keep` in its folder."""
 
     def __init__(self, path: Path, recorder: str, most_bytes: int | None) -> None:
-        """Open the ring. `path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept;
-        None: unlimited."""
+        """Open the ring. `path`: of the first bag. `most_bytes`: of all files that are not kept; None: unlimited."""
         self._path = path.resolve()
         self.library = f"ltm recorder {recorder} {self._path.name}"
         self.most_bytes = most_bytes

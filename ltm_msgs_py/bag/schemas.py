@@ -67,8 +67,7 @@ def schema_text(type_name: str) -> str:
     """Return the `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG:
     pkg/Name`.
 
-    Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError if
-    neither has the type."""
+    Definitions come from installed packages, else from `rosbags`' Jazzy types. Raises RecordingError without one."""
     parts = [_definition(type_name)]
     todo, done = _dependencies(type_name, parts[0]), {type_name}
     while todo:
@@ -132,8 +131,7 @@ def _dependencies(type_name: str, text: str) -> list[str]:
 
 
 def _installed_file(package: str, name: str) -> Path | None:
-    """Return `share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip
-    wheels)."""
+    """Return `share/<package>/msg/<name>` under an ament prefix, or above the Python package (the wheels)."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     spec = importlib.util.find_spec(package)
     if spec is not None and spec.origin is not None:

@@ -189,8 +189,7 @@ class BagWriter:
             self._let_go(file.record)
 
     def close(self) -> None:
-        """Finish the last file and write metadata.yaml; a second call does nothing. Raises RecordingError on a full
-        disk."""
+        """Finish the last file and write metadata.yaml, once. Raises RecordingError on a full disk."""
         if self._closed:
             return
         self._closed = True

@@ -30,8 +30,7 @@ def files_below(archive: Path) -> list[Path]:
 
 
 def write_result(path: Path, content: bytes | Path) -> None:
-    """Write bytes, or a copy of a file, so that the name has its complete content even after a power cut. Raises
-    OSError."""
+    """Write bytes, or a copy of a file, completely or not at all, also in a power cut. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:

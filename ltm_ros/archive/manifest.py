@@ -1,7 +1,6 @@
 """List the frames of an archive: location, content, pose and calibration.
 
-Poses and calibrations are joined here, across files, by the same rules as live (`FrameJoin`), so that frames can be
-processed separately and in any order."""
+Poses and calibrations are joined here by the same rules as live (`FrameJoin`), so that frames can come in any order."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ from ltm_ros.runtime.topics import camera_topic
 
 @dataclass(frozen=True, eq=False)
 class ArchiveFrame:
-    """A usable frame: file, topic and log time of its image; `content`: the image's digest. `covariance` (6, 6): of the
-    pose."""
+    """A usable frame: file, topic, log time and digest (`content`) of its image; `covariance` (6, 6): of the pose."""
 
     camera: str
     stamp_ns: int

@@ -124,8 +124,8 @@ def code_digest() -> str:
 
 
 def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
-    """Return the digest of everything that makes evidence of a camera's frames, except the frames. Raises LtmError for
-    missing files."""
+    """Return the digest of all that makes evidence of a camera's frames, except these. Raises LtmError for missing
+    files."""
     step = LabellingStep(site, camera, labelling)
     network = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())

@@ -69,8 +69,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Summary:
-    """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
-    if none was made."""
+    """Result of a run. `worked`: frames processed in this run; `digest`: of the map's store, empty if none was made."""
 
     tasks: int
     worked: int
@@ -85,8 +84,7 @@ class Summary:
 
 
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
-    """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
-    be processed."""
+    """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an unusable archive."""
     site = load_site(options.site)
     grid = site.in_crs(site.fuel_geometry(site.open_dem()))
     # Before a scan of hours, because a file of burns may be invalid.
@@ -121,8 +119,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
     """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
-    Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
-    written."""
+    Raises ArchiveError if too many frames failed, or there is none; then no map, but the record is written."""
     results = planned.settings.results
     if not planned.frames and not planned.manifest.unread:
         _write_record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {}))

@@ -59,8 +59,7 @@ class Sample:
 
 
 def sampled(frames: Sequence[ArchiveFrame], count: int, look: Look, turn: int) -> tuple[list[ArchiveFrame], list[str]]:
-    """Choose at most `count` clear frames of one span, by stamp; also return why others were rejected. `turn`: number
-    of the span."""
+    """Choose at most `count` clear frames of the span number `turn`, by stamp; also return why others were rejected."""
     parts: dict[int, list[ArchiveFrame]] = {}
     for frame in frames:
         first, last = frames[0].stamp_ns, frames[-1].stamp_ns

@@ -1,7 +1,6 @@
 """Scan a recording once: locations and digests of its images, and all messages joined to them.
 
-A scan depends only on the file and the topic names, so it is stored with the results and used again while the file is
-unchanged."""
+A scan depends only on the file and the topic names, so it is stored and used again while the file is unchanged."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ def digest(*parts: object) -> str:
 
 
 def picture_digest(picture: CompressedPicture | RawPicture) -> str:
-    """Return the digest of an image's content and encoding, not of its time: a fixed camera may send the same image
-    again."""
+    """Return the digest of an image without its time, because a fixed camera may send the same image again."""
     about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
     found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
     found.update(picture.data)
@@ -48,8 +46,7 @@ def picture_digest(picture: CompressedPicture | RawPicture) -> str:
 class ScannedMessage:
     """A message of a recording, in the order of log times.
 
-    For an image, `content` is its digest, `stamp_ns` and size are its own, and `raw` is empty; `trouble` says why it is
-    invalid. For others, `raw` is the message."""
+    For an image, `content` is its digest and `trouble` says why it is invalid. For others, `raw` is the message."""
 
     topic: str
     type_name: str
@@ -70,8 +67,7 @@ _SCHEMA = pa.schema([(name, _KINDS[kind]) for name, kind in ScannedMessage.__ann
 @dataclass(frozen=True, eq=False)
 class Scan:
     """Result of scanning the recording `name`, read on request from the file `kept`. `begins`: log time of the first
-    message of each topic. `damage`: unreadable parts, in words; `lost`: their messages as in `BagReader.lost`.
-    `recorded`: types of the file's topics."""
+    message of each topic. `damage`, `lost`: as in `BagReader`. `recorded`: types of the file's topics."""
 
     name: str
     kept: Path
@@ -106,8 +102,7 @@ def recordings(archives: Sequence[Path]) -> list[Path]:
 def scan(file: Path, site: Site, results: Path) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
-    Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
-    nothing is stored."""
+    Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now."""
     cameras = ((name, one.image, one.source is None, one.topics.model_dump()) for name, one in site.cameras.items())
     topics = [site.name, *sorted(cameras, key=itemgetter(0))]
     state = file.stat()

@@ -51,8 +51,7 @@ class TaskReport:
 
 @dataclass(frozen=True, eq=False)
 class TaskEvidence:
-    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of frames with
-    unusable images."""
+    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of images."""
 
     partial: PartialEvidence
     touched: dict[Key, list[int]]
@@ -76,8 +75,7 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
 
 
 class FrameSteps:
-    """All steps from an image to votes for one camera; frames may come in any order, so smoke, which needs earlier
-    images, is not detected."""
+    """All steps from an image to votes for one camera, in any order, so that smoke is not detected."""
 
     def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
         self.site = site
@@ -94,8 +92,8 @@ class FrameSteps:
         return self._labelling.described
 
     def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
-        """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises LtmError
-        as the steps do."""
+        """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises
+        LtmError."""
         camera, pose, stamp = frame.calibration, frame.pose, frame.stamp_ns
         posed = PosedImage(photo, camera, pose, stamp, frame.camera)
         found, view = self._labelling.label(posed, frame.covariance, in_order=False)
@@ -186,8 +184,7 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
 
 
 def on_workers(count: int, job: Job | None = None) -> Engine:
-    """Return an engine with the given number of processes on this machine, which end with it. `job`: replaces the work
-    of each task."""
+    """Return an engine of `count` processes on this machine. `job`: replaces the work of each task."""
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         own, workers = threading.local(), list[ProcessPoolExecutor]()  # each thread waits for a process of its own

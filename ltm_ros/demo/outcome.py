@@ -90,8 +90,7 @@ def map_picture(
     labels: LabelSet,
     changed: BoolArray | None = None,
 ) -> RgbImage:
-    """Draw the part of the fuel map with known cells over relief, with the cameras and their sectors, changed cells
-    outlined."""
+    """Draw the known part of the fuel map over relief, with the cameras' sectors, and changed cells outlined."""
     cameras: list[MapCamera] = []
     for frame in frames:
         name = "" if any(camera.name == frame.camera_name for camera in cameras) else frame.camera_name

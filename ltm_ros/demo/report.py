@@ -65,9 +65,8 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as
-    `DepthTally.scores` returns it. `label_set`, `scale`: for the legends of the images. `recording`: the .rrd file's
-    name. `files`: (name, description)."""
+    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `label_set`, `scale`: for
+    legends. `recording`: the .rrd file's name. `files`: (name, description)."""
 
     title: str
     summary: str

@@ -47,8 +47,7 @@ def run_demo(
 ) -> DemoResult:
     """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
-    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
-    Raises LtmError."""
+    Leaves maps, landscapes, state/, recording/, demo.rrd, report.html and pictures/ there. Raises LtmError."""
     demo = bags / "demo"
     site_path = demo / "site.yaml"
     site = load_site(site_path)

@@ -34,8 +34,7 @@ RETRY_S, LONGEST_RETRY_S = 1.0, 15.0
 
 @dataclass(frozen=True)
 class RecordingLimits:
-    """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free. `split`: when
-    the next file begins."""
+    """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free."""
 
     most_bytes: int | None
     floor: int
@@ -45,8 +44,7 @@ class RecordingLimits:
     def of(
         cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float
     ) -> RecordingLimits:
-        """Return the limits of a configuration on the disk of `path`. Raises RecordingError if the disk cannot be
-        queried."""
+        """Return the limits of a configuration on the disk of `path`. Raises RecordingError without such a disk."""
         try:
             disk = disk_bytes(path)
         except OSError as error:
@@ -60,8 +58,8 @@ class RecordingLimits:
 class BoundedRecording:
     """Writes messages into bags; for one thread. Disk errors are reported to `health`, not raised.
 
-    Messages count as published when the operating system has them. Others are dropped as `disk` (disk error) or
-    `disk_low` (free space below the floor)."""
+    Messages count as published when the operating system has them, else as dropped by `disk` or `disk_low` (the
+    floor)."""
 
     def __init__(
         self, path: Path, recorder: str, limits: RecordingLimits, health: Health, tell: Callable[[str], None]
@@ -156,8 +154,7 @@ class BoundedRecording:
         self._health.gauge("recorded_bytes", self._ring.total())
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
-        """Drop a message; the last message of a latched topic waits until recording continues, because it is not
-        repeated."""
+        """Drop a message; the last one of a latched topic waits for a recording, because it is not repeated."""
         latched = topic in self._topics and self._topics[topic][1]
         if not latched or topic in self._held:
             self._health.drop(cause, why)
@@ -213,8 +210,7 @@ class BoundedRecording:
 
 
 QUEUE_BYTES = 256 << 20
-"""Maximum bytes of queued messages, before more are dropped and counted. DDS may hold as much of large messages, and
-the total must stay below 1 GB."""
+"""Maximum bytes of queued messages; more are dropped. DDS may hold as much, and the total must stay below 1 GB."""
 QUEUE_MESSAGES = 100_000
 """Maximum number of queued messages: each takes some 450 bytes besides its own."""
 CLOSE_S = 5.0

@@ -78,8 +78,7 @@ class StreamedFrame:
 class FrameStream:
     """The frames of a site's cameras.
 
-    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), time from the stamp to the log time
-    of each message."""
+    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), from stamp to log time."""
 
     def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)

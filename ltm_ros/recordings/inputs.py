@@ -48,8 +48,7 @@ def accepted_types(topic: Topic) -> tuple[str, ...]:
 def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
     """Return a recorded message as the topic's own type.
 
-    Raises MessageError for another type, RecordingError for bytes that do not decode, PoseError for odometry of another
-    frame than a camera's."""
+    Raises MessageError for another type, RecordingError for bytes that do not decode, PoseError for another frame's."""
     accepted = accepted_types(topic)
     if type_name not in accepted:
         raise MessageError(f"the type is {type_name or 'unknown'}; supported: {', '.join(accepted)}")
@@ -58,8 +57,7 @@ def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr
 
 
 def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, Topic]:
-    """Return the input topics of a site's cameras in a recording, by absolute name. Of a camera's two kinds of images,
-    only the preferred one is taken."""
+    """Return the input topics of a site's cameras in a recording, by absolute name, with one kind of images."""
     found: dict[str, Topic] = {}
     for camera, config in site.cameras.items():
         images = {camera_topic(site.name, camera, topic): topic for topic in image_topics(config)}

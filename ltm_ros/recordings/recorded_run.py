@@ -37,8 +37,8 @@ FUEL_TRUTH = "fuel_truth.tif"
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth if the
-    site has a depth network."""
+    """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced, `labels`, and `fused` depth if any, (H, W)
+    each."""
 
     camera_name: str
     stamp_ns: int
@@ -109,8 +109,7 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
 
 
 def site_of(bag: Path) -> Path:
-    """Return the site file in or beside a bag, or the shipped one with the cameras of its topics. Raises
-    RecordingError."""
+    """Return the site file in or beside a bag, or the shipped one of its topics. Raises RecordingError."""
     folder = bag.resolve()
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
@@ -142,8 +141,7 @@ def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet)
 
 
 def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
-    """Return class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError if there is
-    no map."""
+    """Return class ids (255 unseen), geometry in the site's CRS, and labels. Raises RecordingError without a map."""
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)
     last = next(iter(deque(reader.messages([topic]), 1)), None)

@@ -26,8 +26,8 @@ TILE = 32
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """`vertices` (N, 3) metres, map frame; `triangles` (M, 3) indices; `texcoords` (N, 2), (0, 0) the north-west corner
-    of `texture` (h, w, 3)."""
+    """`vertices` (N, 3) in the map; `triangles` (M, 3); `texcoords` (N, 2) from the north-west of `texture` (h, w,
+    3)."""
 
     vertices: Float32Array
     triangles: UInt32Array
@@ -80,8 +80,7 @@ def _texture(dem: Dem) -> RgbImage:
 
 @dataclass(frozen=True, eq=False)
 class FuelTile:
-    """The cells with evidence of one tile of the fuel layer: four `vertices` and two `triangles` per cell, a colour per
-    vertex."""
+    """The cells with evidence of one tile: four `vertices` and two `triangles` per cell, a colour per vertex."""
 
     name: str
     vertices: Float32Array

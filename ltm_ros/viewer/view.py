@@ -94,8 +94,7 @@ class RerunView:
             log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
 
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
-        """Log depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError for
-        another size."""
+        """Log depth (H, W), metres; +inf sky, NaN unknown. Raises ImageError for another size."""
         if depth.shape != (model.height, model.width):
             raise ImageError(
                 f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
@@ -181,8 +180,7 @@ class RerunView:
             log("terrain/change", *archetypes.change_picture(kinds, geometry, self._fuel_geometry))
 
     def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
-        """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the
-        map."""
+        """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3)."""
         with self._at(stamp_ns) as log:
             log("map/change", self._change.update(cells, points, kinds))
 

@@ -114,8 +114,7 @@ class Assumptions:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Where photos are placed: the map frame, its DEM if any (else heights must be known), known cameras by name, and
-    the error of poses that state none."""
+    """Map frame, its DEM if any, known cameras by name, and the error of poses that state none."""
 
     frame: SiteFrame
     dem: Dem | None = None

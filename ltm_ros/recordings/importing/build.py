@@ -32,8 +32,7 @@ _Placed = tuple[str, ImportedImage, PhotoPose, int]
 
 @dataclass
 class ImportReport:
-    """Result of an import. `rejected`: (photo, why). `skipped`: other files of the folders. `cameras`: number of photos
-    per camera."""
+    """Result of an import. `rejected`: (photo, why). `skipped`: other files. `cameras`: photos per camera."""
 
     bag: Path
     site: str
@@ -166,8 +165,7 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
 
 
 def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
-    """Raise ImageError for a photo that the graph would drop, because it is too large, or of another size than the
-    site's calibration."""
+    """Raise ImageError for a photo that is too large for the graph, or of another size than the site's calibration."""
     if site is None:
         return
     calibration, photo = site.camera(name).calibration, item.photo

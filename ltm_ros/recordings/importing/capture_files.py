@@ -94,8 +94,7 @@ def is_zip(path: Path) -> bool:
 def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, list[str]]:
     """Return the available wanted columns of a CSV with a header; blanks beside commas are removed.
 
-    Raises RecordingError for an invalid CSV, or rows of another length (except an incomplete last row, if a phone
-    died)."""
+    Raises RecordingError for an invalid CSV, or rows that are too short, except the last one, if a phone died."""
     place = f"{files.path}: {name!r}"
     lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
     rows = csv.reader(lines, skipinitialspace=True)

@@ -28,8 +28,7 @@ Similarity = tuple[float, Float64Array, Float64Array]
 
 
 def read_transform(path: Path) -> Similarity:
-    """Return the similarity of a text file: scale, quaternion w x y z and shift (COLMAP's model_aligner), or a matrix
-    of 12 or 16 numbers. Raises PoseError."""
+    """Return the similarity of a file: scale, quaternion w x y z, shift (COLMAP), or a matrix. Raises PoseError."""
     values = np.array(_numbers_of(read_text(path, 1 << 16, PoseError)))
     if len(values) == 8:
         return float(values[0]), Rotation.from_quat(values[[2, 3, 4, 1]]).as_matrix(), values[5:]
@@ -47,8 +46,8 @@ def _numbers_of(text: str) -> list[float]:
 
 
 def _metashape_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the cameras of an XML export. Its camera axes are the optical ones; pixels count from the image's
-    corner, the centre from its middle."""
+    """Return the cameras of an XML export. Axes are optical; pixels count from the corner, the centre from the
+    middle."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise PoseError(f"{path}: XML with a document type is not read")
     try:
@@ -142,8 +141,8 @@ def _colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[F
 
 
 def _opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the shots, world to camera, metres east, north, up of a reference; focal lengths are shares of the
-    longer side."""
+    """Return the shots, world to camera, east, north, up of a reference; focal lengths are shares of the longer
+    side."""
     parts = json.loads(text)
     beside = path.with_name("reference_lla.json")
     reference: Any = parts[0].get("reference_lla")
@@ -212,8 +211,8 @@ def read_foreign_poses(
 
 
 def _alproj(path: Path, text: str) -> list[ForeignPose]:
-    """Return the pose of one set of parameters, or of several by the photos' names. Pan is from north, tilt up, roll to
-    the right, in degrees."""
+    """Return one or several poses, the latter by the photos' names. Pan is from north, tilt up, roll right, in
+    degrees."""
     content = json.loads(text)
     many = {path.stem: content} if "pan" in content else content
     return [_alproj_pose(name, values, f"{path}: {name}") for name, values in many.items()]
@@ -253,8 +252,7 @@ def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
 
 
 def _imgraft(path: Path, text: str) -> list[ForeignPose]:
-    """`fullmodel` of its camera class: place, rows, columns, yaw (0 is east), pitch, roll, f, c, k1 to k6, p1, p2. Its
-    pixels count from 1."""
+    """Return `fullmodel`: place, rows, columns, yaw (0 is east), pitch, roll, f, c, k1 to k6, p1, p2; pixels from 1."""
     v = np.array(_numbers_of(text))
     angles, (fx, fy, cx, cy), k, p = v[5:8], v[8:12], v[12:18], v[18:20]
     start = Camera(int(v[4]), int(v[3]), fx, fy, cx - 1, cy - 1)
@@ -320,8 +318,8 @@ def _stated(size: tuple[int, int] | None, path: Path, tool: str) -> tuple[int, i
 
 
 def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
-    """Lines of label, X, Y, Z, omega, phi, kappa, and more columns that are not read; degrees, unless the header names
-    another unit."""
+    """Return the poses of lines of label, X, Y, Z, omega, phi, kappa, in the unit that the header names, else
+    degrees."""
     head = " ".join(line for line in text.splitlines()[:5] if re.match(r"\W*[A-Za-z#]", line)).lower()
     unit = next((name for name in ("gon", "radians", "degrees") if name in head or f"[{name[:3]}]" in head), "degrees")
     poses: list[ForeignPose] = []

@@ -27,8 +27,7 @@ _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
-    """A photo with everything that the graph needs. `covariance`: (6, 6) of the pose; None: the site's default.
-    `notes`: assumptions, for the user."""
+    """A photo with all that the graph needs. `covariance`: (6, 6), None: the site's default. `notes`: for the user."""
 
     photo: Photo
     camera: Camera
@@ -42,8 +41,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     """Combine what is known of a photo: its row precedes the site's fixed pose and calibration of `camera`, which
     precede its sensors and EXIF.
 
-    Raises PoseError, CameraError or RecordingError with the remedy if position, azimuth, pitch, focal length or date
-    are unknown."""
+    Raises PoseError, CameraError or RecordingError if position, azimuth, pitch, focal length or date are unknown."""
     fixed = site.cameras.get(camera, CameraConfig())
     known = row.pose
     if (whole := fixed.pose) is not None:  # pitch and roll that a site file omits are 0

@@ -107,8 +107,8 @@ def intrinsics(
 
 
 def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[str, list[float]]:
-    """Return possible focal lengths in pixels by source, the most accurate first. There are two if it is unknown
-    whether a source includes the digital zoom."""
+    """Return possible focal lengths in pixels by source, the most accurate first; two if it may include a digital
+    zoom."""
     stated: dict[str, float] = {}
     if lens.calibration.fx is not None:
         stated["calibration in XMP"] = lens.calibration.fx * scale

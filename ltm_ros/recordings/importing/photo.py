@@ -52,8 +52,7 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
-    known position and direction."""
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels."""
 
     path: Path
     data: bytes
@@ -117,8 +116,7 @@ def photo_of(data: bytes, path: Path) -> Photo:
 
 
 def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
-    """Return turned pixels as a JPEG with the quantisation of the stored image: its blocks change hardly, and its size
-    stays."""
+    """Return turned pixels as a JPEG with the quantisation of the stored image, so that they change hardly."""
     tables = {number: np.reshape(table, (8, 8)) for number, table in stored.quantization.items()}
     tables = {number: table.T if turn > 4 else table for number, table in tables.items()}  # a quarter turn
     written = BytesIO()
@@ -158,8 +156,7 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     """Return rows by photo name, from a CSV with a header line; or by the photos' names without suffix, from a folder
     of pose files, as `ltm pose photo` writes it.
 
-    Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
-    line), or a photo listed twice."""
+    Raises ConfigError for another file, unknown columns, invalid values (with the line), or a photo listed twice."""
     if path.is_dir():
         return _pose_files(path)
     if path.suffix.lower() != ".csv":

@@ -40,8 +40,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     """Return the photos of files, folders with their subfolders, and zips, and the files that are not imported.
     A sensor recording without photos of its own applies to all photos beside it, by their time.
 
-    Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
-    unknown."""
+    Raises RecordingError for a missing path, two photos of a name, none at all, or an unknown file type."""
     paths = list(paths)
     found: list[ImportedImage] = []
     skipped: list[SkippedFile] = []
@@ -75,8 +74,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
 
 
 def _apart(found: list[ImportedImage], folder: Path) -> list[ImportedImage]:
-    """Return the photos of a folder with their subfolders in the names that would occur twice: phones count anew in
-    each of their folders."""
+    """Put subfolders into the names of photos that would occur twice, because phones count anew in each folder."""
     count = Counter(picture.name for picture in found)
     return [
         replace(picture, name=picture.path.relative_to(folder).as_posix())
@@ -163,8 +161,7 @@ def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
 def _held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     """Return (3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
 
-    EXIF's orientation decides; without one a portrait was held upright, and a landscape on the side on which it is
-    upright."""
+    EXIF's orientation decides; else a portrait was held upright, and a landscape on the side that makes it so."""
     stated = photo.exif.orientation
     turned = (_TURNED_DEG[stated],) if stated != 1 and stated in _TURNED_DEG else ()
     rotation = track.rotation_at(stamp_ns)

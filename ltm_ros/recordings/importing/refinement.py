@@ -85,8 +85,7 @@ class _Looked:
 class PoseRefinement:
     """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose.
 
-    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network and label head of each camera.
-    Raises DemError at creation."""
+    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network. Raises DemError at creation."""
 
     def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
         self._site = site
@@ -99,8 +98,8 @@ class PoseRefinement:
         """Results by camera and photo; the reason for a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
-        """Search one photo by itself; all are searched before the first is refined. Raises ModelError for the camera's
-        network, and ConfigError for its mask."""
+        """Search one photo by itself, before the first one is refined. Raises ModelError, ConfigError for the camera's
+        mask."""
         if camera not in self._views:
             network = None if self._segment is not None else site_segmenter(self._site, camera)
             segment = self._segment if network is None else lambda photo: network.segment(photo).labels

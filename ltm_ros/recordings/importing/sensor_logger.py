@@ -44,8 +44,7 @@ class Series:
     values: Float64Array
 
     def at(self, stamp_ns: int) -> list[float]:
-        """Return values (K,) between the two nearest stamps, those of the nearest beyond the ends, and the known one
-        of unknown neighbours."""
+        """Return values (K,) between the two nearest stamps, else those of the nearest one."""
         near, _ = _nearest(self.stamp_ns, stamp_ns)
         since, first = self.stamp_ns - self.stamp_ns[0], int(self.stamp_ns[0])
         between = np.array([np.interp(stamp_ns - first, since, column) for column in self.values.T])

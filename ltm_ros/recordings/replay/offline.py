@@ -56,8 +56,8 @@ class Selection:
         truth: bool = True,
         names: Mapping[str, str] | None = None,
     ) -> Selection:
-        """Open a bag; `names`: other names of its topics. Raises RecordingError if it has no image of a camera of the
-        site, or nothing in the span."""
+        """Open a bag; `names`: other names of its topics. Raises RecordingError without an image, or anything in the
+        span."""
         reader = BagReader(bag, names=names)
         recorded = reader.topics()
         inputs = InputReader(reader, site)
@@ -93,8 +93,7 @@ class Selection:
         return self.inputs.messages(self.topics, self.begin_ns, self.end_ns)
 
     def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
-        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
-        end, those that are lost."""
+        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid or lost."""
         for message in self:
             counted = self.topics[message.topic].counted
             if counted:
@@ -127,8 +126,8 @@ class Selection:
 def require_frames(
     bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
 ) -> None:
-    """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
-    topics of the bag beside the expected ones."""
+    """Raise RecordingError if no frame reached the fuel map, with the reasons; if none was complete, with the bag's
+    topics."""
     if int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
         return
     said = [(*key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]

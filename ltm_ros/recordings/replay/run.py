@@ -50,9 +50,8 @@ class LivePlayer:
     """Publishes a selection and watches the diagnostics of the graph. A context manager."""
 
     def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
-        """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of real time; in longer recorded pauses
-        the clock continues for that long and until the graph is idle, and skips the rest. Raises RecordingError unless
-        both are positive."""
+        """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of a recorded pause, after which the
+        clock skips the rest if the graph is idle. Raises RecordingError unless both are positive."""
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
         if not longest_pause > 0:
