@@ -96,9 +96,7 @@ def msg_to_version(msg: Any) -> str:
     version = msg_to_values(msg).get("version")
     if version == AS_GIVEN or (version is not None and re.fullmatch(VERSION, version, re.ASCII)):
         return version
-    raise MessageError(
-        f"version {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
-    )
+    raise MessageError(f"version {str(version)[:80]!r}: expected 16 hexadecimal digits, or nothing")
 
 
 def traced_to_msg(camera: str, stamp_ns: int, version: str) -> DiagnosticArray:

@@ -30,10 +30,8 @@ def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, f
     too_large = (classes > LARGEST_CLASS) & (classes != UNKNOWN)
     if too_large.any():
         row, col = np.argwhere(too_large)[0]
-        raise MessageError(
-            f"class {classes[row, col]} at row {row}, col {col} does not fit OccupancyGrid's int8: send class indices "
-            f"0..{LARGEST_CLASS} with a palette, {UNKNOWN} for unknown"
-        )
+        what = f"class {classes[row, col]} at row {row}, col {col} does not fit OccupancyGrid's int8"
+        raise MessageError(f"{what}: send class indices 0..{LARGEST_CLASS}, {UNKNOWN} for unknown")
     msg = OccupancyGrid(header=make_header(stamp_ns, frame_id))
     msg.info.map_load_time = ns_to_time(stamp_ns)
     msg.info.resolution = float(geometry.resolution)
@@ -67,29 +65,22 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
     info = msg.info
     height, width = int(info.height), int(info.width)
     if height < 1 or width < 1 or len(msg.data) != height * width:
-        raise MessageError(
-            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values; it needs width * height >= 1"
-        )
+        raise MessageError(f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values; expected as many")
     # info.resolution is float32 on the wire: take the shortest decimal that it stands for, so 0.1 comes back as 0.1.
     resolution = float(str(np.float32(info.resolution)))
     x_min, y_min = float(info.origin.position.x), float(info.origin.position.y)
     if not np.isfinite([resolution, x_min, y_min]).all() or resolution <= 0:
-        raise MessageError(
-            f"OccupancyGrid needs a positive resolution and a finite origin, got {info.resolution}, ({x_min}, {y_min})"
-        )
+        given = f"{info.resolution}, ({x_min}, {y_min})"
+        raise MessageError(f"OccupancyGrid needs a positive resolution and a finite origin, got {given}")
     q = info.origin.orientation
     turned = max(abs(q.x), abs(q.y), abs(q.z))
     if not (turned <= 1e-6 and abs(abs(q.w) - 1) <= 1e-3):
-        raise MessageError(
-            f"OccupancyGrid's origin is rotated: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, "
-            "1) are supported"
-        )
+        raise MessageError(f"OccupancyGrid's origin is rotated by {q.x, q.y, q.z, q.w}; expected (0, 0, 0, 1)")
     cells = np.frombuffer(msg.data, np.int8).reshape(height, width)
     if cells.min() < -1:
         south_row, col = np.argwhere(cells < -1)[0]
-        raise MessageError(
-            f"OccupancyGrid cell {cells[south_row, col]} at data row {south_row}, col {col} is below -1 (unknown)"
-        )
+        cell = f"{cells[south_row, col]} at data row {south_row}, col {col}"
+        raise MessageError(f"OccupancyGrid cell {cell} is below -1 (unknown)")
     classes = np.flipud(cells).astype(np.uint8)
     return classes, GridGeometry(x_min, y_min + height * resolution, resolution, width, height, crs)
 
@@ -101,17 +92,15 @@ def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, 
     corner = (grid.y_max - tile.y_max) / grid.resolution, (tile.x_min - grid.x_min) / grid.resolution
     off = max(abs(place - round(place)) for place in corner)
     if abs(tile.resolution - grid.resolution) > 1e-6 * grid.resolution or off > 1e-3:
-        raise MessageError(
-            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m is not aligned with "
-            f"the cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
-        )
+        of_tile = f"({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m"
+        of_grid = f"({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
+        raise MessageError(f"tile with corner {of_tile} is not aligned with the grid with corner {of_grid}")
     return _inside((round(corner[0]), round(corner[1]), tile.height, tile.width), grid)
 
 
 def _inside(window: tuple[int, int, int, int], grid: GridGeometry) -> tuple[int, int, int, int]:
     row, col, height, width = window
     if min(row, col) < 0 or min(height, width) < 1 or row + height > grid.height or col + width > grid.width:
-        raise MessageError(
-            f"tile row, col, height, width = {window} is outside the grid of {grid.height} x {grid.width} cells"
-        )
+        cells = f"{grid.height} x {grid.width} cells"
+        raise MessageError(f"tile row, col, height, width = {window} is outside the grid of {cells}")
     return window

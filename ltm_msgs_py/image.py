@@ -118,10 +118,8 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
     try:
         return np.asarray(cv2.cvtColor(pixels, code or _SAME), np.uint8)
     except cv2.error as error:
-        raise ImageError(
-            f"{msg.encoding} image of {msg.width} x {msg.height} pixels cannot be converted; yuv422 needs an even "
-            "width, bayer at least 3 x 3 pixels"
-        ) from error
+        what = f"{msg.encoding} image of {msg.width} x {msg.height} pixels cannot be converted"
+        raise ImageError(f"{what}; yuv422 needs an even width, bayer at least 3 x 3 pixels") from error
 
 
 def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str) -> Image:
@@ -145,10 +143,8 @@ def compressed_to_msg(data: bytes, encoding: str, stamp_ns: int, frame_id: str) 
     """JPEG or PNG bytes as they are. Raises ImageError where `data` does not begin like `encoding`."""
     found = image_format(data)
     if not found or found != encoding:
-        raise ImageError(
-            f"{len(data)} bytes given as {encoding!r} begin with {data[:8].hex(' ') or 'nothing'}: "
-            f"that is {found or 'neither jpeg nor png'}"
-        )
+        what = f"{len(data)} bytes given as {encoding!r} begin with {data[:8].hex(' ') or 'nothing'}"
+        raise ImageError(f"{what}: that is {found or 'neither jpeg nor png'}")
     msg = CompressedImage(header=make_header(stamp_ns, frame_id), format=encoding, check_fields=True)
     buffer = byte_array("B")
     buffer.frombytes(data)
@@ -161,9 +157,7 @@ def encode_rgb(image: UInt8Array, encoding: str = "jpeg", quality: int = 92) -> 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
         raise ImageError(f"an image to compress must be (H, W, 3) uint8, got {image.shape} {image.dtype}")
     if encoding not in ("jpeg", "png") or not 1 <= quality <= 100:
-        raise ImageError(
-            f"images are compressed as 'jpeg' with quality 1..100 or 'png', not {encoding!r} with {quality}"
-        )
+        raise ImageError(f"images are 'jpeg' with quality 1..100 or 'png', not {encoding!r} with {quality}")
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if encoding == "jpeg" else []
     done, encoded = cv2.imencode(f".{encoding}", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
     if not done:
@@ -201,8 +195,6 @@ def _named(msg: Any) -> str:
 def _as_sent(data: bytes, what: str) -> bytes:
     """Return the same bytes. Raises ImageError if they are in another format than cameras send."""
     if not image_format(data):
-        raise ImageError(
-            f"{what} ({len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}) is neither jpeg nor png; "
-            "publish one of these, or raw images"
-        )
+        found = f"{len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}"
+        raise ImageError(f"{what} ({found}) is neither jpeg nor png; publish one of these, or raw images")
     return data

@@ -84,16 +84,13 @@ def msg_to_columns(msg: Any) -> Columns:
     for field in msg.fields:
         dtype = _DTYPES.get(int(field.datatype))
         if dtype is None or field.count != 1:
-            raise MessageError(
-                f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}; "
-                f"supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
-            )
+            what = f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}"
+            raise MessageError(f"{what}; supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each")
         if field.name in names:
             raise MessageError(f"PointCloud2 has duplicate field {field.name!r}")
         if field.offset < 0 or field.offset + dtype.itemsize > point_step:
-            raise MessageError(
-                f"PointCloud2 field {field.name!r} at offset {field.offset} exceeds its point of {point_step} bytes"
-            )
+            what = f"PointCloud2 field {field.name!r} at offset {field.offset}"
+            raise MessageError(f"{what} exceeds its point of {point_step} bytes")
         names.append(field.name)
         formats.append(dtype.newbyteorder(">" if msg.is_bigendian else "<"))
         offsets.append(int(field.offset))

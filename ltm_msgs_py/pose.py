@@ -59,10 +59,8 @@ def as_stamped_pose(msg: Any, any_frame: bool = False) -> PoseWithCovarianceStam
         return msg
     child = getattr(msg, "child_frame_id", "optical")
     if not child.endswith("optical") and not any_frame:
-        raise PoseError(
-            f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the camera's optical frame; publish "
-            f"the transform from {child!r} to that frame on /tf_static"
-        )
+        what = f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the optical frame"
+        raise PoseError(f"{what}; publish the transform between them on /tf_static")
     made = PoseWithCovarianceStamped(header=msg.header)
     if isinstance(msg, TransformStamped):
         made.pose.pose = _pose_msg(msg_to_transform(msg))
@@ -130,10 +128,7 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
         return assumed
     variances = given.diagonal()
     if np.isnan(given).any() or (variances < 0).any():
-        raise PoseError(
-            f"pose covariance has the variances {variances.tolist()}: it needs numbers without negative "
-            "variances; send zeros if it is unknown"
-        )
+        raise PoseError(f"pose covariance has invalid variances {variances.tolist()}; send zeros if unknown")
     known = variances < UNKNOWN_VARIANCES
     matrix = given[np.ix_(known, known)]
     if not np.isfinite(matrix).all():
@@ -162,10 +157,8 @@ def _check_correlations(matrix: Float64Array) -> None:
         or (np.abs(correlations - correlations.T) > 1e-6).any()
         or (len(matrix) and np.linalg.eigvalsh(correlations).min() < -1e-6)
     ):
-        raise PoseError(
-            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; send "
-            "zeros if it is unknown"
-        )
+        what = f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}"
+        raise PoseError(f"{what}; send zeros if it is unknown")
 
 
 def _pose_msg(pose: Pose) -> PoseMsg:

@@ -35,10 +35,8 @@ def msg_to_attitude(msg: Any) -> Attitude:
 def _covariance(values: Any, what: str, unknown: str) -> Float64Array:
     covariance = np.array(values, np.float64).reshape(3, 3)
     if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
-        raise PoseError(
-            f"{what} must be finite without negative variances, got {covariance.tolist()}; send {unknown} if it is "
-            "unknown"
-        )
+        what = f"{what} must be finite without negative variances, got {covariance.tolist()}"
+        raise PoseError(f"{what}; send {unknown} if it is unknown")
     return covariance
 
 
@@ -106,21 +104,15 @@ def msg_to_camera(msg: Any) -> Camera:
     if k[1] != 0 or k[3] != 0 or k[6] != 0 or k[7] != 0 or k[8] != 1:
         raise CameraError(f"{who}: K must be [fx 0 cx; 0 fy cy; 0 0 1] without skew, got {k.tolist()}")
     if msg.distortion_model != "plumb_bob" and not (msg.distortion_model == "" and not any(d)):
-        raise CameraError(
-            f"{who}: distortion model {msg.distortion_model!r} is not supported, only 'plumb_bob'; undistort the "
-            "images or calibrate with plumb_bob"
-        )
+        what = f"{who}: distortion model {msg.distortion_model!r} is not supported, only 'plumb_bob'"
+        raise CameraError(f"{what}; undistort the images or calibrate with plumb_bob")
     if len(d) not in (0, 4, 5):
         raise CameraError(f"{who}: plumb_bob has D = (k1, k2, p1, p2[, k3]), 0, 4 or 5 numbers; got {len(d)}: {d}")
     if msg.binning_x > 1 or msg.binning_y > 1:
-        raise CameraError(
-            f"{who}: binning {msg.binning_x} x {msg.binning_y} is not supported; publish K for the image as sent"
-        )
+        raise CameraError(f"{who}: binning {msg.binning_x} x {msg.binning_y}; publish K for the image as sent")
     roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
     if roi not in ((0, 0, 0, 0), (0, 0, msg.width, msg.height)):
-        raise CameraError(
-            f"{who}: region of interest x, y, width, height = {roi} is not supported; publish K for the image as sent"
-        )
+        raise CameraError(f"{who}: region of interest x, y, width, height = {roi}; publish K for the image as sent")
     k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
     try:

@@ -19,10 +19,8 @@ def ns_to_time(stamp_ns: int) -> Time:
     """Return nanoseconds since the epoch as a Time. Raises MessageError if negative or past `LATEST_NS`."""
     stamp_ns = int(stamp_ns)
     if not 0 <= stamp_ns <= LATEST_NS:
-        raise MessageError(
-            f"stamp {stamp_ns} ns does not fit builtin_interfaces/Time, which holds 0 to {LATEST_NS} ns "
-            "(int32 seconds); are these seconds, or another epoch?"
-        )
+        what = f"stamp {stamp_ns} ns does not fit builtin_interfaces/Time (0 to {LATEST_NS} ns)"
+        raise MessageError(f"{what}; are these seconds, or another epoch?")
     seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     return Time(sec=seconds, nanosec=nanoseconds)
 
@@ -31,9 +29,7 @@ def time_to_ns(time: Any) -> int:
     """Return a Time as nanoseconds since the epoch. Raises MessageError if it is negative or not normalised."""
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
-        raise MessageError(
-            f"stamp sec={sec} nanosec={nanosec} is invalid: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
-        )
+        raise MessageError(f"stamp sec={sec} nanosec={nanosec}: give sec >= 0 and nanosec in [0, {NS_PER_S})")
     return sec * NS_PER_S + nanosec
 
 

@@ -207,10 +207,8 @@ class PartialPose(StrictModel):
         if self.azimuth_ref == "true":
             return frame.true_to_grid_deg(azimuth, x, y)
         if on is None:
-            raise ConfigError(
-                f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known: give it from true "
-                "north (azimuth_ref: true) or from grid north"
-            )
+            what = f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known"
+            raise ConfigError(f"{what}: give it from true north (azimuth_ref: true) or from grid north")
         return frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
 
 
@@ -271,7 +269,6 @@ def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, f
         return x, y
     moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     if not np.isfinite(moved).all():
-        raise PoseError(
-            f"position ({x}, {y}) in {source} cannot be converted to {target}; with EPSG:4326 give longitude first"
-        )
+        what = f"position ({x}, {y}) in {source} cannot be converted to {target}"
+        raise PoseError(f"{what}; with EPSG:4326 give longitude first")
     return float(moved[0]), float(moved[1])

@@ -155,8 +155,6 @@ def closest_camera(start: Camera, project: Callable[[Float64Array], Float64Array
     solved = least_squares(errors, first, x_scale=np.array([*first[:2], *first[:2], 0.1, 0.1, 0.01, 0.01, 0.1]))
     worst = float(np.hypot(*solved.fun.reshape(-1, 2).T).max())
     if worst > MOST_LENS_ERROR:
-        raise PoseError(
-            f"{place}: its lens model differs by {worst:.1f} px from Brown-Conrady distortion (k1, k2, p1, p2, k3); "
-            "calibrate the lens again with that model"
-        )
+        what = f"{place}: its lens model differs by {worst:.1f} px from k1, k2, p1, p2, k3 (Brown-Conrady)"
+        raise PoseError(f"{what}; calibrate the lens again with that model")
     return camera(solved.x)

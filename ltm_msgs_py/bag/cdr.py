@@ -155,9 +155,7 @@ class _Fields:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < _HEAD or raw[0] != 0 or raw[1] not in (0, 1):
-            raise ValueError(
-                f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected plain CDR (00 00 or 00 01)"
-            )
+            raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected CDR (00 00 or 00 01)")
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
     def number(self, form: str) -> int:

@@ -151,9 +151,7 @@ def bag_files(folder: Path) -> list[Path] | None:
     info = document.get(INFORMATION) if isinstance(document, dict) else None
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-        raise RecordingError(
-            f"{path} is not rosbag2 metadata: it has no rosbag2_bagfile_information.relative_file_paths"
-        )
+        raise RecordingError(f"{path} is not rosbag2 metadata: it has no {INFORMATION}.relative_file_paths")
     files = []
     for name in names:
         file = folder / Path(name).name

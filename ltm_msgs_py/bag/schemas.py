@@ -52,10 +52,8 @@ def message_class(type_name: str) -> Any:
     imported. Raises RecordingError if the name is malformed or its package is not installed."""
     package, message = split_type_name(type_name)
     if _installed_file(package, f"{message}.msg") is None:
-        raise RecordingError(
-            f"message type {type_name} is not installed here; install the package {package} (pip: "
-            f"ros-jazzy-{package.replace('_', '-')}, apt: ros-jazzy-{package.replace('_', '-')})"
-        )
+        package = f"ros-jazzy-{package.replace('_', '-')}"
+        raise RecordingError(f"message type {type_name} is not installed here; install {package} (pip or apt)")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), message)
     except (ImportError, AttributeError) as error:
@@ -107,11 +105,9 @@ def _store_definition(type_name: str) -> str:
 
         text, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
     except Exception as error:  # rosbags absent, or one of its own errors for a type that it does not have
-        raise RecordingError(
-            f"no definition of message type {type_name}: no share/<package>/msg in "
-            f"{os.environ.get('AMENT_PREFIX_PATH', '(AMENT_PREFIX_PATH not set)')} or {sys.prefix}, and not in "
-            f"rosbags' Jazzy store ({type(error).__name__}); install its package"
-        ) from error
+        place = os.environ.get("AMENT_PREFIX_PATH", "(AMENT_PREFIX_PATH not set)")
+        what = f"no definition of message type {type_name} in {place}, {sys.prefix} or rosbags ({type(error).__name__})"
+        raise RecordingError(f"{what}; install its package") from error
     return str(text).partition(_SEPARATOR)[0]
 
 

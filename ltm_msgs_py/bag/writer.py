@@ -112,9 +112,7 @@ class BagWriter:
         known = self._topics.get(topic)
         if known is not None:
             if (known.type_name, known.qos) != (type_name, qos):
-                raise RecordingError(
-                    f"topic {topic} is already in {self.path} with type {known.type_name} or other QoS"
-                )
+                raise RecordingError(f"{topic} is already in {self.path} with type {known.type_name} or other QoS")
             return
         if not topic.startswith("/"):
             raise RecordingError(f"topic {topic!r} must be absolute, such as /{topic}")
@@ -147,15 +145,11 @@ class BagWriter:
         if known.type_name != type_name:
             raise RecordingError(f"topic {topic} holds {known.type_name} in {self.path}, not {type_name}")
         if len(cdr) < 4 or cdr[0] != 0:
-            raise RecordingError(
-                f"{len(cdr)} bytes for {topic} are not a CDR message: the 4-byte encapsulation header is missing"
-            )
+            raise RecordingError(f"{len(cdr)} bytes for {topic} are not a CDR message: they have no encapsulation")
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns <= LATEST_NS and 0 <= sent_ns <= LATEST_NS):
-            raise RecordingError(
-                f"times of a message on {topic} must be nanoseconds since 1970, "
-                f"got log {log_time_ns}, publish {sent_ns}"
-            )
+            what = f"times of a message on {topic} must be nanoseconds since 1970"
+            raise RecordingError(f"{what}, got log {log_time_ns}, publish {sent_ns}")
         try:
             if self._file is not None and self._is_full(self._file, log_time_ns):
                 self.end_file()

@@ -89,10 +89,8 @@ class ManifestRules:
 def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> ArchiveManifest:
     """List the frames of these cameras. Raises ArchiveError for a site whose poses depend on the order of frames."""
     if site.refine_poses is not None:
-        raise ArchiveError(
-            f"site {site.name} refines poses (refine_poses): a frame's pose then depends on earlier frames. Write "
-            "the refined pose into the site file (ltm pose photo) and remove the section for the archive"
-        )
+        what = f"site {site.name} refines poses (refine_poses), so that they depend on earlier frames"
+        raise ArchiveError(f"{what}: remove the section for the archive, and write poses into the site file")
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for scan in scans:
         manifest.recorded |= scan.recorded
@@ -172,11 +170,8 @@ def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
     most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
     if message.size_bytes <= most and message.width * message.height <= limits.pixels:
         return True
-    health.drop(
-        "too_large",
-        f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes; raise pixels or "
-        "image_bytes under `expert.limits` in the site file",
-    )
+    size = f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes"
+    health.drop("too_large", f"{size}; raise pixels or image_bytes under `expert.limits` in the site file")
     return False
 
 
@@ -220,6 +215,5 @@ class ArchiveImageReader:
                 return picture
         if reader.unread:
             raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
-        raise ArchiveError(
-            f"{name} no longer contains the image of {frame.topic} at log time {at} ns: the file has changed; run again"
-        )
+        what = f"{name} no longer contains the image of {frame.topic} at log time {at} ns"
+        raise ArchiveError(f"{what}: the file has changed; run again")

@@ -146,10 +146,8 @@ def _own_store(results: Path) -> str:
         return ""
     found, known = _sha256(results / STORE_FILE), results / STORES
     if not known.exists() or found not in json.loads(known.read_bytes()):
-        raise ArchiveError(
-            f"{results / STORE_FILE} is not what the last run wrote: a node may have continued from it; move it away "
-            "or give another folder"
-        )
+        what = f"{results / STORE_FILE} is not what the last run wrote: a node may have continued from it"
+        raise ArchiveError(f"{what}; move it away or give another folder")
     return found
 
 

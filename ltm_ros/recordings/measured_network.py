@@ -122,10 +122,8 @@ def _votes(
         and ("camera" in f or "depth_camera" in f or f.camera_name in calibrations)
     ]
     if not chosen:
-        raise RecordingError(
-            f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with pose and calibration; replay the "
-            "recording with `ltm replay RECORDING --record OUT`, and measure OUT"
-        )
+        what = f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with pose and calibration"
+        raise RecordingError(f"{what}; replay it with `ltm replay RECORDING --record OUT`, and measure OUT")
     wanted = set(evenly(sorted(chosen), MOST_FRAMES))
     tracing = {name: TracingStep(site, name, TracingConfig()) for name in cameras}
     voting = {name: VotingStep(site, name) for name in cameras}

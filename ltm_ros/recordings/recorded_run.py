@@ -128,9 +128,7 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
         camera = calibration.camera()
     if camera is None:
         what = f"frame {frame.stamp_ns} of {frame.camera_name}: no camera_info, and no calibration in site {site.name}"
-        raise RecordingError(
-            f"{what} has neither camera_info nor a calibration in site {site.name}: record camera_info"
-        )
+        raise RecordingError(f"{what} has no camera_info and site {site.name} no calibration: record camera_info")
     return camera.height, camera.width
 
 
@@ -231,10 +229,8 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
             cameras[name] = config.calibration.camera()
     views = [PosedCamera(name, cameras[name], pose) for name in cameras for pose in poses[name]]
     if not views:
-        raise RecordingError(
-            f"{bag}: contains no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); "
-            f"{beside_expected(site, reader.topics())}"
-        )
+        what = f"{bag}: no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)})"
+        raise RecordingError(f"{what}; {beside_expected(site, reader.topics())}")
     return views
 
 

@@ -96,9 +96,7 @@ class RerunView:
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
         """Log depth (H, W), metres; +inf sky, NaN unknown. Raises ImageError for another size."""
         if depth.shape != (model.height, model.width):
-            raise ImageError(
-                f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
-            )
+            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration {model.height} x {model.width}")
         with self._at(stamp_ns) as log:
             log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
 

@@ -28,8 +28,7 @@ def time_zone(name: str) -> ZoneInfo:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:
         raise ConfigError(
-            f"unknown time zone {name!r}: give one such as Europe/Oslo or America/Los_Angeles (a system without a "
-            "time zone database needs `pip install tzdata`)"
+            f"unknown time zone {name!r}: give one such as Europe/Oslo (or pip install tzdata)"
         ) from error
 
 

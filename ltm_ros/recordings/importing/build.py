@@ -155,10 +155,8 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
         return checked(PhotoPose, {"name": "-", "camera": name or "camera"}, "--camera").camera or ""
     if name is None:
         if len(site.cameras) > 1:
-            raise ConfigError(
-                f"site {site.name} has the cameras {', '.join(site.cameras)}: name the photos' camera with "
-                "--camera or a column `camera` in the pose file"
-            )
+            what = f"site {site.name} has the cameras {', '.join(site.cameras)}"
+            raise ConfigError(f"{what}: name the photos' with --camera or a column `camera` in the pose file")
         (name,) = site.cameras
     site.camera(name)
     return name
@@ -183,10 +181,8 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
             "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
             "(exiftool -Orientation= photo.jpg)"
         )
-    raise ImageError(
-        f"{photo.path} {why} but camera {name} of the site is calibrated for {calibration.width} x "
-        f"{calibration.height}: {remedy}"
-    )
+    size = f"{calibration.width} x {calibration.height}"
+    raise ImageError(f"{photo.path} {why} but the site's camera {name} is calibrated for {size}: {remedy}")
 
 
 def _frame_of(listed: list[tuple[ImportedImage, PhotoPose]]) -> SiteFrame:

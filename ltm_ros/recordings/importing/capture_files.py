@@ -60,10 +60,8 @@ class CaptureFiles:
             with opened as member:
                 data = member.read(most + 1)
         except _BROKEN as error:
-            raise RecordingError(
-                f"{place}: cannot be read ({type(error).__name__}: {error}); export the recording again, without a "
-                "password"
-            ) from error
+            what = f"{place}: cannot be read ({type(error).__name__}: {error})"
+            raise RecordingError(f"{what}; export the recording again, without a password") from error
         if len(data) > most:
             raise RecordingError(f"{place}: has more than {most >> 20} MiB unpacked: split the recording")
         return data
@@ -72,9 +70,8 @@ class CaptureFiles:
         try:
             return zipfile.ZipFile(self.path)
         except _BROKEN as error:
-            raise RecordingError(
-                f"{self.path}: is not a complete zip ({type(error).__name__}: {error}); export or copy it again"
-            ) from error
+            what = f"{self.path}: is not a complete zip ({type(error).__name__}: {error})"
+            raise RecordingError(f"{what}; export or copy it again") from error
 
     def _below(self) -> Iterator[str]:
         """Return the files in the folder and one level below."""

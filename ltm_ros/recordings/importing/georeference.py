@@ -51,17 +51,13 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     taken = photo_time(photo, row.stamp, assumed.time_zone, placing.notes)
     stamp_ns = stamp_of_moment(taken)
     if stamp_ns < 0:
-        raise RecordingError(
-            f"{photo.path} is dated {taken.isoformat()}, before 1970: give it a `stamp` in the pose file"
-        )
+        raise RecordingError(f"{photo.path} is dated {taken.isoformat()}, before 1970: give a `stamp` (--poses)")
     x, y = placing.position()
     place = x, y, placing.height(x, y)
     pose = Pose.from_angles(place, placing.azimuth_deg(place, taken), *placing.tilt())
     if photo.turned:
-        placing.notes.append(
-            f"{photo.turned}: the upright image of {photo.width} x {photo.height} pixels is used; calibration, "
-            "pitch and roll must be for it"
-        )
+        size = f"{photo.width} x {photo.height} pixels"
+        placing.notes.append(f"{photo.turned}: calibration, pitch and roll must be for the upright image of {size}")
     stated = known.model_dump(include=set(placing.found), exclude_none=True)
     error = site.pose_error
     covariance = known.model_copy(update=placing.found | stated).covariance(pose, error.position, error.angle_deg)
@@ -83,27 +79,23 @@ class _Placing:
         if stated is not None:
             if not self.site.covers(*stated):
                 east, north = stated[0] + frame.x_origin, stated[1] + frame.y_origin
+                place = f"({east:.1f}, {north:.1f}) in {frame.crs}"
                 raise PoseError(
-                    f"{self.photo.path}: the stated position ({east:.1f}, {north:.1f}) in {frame.crs} is outside the "
-                    "DEM: check the order of its coordinates and its CRS"
+                    f"{self.photo.path}: {place} is outside the DEM: check the order of coordinates and the CRS"
                 )
             return stated
         lon, lat = sensed.lon, sensed.lat
         if lon is None or lat is None:
             why = f": {sensed.missing}" if sensed.missing else ""
-            raise PoseError(
-                f"{self.photo.path} has no position in {sensed.source}{why}; give it x, y or lon, lat in a pose file "
-                "(--poses)"
-            )
+            what = f"{self.photo.path} has no position in {sensed.source}{why}"
+            raise PoseError(f"{what}; give it x, y or lon, lat in a pose file (--poses)")
         self.found["position_sigma"] = sensed.position_sigma or self.assumed.gps_sigma
         x, y = (float(value) for value in frame.from_lonlat(lon, lat))
         if not (math.isfinite(x) and math.isfinite(y)):
             raise PoseError(f"{self.photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
         if not self.site.covers(x, y):
-            raise PoseError(
-                f"{self.photo.path}: position lon {lon:.6f}, lat {lat:.6f} in {sensed.source} is outside the DEM: give "
-                "another --site, or the right position in a pose file (--poses)"
-            )
+            what = f"{self.photo.path}: position lon {lon:.6f}, lat {lat:.6f} in {sensed.source} is outside the DEM"
+            raise PoseError(f"{what}: give another --site, or the right position in a pose file (--poses)")
         return x, y
 
     def height(self, x: float, y: float) -> float:
@@ -133,9 +125,7 @@ class _Placing:
                 self.notes.append(f"height is unknown: {above:g} m above the terrain is assumed")
         if math.isnan(ground):
             why = "there is no DEM (give --site)" if dem is None else "it is outside the DEM"
-            raise PoseError(
-                f"{path} at map ({x:.1f}, {y:.1f}): a height above ground cannot be used, {why}; give its z"
-            )
+            raise PoseError(f"{path}: no height above ground at map ({x:.1f}, {y:.1f}), {why}; give its z (--poses)")
         return ground + above
 
     def _refuse_in_flight(self, why: str) -> None:
@@ -156,11 +146,9 @@ class _Placing:
         if sensed.altitude is None:
             return None
         if sensed.ellipsoidal and undulation is None:
-            self.notes.append(
-                f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is unknown: "
-                f"{self.assumed.height_above_ground:g} m above the terrain is assumed; give --geoid-undulation-m to "
-                "use them"
-            )
+            above = f"{self.assumed.height_above_ground:g} m above the terrain is assumed"
+            what = f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid"
+            self.notes.append(f"{what}: {above}; give --geoid-undulation-m to use them")
             return None
         z = sensed.altitude - (0.0 if sensed.ellipsoidal is False else undulation or 0.0)
         what = f"{sensed.source} altitude"
@@ -203,10 +191,8 @@ class _Placing:
             self.notes.append(f"direction is unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
             return 0.0
         if azimuth is None:
-            raise PoseError(
-                f"{self.photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or "
-                "--refine"
-            )
+            what = f"{self.photo.path} has no direction in {sensed.source}"
+            raise PoseError(f"{what}: give azimuth_deg in a pose file (--poses), or --refine")
         self.found["azimuth_sigma_deg"] = self.assumed.compass_sigma_deg
         if sensed.azimuth_ref == "M":
             return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
@@ -247,18 +233,15 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
     width, height = photo.width, photo.height
     stated: PartialCalibration = row.calibration
     if stated.width is not None and (stated.width, stated.height) != (width, height):
-        raise CameraError(
-            f"{photo.path} has {width} x {height} pixels upright, but its calibration in the pose file is of "
-            f"{stated.width} x {stated.height}: give fx or hfov_deg for this image size, or photos of that size"
-        )
+        size = f"{stated.width} x {stated.height}"
+        what = f"{photo.path} has {width} x {height} pixels upright, but the pose file's calibration {size}"
+        raise CameraError(f"{what}: give fx or hfov_deg for this image size")
     if stated == PartialCalibration() and fixed.calibration is not None:
         stated = fixed.calibration
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
     if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # for a cropped image, it may be outside
-        raise CameraError(
-            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) is outside the image of {width} x {height} "
-            f"pixels, as {photo.turned}: give that of the upright image"
-        )
+        what = f"{photo.path}: cx, cy = ({cx:g}, {cy:g}) is outside the image of {width} x {height} pixels"
+        raise CameraError(f"{what}, as {photo.turned}: give those of the upright image")
     if stated.fx is not None or stated.hfov_deg is not None:
         return stated.camera_of(width, height, 0.0)
     read = intrinsics(photo.lens, width, height, str(photo.path), assumed.focal_35mm)

@@ -60,16 +60,11 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
             raise RecordingError(f"two photos have the name {picture.name}: {names[picture.name]} and {picture.path}")
         names[picture.name] = picture.path
     if not found and tracks:
-        raise RecordingError(
-            f"{paths[0]}: a sensor recording without photos: record the app's sensor `Camera`, too, or add the "
-            "photos taken meanwhile"
-        )
+        raise RecordingError(f"{paths[0]}: a sensor recording without photos: record `Camera`, too, or add photos")
     if not found:
         others = f" ({skipped[0].path.name}: {skipped[0].why})" if skipped else ""
-        raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}{others}; supported: "
-            f"{', '.join(SUFFIXES)} and recordings of phones"
-        )
+        what = f"no photos in {', '.join(map(str, paths))}{others}"
+        raise RecordingError(f"{what}; supported: {', '.join(SUFFIXES)} and recordings of phones")
     return found, skipped
 
 
@@ -92,10 +87,8 @@ def _found_in(path: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFile]
         elif path.is_dir():
             yield from _in_folder(path)
         else:
-            raise RecordingError(
-                f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
-                "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
-            )
+            what = f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'})"
+            raise RecordingError(f"{what} without a Location table; unpack it and give its folder of photos")
     elif (why := _NO_PHOTO.get(path.suffix.lower())) is not None:
         raise RecordingError(f"{path}: {why}")
     else:

@@ -148,7 +148,5 @@ def chosen_reading(found: Sequence[Reading]) -> Reading:
     if stated.problem is not None:
         others = [reading.how for reading in found[1:] if reading.problem is None]
         possible = f"; possible {', or '.join(others)}" if others else ""
-        raise PoseError(
-            f"{stated.problem}{possible}. Check axes, units and heights; give --dem and --photos to test them"
-        )
+        raise PoseError(f"{stated.problem}{possible}. Check axes, units, heights; give --dem and --photos as a test")
     return stated

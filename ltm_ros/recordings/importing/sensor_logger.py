@@ -170,10 +170,7 @@ def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
     tables = {name: _Table(columns, str(files.path), name) for name, columns in found.items()}
     location = tables.get("Location") or tables.get("LocationGps")
     if location is None:
-        raise RecordingError(
-            f"{files.path}: a Sensor Logger recording without Location: enable the sensor `Location` in the app; give "
-            "the photos' positions in a pose file (--poses)"
-        )
+        raise RecordingError(f"{files.path}: without Location: enable the sensor `Location` in the app (or --poses)")
     fixes, ellipsoidal = _fixes(location)
     climb = _climb(tables["Barometer"]) if "Barometer" in tables else None
     nothing = np.zeros(0, np.int64), Rotation.from_quat(np.zeros((0, 4))), False
@@ -198,9 +195,9 @@ class _Table:
     def column(self, name: str, needed: bool = False) -> Float64Array:
         """Return a column; NaN without it, unless it is `needed`."""
         if name not in self.columns and needed:
+            known = f"{', '.join(self.columns)} of those that are read"
             raise RecordingError(
-                f"{self.path}: {self.name} has no column {name!r}, but {', '.join(self.columns)} of those that are "
-                "read: is it Sensor Logger's?"
+                f"{self.path}: {self.name} has no column {name!r}, but {known}: is it Sensor Logger's?"
             )
         values = self.columns.get(name)
         return np.full(len(self._rows), np.nan) if values is None else _numbers([values[i] for i in self._rows])
@@ -264,10 +261,7 @@ def _android_axes(rotations: Rotation, angles: Float64Array, platform: str, path
     used = np.isfinite(angles).all(axis=1)
     if not used.any():
         if platform not in ("ios", "android"):
-            raise RecordingError(
-                f"{path}: neither Metadata's `platform` nor yaw, pitch and roll determine the phone's axes: "
-                "export the recording with Metadata.csv"
-            )
+            raise RecordingError(f"{path}: the phone's axes are unknown: export the recording with Metadata.csv")
         return platform == "android"
     # R = Rz(yaw) Rx(pitch) Ry(roll) of CMAttitude; SensorManager.getOrientation counts yaw and pitch the other way.
     off = {}

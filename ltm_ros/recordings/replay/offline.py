@@ -67,10 +67,8 @@ class Selection:
             named = {camera_topic(site.name, camera, topic): topic for topic in CAMERA_TRUTH}
             topics |= {name: topic for name, topic in named.items() if name in recorded}
         if not images or reader.start_ns is None or reader.end_ns is None:
-            raise RecordingError(
-                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); "
-                f"{'; '.join((beside_expected(site, recorded), *reader.damage))}"
-            )
+            beside = "; ".join((beside_expected(site, recorded), *reader.damage))
+            raise RecordingError(f"{bag} has no images of site {site.name} ({', '.join(site.cameras)}); {beside}")
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
         whole = start == 0 and duration is None and not reader.damage and not inputs.converts
@@ -80,10 +78,8 @@ class Selection:
             else Counter(message.topic for message in inputs.messages(topics, begin, end))
         )
         if not counts.total():
-            raise RecordingError(
-                f"{bag} contains nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; it is "
-                f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
-            )
+            last, long = ((at - reader.start_ns) / 1e9 for at in (end, reader.end_ns))
+            raise RecordingError(f"{bag} has nothing between {start} s and {last:.1f} s; it is {long:.1f} s long")
         frames = sum(counts[topic] for topic in images)
         selection = cls(inputs, topics, begin, end, counts.total(), frames)
         warn_of_ignored(site, selection.first)
