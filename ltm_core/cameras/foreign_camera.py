@@ -66,7 +66,8 @@ class ForeignPose:
             lon, lat, height = _geodetic().transform(x, y, z)
             rotation = east_north_up(lon, lat) @ rotation
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            return Pose(np.array([x, y, height - undulation]), grid_turn(frame, x, y) @ rotation)
+            turn = Rotation.from_euler("Z", -frame.true_to_grid_deg(0.0, x, y), degrees=True).as_matrix()
+            return Pose(np.array([x, y, height - undulation]), turn @ rotation)
         origin = np.array([frame.x_origin, frame.y_origin, 0.0])
         place = self.position - origin
         if self.target is None:
@@ -95,12 +96,6 @@ def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
     lat, lon, altitude = reference
     origin = _geodetic().transform(lon, lat, altitude, direction="INVERSE")
     return np.asarray(np.array(origin) + east_north_up(lon, lat).T @ local, np.float64)
-
-
-def grid_turn(frame: SiteFrame, x: float, y: float) -> Float64Array:
-    """Return the rotation (3, 3) from true east, north to the grid's."""
-    turned = Rotation.from_euler("Z", -frame.true_to_grid_deg(0.0, x, y), degrees=True)
-    return np.asarray(turned.as_matrix(), np.float64)
 
 
 def omega_phi_kappa(radians: Float64Array) -> Float64Array:

@@ -10,6 +10,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -89,18 +90,13 @@ def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
         counts: Counter[str] = Counter()
         for number, channel in sorted(index.channels.items()):
             schema = index.schemas.get(channel.schema_id)
-            qos = _qos(channel.metadata.get("offered_qos_profiles", ""))
+            qos = qos_profile(latched=False, depth=10)
+            with suppress(ConfigError):
+                stated = parse_yaml(channel.metadata.get("offered_qos_profiles", ""), "offered_qos_profiles")
+                qos = stated if isinstance(stated, list) else qos
             type_name = schema.name if schema is not None else ""
             type_hash = channel.metadata.get("topic_type_hash", "")
             topics.setdefault(channel.topic, TopicRecord(channel.topic, type_name, type_hash, qos))
             counts[channel.topic] += index.counts.get(number, 0)
         records.append(FileRecord(path.name, index.start_ns or 0, index.end_ns or 0, +counts))
     write_metadata(folder, bag_information(records, list(topics.values()), {}))
-
-
-def _qos(text: str) -> list[dict[str, object]]:
-    try:
-        profiles = parse_yaml(text, "offered_qos_profiles")
-    except ConfigError:
-        profiles = None
-    return profiles if isinstance(profiles, list) else qos_profile(latched=False, depth=10)

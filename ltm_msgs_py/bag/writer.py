@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
@@ -151,8 +150,10 @@ class BagWriter:
             what = f"times of a message on {topic} must be nanoseconds since 1970"
             raise RecordingError(f"{what}, got log {log_time_ns}, publish {sent_ns}")
         try:
-            if self._file is not None and self._is_full(self._file, log_time_ns):
-                self.end_file()
+            if self._file is not None and self._split is not None and self._file.first_ns is not None:
+                age = log_time_ns - self._file.first_ns
+                if self._file.size >= self._split.most_bytes or age >= self._split.longest_ns:
+                    self.end_file()
             if self._file is None:
                 self._next_file(log_time_ns)
         except RecordingError:
@@ -200,9 +201,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _next_file(self, log_time_ns: int) -> None:
@@ -222,11 +221,6 @@ class BagWriter:
                 if last is not None:
                     cdr, sent_ns = last
                     file.write(topic, cdr, log_time_ns, sent_ns, self._sequences[topic] - 1, new=False)
-
-    def _is_full(self, file: McapFile, log_time_ns: int) -> bool:
-        if self._split is None or file.first_ns is None:
-            return False
-        return file.size >= self._split.most_bytes or log_time_ns - file.first_ns >= self._split.longest_ns
 
     @contextmanager
     def _ending_on_failure(self) -> Iterator[McapFile | None]:

@@ -174,7 +174,11 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
             place = f"{path}, row {number}"
             if None in row or None in row.values():
                 raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
-            content = _sectioned({name: value.strip() for name, value in row.items() if value.strip()})
+            stated = {name: value.strip() for name, value in row.items() if value.strip()}
+            content: dict[str, Any] = {name: v for name, v in stated.items() if name in PhotoPose.model_fields}
+            for section, model in _SECTIONS.items():
+                if values := {name: v for name, v in stated.items() if name in model.model_fields}:
+                    content[section] = values
             pose = checked(PhotoPose, content, place, unnamed=_SECTIONS)
             if pose.name in poses:
                 raise ConfigError(f"{place}: {pose.name} is listed twice")
@@ -197,12 +201,3 @@ def _pose_files(folder: Path) -> dict[str, PhotoPose]:
     if not poses:
         raise ConfigError(f"{folder} contains no pose files (NAME.yaml for the photo NAME)")
     return poses
-
-
-def _sectioned(row: dict[str, str]) -> dict[str, Any]:
-    """Group the columns of a row by section."""
-    content: dict[str, Any] = {name: value for name, value in row.items() if name in PhotoPose.model_fields}
-    for section, model in _SECTIONS.items():
-        if values := {name: value for name, value in row.items() if name in model.model_fields}:
-            content[section] = values
-    return content
