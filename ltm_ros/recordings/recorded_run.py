@@ -17,7 +17,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.site.site import Site
-from ltm_core.site.site_io import load_site
 from ltm_core.storage.image_io import read_rgb
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
@@ -52,46 +51,14 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bag with its site and the folder that may hold its truth rasters."""
+    """A bag with its site, the folder that may hold its truth, and the raster of true class ids on the fuel grid, if
+    any."""
 
     bag: Path
     site_path: Path
     site: Site
     truth: Path
-    date: str | None = None
-    """Date of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
-
-    @classmethod
-    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Recorded:
-        """Find the site: as given, beside or in the bag, or the shipped one with the cameras of the topics; and truth:
-        the site's folder.
-
-        Raises RecordingError without a site or date, ConfigError for an invalid site."""
-        path = site or site_of(bag)
-        folder = truth or path.resolve().parent
-        dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
-        if date is None and len(dates) > 1:
-            raise RecordingError(f"{folder} contains the truth of {', '.join(dates)}: give the bag's date with --date")
-        if date is not None and date not in dates:
-            raise RecordingError(f"{folder} contains no truth of {date!r}; it has {', '.join(dates) or 'none'}")
-        return cls(bag, path, load_site(path), folder, date)
-
-    @property
-    def life_forms(self) -> Path | None:
-        """Return the raster of true class ids on the fuel grid, if any."""
-        dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
-        return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
-
-    @property
-    def surfaces(self) -> tuple[Path | None, Path | None]:
-        """Return the rasters of the true surface at the bag's date and at the previous one, if any."""
-        if self.date is None:
-            return None, None
-        folder = self.truth / "truth"
-        before = [path.stem.split("_")[1] for path in folder.glob(f"change_*_{self.date}.tif")]
-        rasters = [folder / name / "surface.tif" for name in (self.date, *before[:1])]
-        now, *earlier = [raster if raster.is_file() else None for raster in rasters]
-        return now, earlier[0] if earlier else None
+    life_forms: Path | None = None
 
     def stream(self) -> FrameStream:
         return FrameStream.open(self.bag, self.site)

@@ -3,8 +3,7 @@
 The examples are small files of our own in the formats of real ones: Metashape camera exports (as EasyIDP reads them),
 COLMAP's cameras.txt and images.txt, OpenSfM's `data/berlin/reconstruction_example.json`, parameters of `alproj` 1.2
 (`alproj/optimize.py`), ImGRAFT's `camera.m` (fullmodel), PRACTISE's `PRACTISE_Input_base.m` (georef_webcam), and the
-report of Pic2Map (`reportDialog.py`, `posedialog.py`).
-"""
+report of Pic2Map (`reportDialog.py`, `posedialog.py`)."""
 
 from __future__ import annotations
 
