@@ -21,16 +21,8 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import UInt8Array
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose
 from ltm_core.site.site import RosName
+from ltm_core.storage import image_io
 from ltm_core.storage.config_io import LARGEST_TABLE, checked, read_text, read_yaml
-from ltm_core.storage.image_io import (
-    decode_rgb,
-    image_format,
-    opened_picture,
-    orientation,
-    read_picture,
-    upright,
-    without_tail,
-)
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.exif import ExifFacts, Sensed, exif_facts, sensed_by_xmp, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
@@ -90,22 +82,22 @@ def read_photo(path: Path) -> Photo:
     JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for other formats, the upright image is
     compressed again: a JPEG with its own quantisation, others with JPEG quality 95. What follows a JPEG's image, such
     as a motion photo's video, is cut off. Raises ImageError for other files, and for corrupt or incomplete ones."""
-    return photo_of(read_picture(path), path)
+    return photo_of(image_io.read_picture(path), path)
 
 
 def photo_of(data: bytes, path: Path) -> Photo:
     """Return the photo of a file's bytes; `path`: its name in errors. Raises as `read_photo`."""
-    with opened_picture(data, path) as image:
+    with image_io.opened_picture(data, path) as image:
         if image.format not in _FORMATS:
             raise ImageError(f"{path} is {image.format}; photos must be JPEG, PNG, HEIC, WebP, TIFF or AVIF")
         exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
         facts = exif_facts(exif, str(path))
-        turn, encoding = orientation(data, path), image_format(data)
-        pixels = upright(decode_rgb(data, str(path)), turn)
+        turn, encoding = image_io.orientation(data, path), image_io.image_format(data)
+        pixels = image_io.upright(image_io.decode_rgb(data, str(path)), turn)
         height, width = pixels.shape[:2]
         lens = lens_of_photo(exif, xmp, width, height)
         if turn == 1 and encoding:
-            stored = without_tail(data)
+            stored = image_io.without_tail(data)
         elif isinstance(image, JpegImageFile):
             stored = _turned_jpeg(image, pixels, turn)
         else:
