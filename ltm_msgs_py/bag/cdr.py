@@ -108,7 +108,7 @@ def transforms_of(raw: bytes) -> list[TransformStamped]:
             header = make_header(fields.stamp_ns(), fields.text())
             one = TransformStamped(header=header, child_frame_id=fields.text())
             move, turn = one.transform.translation, one.transform.rotation
-            move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.real() for _ in range(7))
+            move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.number("d") for _ in range(7))
             found.append(one)
     except (struct.error, ValueError) as error:
         raise RecordingError(f"{len(raw)} bytes do not decode as {TF_TYPE} ({error})") from error
@@ -158,22 +158,15 @@ class _Fields:
             raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected CDR (00 00 or 00 01)")
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
-    def number(self, form: str) -> int:
-        return int(self._value(form))
-
-    def real(self) -> float:
-        return float(self._value("d"))
-
-    def _value(self, form: str) -> int | float:
+    def number(self, form: str) -> Any:
         size = struct.calcsize(form)
         self._at += -self._at % size
-        value: int | float
         (value,) = struct.unpack_from(f"{self._order}{form}", self._bytes, self._at)
         self._at += size
         return value
 
     def stamp_ns(self) -> int:
-        return self.number("i") * NS_PER_S + self.number("I")
+        return int(self.number("i")) * NS_PER_S + int(self.number("I"))
 
     def text(self) -> str:
         return bytes(self.data()).rstrip(b"\0").decode()

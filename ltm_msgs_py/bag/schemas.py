@@ -66,17 +66,11 @@ def schema_text(type_name: str) -> str:
     pkg/Name`.
 
     Definitions come from installed packages, else from `rosbags`' Jazzy types. Raises RecordingError without one."""
-    parts = [_definition(type_name)]
-    todo, done = _dependencies(type_name, parts[0]), {type_name}
-    while todo:
-        dependency = todo.pop(0)
-        if dependency in done:
-            continue
-        done.add(dependency)
-        text = _definition(dependency)
-        package, message = split_type_name(dependency)
-        parts.append(f"{_SEPARATOR}\nMSG: {package}/{message}\n{text}")
-        todo += _dependencies(dependency, text)
+    parts, names = list[str](), [type_name]
+    for name in names:  # which grows
+        text = _definition(name)
+        parts.append(f"{_SEPARATOR}\nMSG: {'/'.join(split_type_name(name))}\n{text}" if parts else text)
+        names += dict.fromkeys(one for one in _dependencies(name, text) if one not in names)
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 
@@ -132,8 +126,4 @@ def _installed_file(package: str, name: str) -> Path | None:
     spec = importlib.util.find_spec(package)
     if spec is not None and spec.origin is not None:
         prefixes += Path(spec.origin).parents
-    for prefix in prefixes:
-        path = prefix / "share" / package / "msg" / name
-        if is_file(path):
-            return path
-    return None
+    return next(filter(is_file, (prefix / "share" / package / "msg" / name for prefix in prefixes)), None)
