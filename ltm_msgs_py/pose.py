@@ -1,10 +1,9 @@
 """Convert poses, transforms, corrections of mounts and places to geometry_msgs, and back.
 
-- Poses are PoseWithCovarianceStamped (or PoseStamped, Odometry): of the camera's optical frame in `header.frame_id`.
+- Poses are of the camera's optical frame in `header.frame_id`.
 - A correction of a mount is a PoseWithCovarianceStamped that moves nothing, with a covariance of zeros if it is as
   stated; the tilt zero of a PTZ head is in the status `pose/info` of the same stamp.
-- Regions of images are PolygonStamped or PointStamped in the optical frame: x and y are pixels u and v; z is ignored.
-- Places are PoseWithCovarianceStamped in `map`, without orientation."""
+- Regions of images are in the optical frame: x and y are pixels u and v; z is ignored."""
 
 from __future__ import annotations
 
@@ -62,12 +61,10 @@ def as_stamped_pose(msg: Any, any_frame: bool = False) -> PoseWithCovarianceStam
         what = f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the optical frame"
         raise PoseError(f"{what}; publish the transform between them on /tf_static")
     made = PoseWithCovarianceStamped(header=msg.header)
-    if isinstance(msg, TransformStamped):
-        made.pose.pose = _pose_msg(msg_to_transform(msg))
-    elif hasattr(msg.pose, "covariance"):
+    if hasattr(getattr(msg, "pose", None), "covariance"):
         made.pose = msg.pose
     else:
-        made.pose.pose = msg.pose
+        made.pose.pose = _pose_msg(msg_to_transform(msg)) if isinstance(msg, TransformStamped) else msg.pose
     return made
 
 
@@ -178,12 +175,6 @@ def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
     return pose_to_msg(turn, stamp_ns, "map", covariance)
 
 
-def msg_to_correction(msg: Any) -> PoseCorrection:
-    """Return a correction without tilt zero. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
-    covariance, rotation = msg_to_covariance(msg), vector_of_matrix(msg_to_pose(msg, "map").rotation)
-    return PoseCorrection(rotation, None if covariance is None else covariance[3:, 3:])
-
-
 def correction_values(correction: PoseCorrection) -> dict[str, object]:
     """Return the part of a correction that has no standard message: a PTZ head's tilt zero (rad), and its covariance
     with the rotation about x, y and z and its variance (rad²)."""
@@ -193,16 +184,17 @@ def correction_values(correction: PoseCorrection) -> dict[str, object]:
 def msgs_to_correction(correction: Any, info: Any) -> PoseCorrection:
     """Return the correction of a mount from `pose/correction` and the `pose/info` of the same stamp. Raises
     MessageError or PoseError if they are invalid."""
-    values, found = msg_to_values(info), msg_to_correction(correction)
+    values, covariance = msg_to_values(info), msg_to_covariance(correction)
+    rotation = vector_of_matrix(msg_to_pose(correction, "map").rotation)
     try:
         numbers = np.array([values["tilt_zero"], *values["tilt_covariance"].split()], np.float64)
     except (KeyError, ValueError):
         numbers = np.empty(0)
     if numbers.shape != (5,) or not np.isfinite(numbers).all():
         raise MessageError("pose/info: expected tilt_zero and the four numbers of tilt_covariance, all finite")
-    if found.angles is None:
-        return PoseCorrection(found.rotation, None, float(numbers[0]))
-    return PoseCorrection(found.rotation, found.angles, float(numbers[0]), numbers[1:])
+    if covariance is None:
+        return PoseCorrection(rotation, None, float(numbers[0]))
+    return PoseCorrection(rotation, covariance[3:, 3:], float(numbers[0]), numbers[1:])
 
 
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -78,12 +79,11 @@ def plan(
     frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int, burns: Sequence[Burn] = ()
 ) -> list[Task]:
     """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
-    of_site = {
-        name: site_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
-    }
-    days: dict[tuple[int, str], list[ArchiveFrame]] = {}
+    steps = settings.tracing, settings.labelling
+    of_site = {name: site_digest(site, name, *steps) for name in {frame.camera for frame in frames}}
+    days = defaultdict[tuple[int, str], list[ArchiveFrame]](list)
     for frame in frames:
-        days.setdefault((frame.day, frame.camera), []).append(frame)
+        days[frame.day, frame.camera].append(frame)
     tasks = []
     for (day, camera), found in sorted(days.items()):
         of_day = tuple(burn for burn in burns if burn.stamp_ns // DAY_NS == day)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,18 +62,16 @@ def reduce_to_store(
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
     shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
-    days: dict[int, tuple[list[Task], list[Burn]]] = {}
+    of_days = defaultdict[int, list[Task]](list)
     for task in tasks:
-        days.setdefault(task.frames[0].day, ([], []))[0].append(task)
-    for burn in burns:
-        days.setdefault(burn.stamp_ns // DAY_NS, ([], []))[1].append(burn)
+        of_days[task.frames[0].day].append(task)
     with TileStore.open(path, fuel_schema(site, geometry)) as store:
-        for _, (of_day, burned) in sorted(days.items()):
-            for burn in burned:
+        for day in sorted({*of_days, *(burn.stamp_ns // DAY_NS for burn in burns)}):
+            for burn in (burn for burn in burns if burn.stamp_ns // DAY_NS == day):
                 evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
                 rows, cols = np.divmod(burn.cells, geometry.width)
                 touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
-            parts = [read_evidence(results / task.file, site, geometry) for task in of_day]
+            parts = [read_evidence(results / task.file, site, geometry) for task in of_days[day]]
             merged = merged_parts(part.partial for part in parts)
             merged.after(evidence).merge_into(evidence)
             records = [record for part in parts for record in _records(part)]
@@ -104,10 +102,10 @@ def store_digest(store: TileStore) -> str:
 
 
 def _records(one: TaskEvidence) -> Iterator[FrameRecord]:
-    tiles: dict[int, list[Key]] = {}
+    tiles = defaultdict[int, list[Key]](list)
     for key, stamps in one.touched.items():
         for stamp in stamps:
-            tiles.setdefault(stamp, []).append(key)
+            tiles[stamp].append(key)
     for camera, counted in one.partial.stamps.items():
         yield from (FrameRecord(camera, stamp, tiles[stamp], one.model) for stamp in counted.tolist())
 

@@ -26,7 +26,7 @@ from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, mak
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, node_rules, plan
 from ltm_ros.archive.reduction import RUN, publish, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
-from ltm_ros.archive.scan import first_message, recordings, scan
+from ltm_ros.archive.scan import Scan, first_message, recordings, scan
 from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
@@ -94,7 +94,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         site.camera(name)
     results = options.out.expanduser().resolve()
     found = recordings(options.archives)
-    scans, unread = [], []
+    scans, unread = list[Scan](), list[Failure]()
     for number, recording in enumerate(found, start=1):
         try:
             scans.append(scan(recording, site, results))
@@ -154,13 +154,11 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
 def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
     """Return why no map may be written, or nothing. Frames lost before sampling count as a share of all frames."""
     manifest, most = planned.manifest, planned.options.max_failed
+    listed = f"no map was written; {planned.settings.results}/{RUN} lists them"
     if manifest.unread:
         first = manifest.unread[0]
-        return (
-            f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
-            f"written; {planned.settings.results}/{RUN} lists them, the first is {first.place} ({first.why}); run "
-            "again, or remove invalid files from ARCHIVES"
-        )
+        which = f"{listed}, the first is {first.place} ({first.why}); run again, or remove invalid files"
+        return f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: {which}"
     joining, working = manifest.failures, failures[len(manifest.failures) :]
     found = len(manifest.frames) + sum(failure.count for failure in joining)
     for lost, total in ((joining, found), (working, len(planned.frames))):
@@ -169,10 +167,8 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             causes[failure.cause] += failure.count
         if causes.total() > most * total:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
-            return (
-                f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.settings.results}/{RUN} lists them; to accept more, raise --max-failed"
-            )
+            why = f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}"
+            return f"{why}: {listed}; to accept more, raise --max-failed"
     return ""
 
 
@@ -180,11 +176,9 @@ def _no_frames(planned: Plan) -> str:
     """Return why there is no frame, with the archive's topics beside the expected ones."""
     manifest = planned.manifest
     if manifest.frames:
-        passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items())
-        return (
-            f"none of {len(manifest.frames)} frames is usable in the given time span and sample"
-            f"{f' ({passed})' if passed else ''}: no map was written; change --since, --until or --sample"
-        )
+        passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items()) or "none seen"
+        which = f"none of {len(manifest.frames)} frames is usable in the given time span and sample ({passed})"
+        return f"{which}: no map was written; change --since, --until or --sample"
     beside = beside_expected(planned.site, manifest.recorded, planned.options.cameras)
     return f"no frame was found, no map was written: {'; '.join((*_named(manifest.failures), beside))}"
 

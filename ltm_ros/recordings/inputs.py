@@ -209,17 +209,19 @@ def _proposed(site: Site, camera: str, topics: Sequence[Topic], recorded: Mappin
     image = is_image(topics[0])
     types = [name for topic in ((IMAGE_COMPRESSED, IMAGE_RAW) if image else topics) for name in accepted_types(topic)]
     types += [TF_TYPE] if topics[0].counted_name == POSE.name else []
-    taken = {camera_topic(site.name, name, topic) for name, config in site.cameras.items() if name != camera
-             for topic in (*image_topics(config), *other_inputs(config))}  # fmt: skip
-    found = [name for name in sorted(recorded, key=lambda n: (camera not in n.split("/"), n))
-             if recorded[name] in types and name not in taken and "depth" not in name.lower()
-             and not name.endswith("_static")]  # fmt: skip
+    others = ((name, config) for name, config in site.cameras.items() if name != camera)
+    taken = {
+        camera_topic(site.name, n, t) for n, config in others for t in (*image_topics(config), *other_inputs(config))
+    }
+    fitting = (name for name, kind in recorded.items() if kind in types and name not in taken)
+    found = [name for name in fitting if "depth" not in name.lower() and not name.endswith("_static")]
     if not found:
         return {}
+    first = min(found, key=lambda name: (camera not in name.split("/"), name))
     usual = [camera_topic(site.name, camera, topic) for topic in (IMAGE_COMPRESSED, IMAGE_RAW)]
-    if image and site.cameras[camera].image != "auto" and found[0] in usual:
-        return {"auto": found[0]}
-    return {"image" if image else topics[0].counted_name: found[0]}
+    if image and site.cameras[camera].image != "auto" and first in usual:
+        return {"auto": first}
+    return {"image" if image else topics[0].counted_name: first}
 
 
 def warn_of_ignored(site: Site, first: Callable[[str, Topic], Any]) -> None:

@@ -245,12 +245,10 @@ class RerunView:
         finer = max(1, RELIEF_PIXELS // max(g.shape))
         view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
         picture = relief(self._dem, view)
-        longest = max(picture.shape[:2])
-        if longest > RELIEF_PIXELS:
-            shrink = RELIEF_PIXELS / longest
-            picture = np.asarray(
-                cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8
-            )
+        shrink = RELIEF_PIXELS / max(picture.shape[:2])
+        if shrink < 1:
+            size = round(picture.shape[1] * shrink), round(picture.shape[0] * shrink)
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
         self._recording.log(
             "fuel_map/relief",
             rr.Transform3D(scale=(g.width / picture.shape[1], g.height / picture.shape[0], 1.0)),
@@ -271,13 +269,6 @@ class RerunView:
 
     def _log_tile(self, tile: scene_geometry.FuelTile) -> None:
         entity = f"map/fuel/{tile.name}"
-        if len(tile.triangles) == 0:
-            self._recording.log(entity, rr.Clear(recursive=False))
-            return
-        mesh = rr.Mesh3D(
-            vertex_positions=tile.vertices,
-            triangle_indices=tile.triangles,
-            vertex_colors=tile.colors,
-            albedo_factor=(255, 255, 255, 200),
-        )
-        self._recording.log(entity, mesh)
+        parts = {"vertex_positions": tile.vertices, "triangle_indices": tile.triangles, "vertex_colors": tile.colors}
+        mesh = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
+        self._recording.log(entity, mesh if len(tile.triangles) else rr.Clear(recursive=False))

@@ -78,22 +78,20 @@ class Placement:
         _, pitch, roll = pose.angles_deg
         if pitch > -45 and abs(roll) > _TILTED_DEG:
             return f"the camera is rolled by {roll:.0f} deg; a pose file needs the upright photo"
-        down = math.degrees(math.atan((camera.height - 1 - camera.cy) / camera.fy))
+        lowest = pitch - math.degrees(math.atan((camera.height - 1 - camera.cy) / camera.fy))
         if self.dem is None:
-            return f"it looks {pitch:.0f} deg up, only at the sky" if pitch - down > 45 else None
+            return f"it looks {pitch:.0f} deg up, only at the sky" if lowest > 45 else None
         x, y, z = (float(v) for v in pose.position)
         ground = float(self.dem.elevation_at(x, y))
         if math.isnan(ground):
-            x, y = x + self.frame.x_origin, y + self.frame.y_origin
-            return (
-                f"the camera at ({x:.0f}, {y:.0f}) is outside the DEM; check the order of its coordinates and its CRS"
-            )
+            place = f"({x + self.frame.x_origin:.0f}, {y + self.frame.y_origin:.0f})"
+            return f"the camera at {place} is outside the DEM; check the order of its coordinates and its CRS"
         if z <= ground:
-            return doubt_of_height(z, ground) or f"the camera is {ground - z:.1f} m below the ground"
-        if pitch - down > 0:
+            return doubt_of_height(z, ground)
+        if lowest > 0:
             horizon = SearchTerrain(self.dem, self.bend).horizon_for(camera, PosePrior(pose, 1.0), PicturePoseConfig())
             known = horizon.tangent[horizon.range > 0]
-            if known.size and math.degrees(math.atan(float(known.max()))) < pitch - down:
+            if known.size and math.degrees(math.atan(float(known.max()))) < lowest:
                 return f"it looks {pitch:.0f} deg up, above all terrain, only at the sky"
         return None
 
