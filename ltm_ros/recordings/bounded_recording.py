@@ -138,12 +138,8 @@ class BoundedRecording:
         return whole
 
     def _open(self) -> BagWriter:
-        self._writer = BagWriter(
-            self._ring.new_folder(),
-            split=self._limits.split,
-            library=self._ring.library,
-            before_file=self._make_room,
-        )
+        folder, split, library = self._ring.new_folder(), self._limits.split, self._ring.library
+        self._writer = BagWriter(folder, split=split, library=library, before_file=self._make_room)
         for topic, (type_name, latched) in self._topics.items():
             self._writer.add_topic(topic, type_name, latched)
         return self._writer

@@ -122,11 +122,8 @@ PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
 
 def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
     """Return the photos of a folder by name, without label images. Raises RecordingError if there are none."""
-    found = sorted(
-        path
-        for path in folder.glob(pattern)
-        if path.suffix.lower() in PICTURES and path.is_file() and not path.stem.endswith(("_labels", "_mask"))
-    )
+    photos = (path for path in folder.glob(pattern) if path.suffix.lower() in PICTURES and path.is_file())
+    found = sorted(path for path in photos if not path.stem.endswith(("_labels", "_mask")))
     if not found:
         raise RecordingError(f"{folder}: no photos match {pattern!r}; supported: {', '.join(PICTURES)}")
     return found

@@ -49,14 +49,12 @@ def rerun_binary() -> Path:
 
     Raises ConfigError if rerun-sdk is not installed."""
     spec = find_spec("rerun_cli")
-    for folder in (spec.submodule_search_locations or []) if spec else []:
-        binary = Path(folder) / "rerun"
-        if binary.is_file():
-            return binary
-    found = shutil.which("rerun")
-    if found is None:
+    folders = (spec.submodule_search_locations or []) if spec else []
+    found = [str(path) for folder in folders if (path := Path(folder) / "rerun").is_file()]
+    binary = found[0] if found else shutil.which("rerun")
+    if binary is None:
         raise ConfigError("the Rerun viewer is not installed: pip install 'ltm[view]'")
-    return Path(found)
+    return Path(binary)
 
 
 def grpc_url(port: int) -> str:

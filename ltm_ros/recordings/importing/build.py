@@ -177,10 +177,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     why = f"has {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
     remedy = "use a photo of that size, or give the site this photo's calibration"
     if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
-        remedy = (
-            "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
-            "(exiftool -Orientation= photo.jpg)"
-        )
+        remedy = "give the site the upright image's calibration, pitch and roll, or remove the photo's orientation tag"
     size = f"{calibration.width} x {calibration.height}"
     raise ImageError(f"{photo.path} {why} but the site's camera {name} is calibrated for {size}: {remedy}")
 
