@@ -23,8 +23,7 @@ LARGEST_CLASS = 127
 def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
     """Return a grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
-    Class indices 0..127 fit int8; fuel model numbers (up to 204) do not. Raises MessageError for those and wrong
-    shapes."""
+    Class indices 0..127 fit int8; fuel model numbers do not. Raises MessageError for those and wrong shapes."""
     if classes.shape != geometry.shape or classes.dtype != np.uint8:
         raise MessageError(f"class grid is {classes.shape} {classes.dtype}, its geometry says {geometry.shape} uint8")
     too_large = (classes > LARGEST_CLASS) & (classes != UNKNOWN)
@@ -60,8 +59,8 @@ def tile_to_msg(
 def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGeometry]:
     """Return the class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
 
-    Raises MessageError if the data's length is not width * height, a cell is below -1, the grid is empty, rotated,
-    tilted, or its resolution or origin are not finite."""
+    Raises MessageError for another length than width * height, a cell below -1, and an empty, rotated or infinite
+    grid."""
     info = msg.info
     height, width = int(info.height), int(info.width)
     if height < 1 or width < 1 or len(msg.data) != height * width:

@@ -57,8 +57,7 @@ DEPTH_ENCODINGS = ("32FC1", "16UC1")
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
     """Return an array as an Image.
 
-    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. Raises
-    ImageError."""
+    `image`: (H, W) or (H, W, channels) of the dtype of `encoding` in `ENCODINGS`; any strides. Raises ImageError."""
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
     beyond = () if spec.channels == 1 else (spec.channels,)
     if image.ndim < 2 or image.shape[2:] != beyond or 0 in image.shape or image.dtype != spec.dtype:
@@ -105,8 +104,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """Return a colour or grey Image as (H, W, 3) uint8 RGB; rgb8 is a read-only view. 16-bit samples keep their high
-    byte.
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; rgb8 is a read-only view, 16 bits keep the high byte.
 
     Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have."""
     pixels, code = msg_to_array(msg, COLOUR_ENCODINGS), ENCODINGS[msg.encoding].to_rgb

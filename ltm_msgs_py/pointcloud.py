@@ -70,8 +70,7 @@ def columns_to_msg(
 def msg_to_columns(msg: Any) -> Columns:
     """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
-    Raises MessageError for contradictory sizes, and fields beyond the point, named twice, unknown, or of several
-    elements."""
+    Raises MessageError for contradictory sizes, and fields beyond the point, twice, unknown, or of several elements."""
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
     fits = 1 <= point_step <= _LARGEST_POINT and row_step >= width * point_step

@@ -182,8 +182,8 @@ def correction_values(correction: PoseCorrection) -> dict[str, object]:
 
 
 def msgs_to_correction(correction: Any, info: Any) -> PoseCorrection:
-    """Return the correction of a mount from `pose/correction` and the `pose/info` of the same stamp. Raises
-    MessageError or PoseError if they are invalid."""
+    """Return the correction of a mount from `pose/correction` and `pose/info` of a stamp. Raises MessageError,
+    PoseError."""
     values, covariance = msg_to_values(info), msg_to_covariance(correction)
     rotation = vector_of_matrix(msg_to_pose(correction, "map").rotation)
     try:

@@ -89,8 +89,7 @@ class SensorsConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Position fix. `altitude`: above the ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north, up, or
-    None."""
+    """Position fix. `altitude`: above the ellipsoid, or NaN. `covariance`: (3, 3) of east, north, up, or None."""
 
     stamp_ns: int
     lon: float
@@ -101,8 +100,7 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Attitude of a device. `rotation`: its axes to east, north, up. `covariance`: (3, 3) of rotations about these, or
-    None."""
+    """Attitude of a device. `rotation`: its axes to east, north, up. `covariance`: (3, 3) about these, or None."""
 
     stamp_ns: int
     rotation: Float64Array

@@ -1,5 +1,4 @@
-"""Decode images from serialised messages without the middleware, whose libraries are slow to load; decode and encode
-tf2_msgs/TFMessage, whose package has no wheel.
+"""Decode serialised images without the middleware, which loads slowly, and tf2_msgs/TFMessage, which has no wheel.
 
 The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields, numbers aligned to
 their size, strings (with a closing zero) and sequences after a uint32 of their length."""

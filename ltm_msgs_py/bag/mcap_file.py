@@ -54,15 +54,14 @@ class _Unbuffered:
 class McapFile:
     """Messages go into chunks; a chunk is handed to the operating system when it is full, or at `flush`.
 
-    `add_topic`, `write`, `flush` and `finish` raise OSError where the disk fails; then `abandon` ends the file after
-    its last whole chunk, and `unsaved` is how many messages were lost. `record`: metadata of what is saved. `first_ns`:
-    log time of the first message."""
+    All raise OSError if the disk fails; then `abandon` ends the file after its last whole chunk, and `unsaved` messages
+    were lost. `record`: metadata of what is saved. `first_ns`: log time of the first message."""
 
     def __init__(
         self, path: Path, compression: CompressionType, chunk_size: int, library: str, saved: Counter[str]
     ) -> None:
-        """Create the file. `saved`: gets new messages by topic that the operating system has, which survive a kill of
-        the process. Raises OSError, and leaves no file then."""
+        """Create the file. `saved`: gets new messages by topic that the system has. Raises OSError, and leaves no file
+        then."""
         self.path, self._saved = path, saved
         self.first_ns: int | None = None
         self.record = FileRecord(path.name, 0, 0, Counter())
@@ -126,8 +125,8 @@ class McapFile:
         self._stream.close()
 
     def abandon(self) -> bool:
-        """End the file after its last complete chunk and close it, after an OSError; delete it and return False if it
-        holds nothing new.
+        """End the file after its last complete chunk, after an OSError; delete it and return False without new
+        messages.
 
         If even that fails, the file ends at that chunk without an index, and BagReader can read it."""
         self._reserve.give_up()

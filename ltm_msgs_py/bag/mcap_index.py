@@ -1,7 +1,6 @@
 """Index the messages in one MCAP file, from its summary, or by a scan if it has none, within limits of memory.
 
-A killed recorder leaves a file without a summary, truncated inside a record. All before that is read and the rest
-reported."""
+A killed recorder leaves a file without a summary, truncated inside a record. The rest is reported."""
 
 from __future__ import annotations
 
@@ -92,8 +91,7 @@ class McapIndex:
     def messages(
         self, channel_ids: Collection[int], start_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Channel, Message]]:
-        """Yield messages of the given channels with start_ns <= log_time < end_ns, by log time, then by position in the
-        file.
+        """Yield messages of channels with start_ns <= log_time < end_ns, by log time, then by place in the file.
 
         Corrupt chunks are noted in `damage`. Raises RecordingError if the file cannot be opened any more."""
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
@@ -231,8 +229,8 @@ class McapIndex:
         return Counter(self.channels[i].topic if i in self.channels else "" for i in channel_ids)
 
     def _held(self, stream: BinaryIO, offset: int) -> tuple[Counter[str], str]:
-        """Return the messages by topic that a damaged record held, and its topics and times in words: by the message
-        indexes after a chunk, else the times in its first bytes."""
+        """Return the messages by topic that a damaged record held, in numbers and in words, by the message indexes
+        after it."""
         indexed: list[tuple[int, int]] = []
         times: tuple[int, ...] = ()
         try:

@@ -238,8 +238,7 @@ class BagReader:
         return files
 
     def _opened(self, path: Path) -> Storage:
-        """Open a file by its first bytes; one that is compressed as a whole is unpacked into TMPDIR. Raises
-        RecordingError."""
+        """Open a file by its first bytes; one that is compressed as a whole is unpacked. Raises RecordingError."""
         try:
             with path.open("rb") as source:
                 magic = source.read(len(_SQLITE))

@@ -62,8 +62,7 @@ def message_class(type_name: str) -> Any:
 
 @lru_cache
 def schema_text(type_name: str) -> str:
-    """Return the `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG:
-    pkg/Name`.
+    """Return the `ros2msg` schema of a type: its definition, then each dependency after a line and `MSG: pkg/Name`.
 
     Definitions come from installed packages, else from `rosbags`' Jazzy types. Raises RecordingError without one."""
     parts, names = list[str](), [type_name]

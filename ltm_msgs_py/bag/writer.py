@@ -52,8 +52,8 @@ class BagWriter:
         library: str = LIBRARY_IDENTIFIER,
         before_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes, as each file's header
-        tells. `before_file`: called before each file is made.
+        """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes. `before_file`: called
+        before each file is made.
 
         Raises RecordingError when `path` exists and is not an empty folder."""
         if compression not in _COMPRESSIONS:
@@ -82,8 +82,8 @@ class BagWriter:
 
     @staticmethod
     def require_free(path: Path, overwrite: bool = False) -> None:
-        """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
-        ConfigError if it cannot be written now.
+        """Raise RecordingError unless `path` does not exist or is an empty folder, ConfigError if it cannot be written
+        now.
 
         `overwrite`: first delete a bag that is there, if the folder holds nothing else."""
         if overwrite and is_folder(path):

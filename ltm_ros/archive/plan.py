@@ -1,5 +1,4 @@
-"""Plan an archive's tasks, a camera's day each: the node parameters from the site file, and the names of results, which
-are digests of all that goes into them.
+"""Plan an archive's tasks, a camera's day each, and the names of results, digests of all that goes into them.
 
 Runs with equal results have equal digests; any change of a result changes its digest."""
 
@@ -124,8 +123,7 @@ def code_digest() -> str:
 
 
 def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
-    """Return the digest of all that makes evidence of a camera's frames, except these. Raises LtmError for missing
-    files."""
+    """Return the digest of all that makes evidence of a camera's frames, except these. Raises LtmError."""
     step = LabellingStep(site, camera, labelling)
     network = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())

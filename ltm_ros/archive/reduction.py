@@ -1,7 +1,6 @@
 """Merge the evidence of all tasks into a site's store, in the order of the plan, and publish the map with its layers.
 
-A node can open the store and continue from it: its tiles with their sources, the counted frames, and a journal with the
-map at the end of each day."""
+A node can continue from the store: tiles with their sources, counted frames, and a journal of the days."""
 
 from __future__ import annotations
 
@@ -55,8 +54,7 @@ class Reduction:
 def reduce_to_store(
     tasks: Sequence[Task], results: Path, site: Site, path: Path, burns: Sequence[Burn] = ()
 ) -> Reduction:
-    """Write the store into `path`, which must not exist. `burns`: by time; each is applied on its day, so that the
-    journal before it is unaffected.
+    """Write the store into `path`, which must not exist. `burns`: by time; each is applied on its day.
 
     Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written."""
     geometry = site.fuel_geometry(site.open_dem())
@@ -87,8 +85,7 @@ def reduce_to_store(
 
 
 def store_digest(store: TileStore) -> str:
-    """Return the digest of a map's content: the state of all tiles, their sources, and the number of counted frames per
-    source.
+    """Return the digest of a map's content: all tiles, their sources, and the counted frames per source.
 
     The journal is excluded: a live node writes it frame by frame, an archive day by day."""
     found = hashlib.sha256(store.schema.described().encode())

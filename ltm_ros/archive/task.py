@@ -92,8 +92,7 @@ class FrameSteps:
         return self._labelling.described
 
     def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
-        """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises
-        LtmError."""
+        """Return the votes of a frame, None without any, and why it is not fully used. Raises LtmError."""
         camera, pose, stamp = frame.calibration, frame.pose, frame.stamp_ns
         posed = PosedImage(photo, camera, pose, stamp, frame.camera)
         found, view = self._labelling.label(posed, frame.covariance, in_order=False)

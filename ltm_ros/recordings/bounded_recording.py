@@ -58,8 +58,7 @@ class RecordingLimits:
 class BoundedRecording:
     """Writes messages into bags; for one thread. Disk errors are reported to `health`, not raised.
 
-    Messages count as published when the operating system has them, else as dropped by `disk` or `disk_low` (the
-    floor)."""
+    Messages count as published when the operating system has them, else as dropped by `disk` or `disk_low`."""
 
     def __init__(
         self, path: Path, recorder: str, limits: RecordingLimits, health: Health, tell: Callable[[str], None]

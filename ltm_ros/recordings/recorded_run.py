@@ -36,8 +36,7 @@ FUEL_TRUTH = "fuel_truth.tif"
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced, `labels`, and `fused` depth if any, (H, W)
-    each."""
+    """Inputs and results of a frame: `photo` (H, W, 3), traced `depth`, `labels` and `fused` depth, (H, W) each."""
 
     camera_name: str
     stamp_ns: int
@@ -51,8 +50,7 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bag with its site, the folder that may hold its truth, and the raster of true class ids on the fuel grid, if
-    any."""
+    """A bag with its site, the folder of its truth, and the raster of true class ids on the fuel grid."""
 
     bag: Path
     site_path: Path
@@ -165,8 +163,7 @@ _ALIKE_DEG = 2.0
 
 
 def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
-    """Return the different views of each camera of the site, in order of time, at most _MOST per camera; none of a
-    camera that is not in the recording.
+    """Return the different views of each recorded camera of the site, in order of time, at most _MOST per camera.
 
     Raises RecordingError if there are none at all."""
     reader = BagReader(bag)

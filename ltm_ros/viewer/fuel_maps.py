@@ -148,8 +148,7 @@ class ChangeLayer:
 def change_picture(
     kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry
 ) -> tuple[rr.Transform3D, rr.SegmentationImage]:
-    """Return kinds of change (H, W) of a window of the terrain's grid, 255 without independent views, thinned for the
-    screen, and their place on the grid below, in its cells.
+    """Return kinds of change (H, W) of a window, 255 unseen, thinned for the screen, and their place on the grid below.
 
     They are class ids, not a JPEG: the viewer treats a series of JPEGs as a video, whose size is constant."""
     step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))

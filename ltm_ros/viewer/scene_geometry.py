@@ -26,8 +26,7 @@ TILE = 32
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """`vertices` (N, 3) in the map; `triangles` (M, 3); `texcoords` (N, 2) from the north-west of `texture` (h, w,
-    3)."""
+    """`vertices` (N, 3), `triangles` (M, 3), and `texcoords` (N, 2) from the north-west of `texture` (h, w, 3)."""
 
     vertices: Float32Array
     triangles: UInt32Array

@@ -32,8 +32,8 @@ LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
 """Default ports of the page and of its data."""
 LIVE_MEMORY = "384MiB"
-"""Memory limit for the data that the server of a live view keeps for later viewers; the oldest goes first. While a
-viewer is open, the server uses up to twice that."""
+"""Memory limit for data that a live view's server keeps for later viewers; with an open viewer, it uses up to twice
+that."""
 OPEN_MEMORY = "1GiB"
 """Memory limit of the server of a recording."""
 _PR_SET_PDEATHSIG = 1

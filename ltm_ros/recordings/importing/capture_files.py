@@ -1,5 +1,5 @@
-"""Read the files of a capture: members of a zip, or a folder. Sizes are limited, and members of a zip are only read
-into memory, so that no name from a zip becomes a path."""
+"""Read the files of a capture: members of a zip, or a folder. Sizes are limited, and no name in a zip becomes a
+path."""
 
 from __future__ import annotations
 
@@ -38,8 +38,7 @@ class CaptureFiles:
             raise RecordingError(f"{path}: the number of its files is more than {MOST_MEMBERS}: split the recording")
 
     def find(self, name: str) -> str | None:
-        """Return the member of this name, in any case: in a zip the one nearest to the top, in a folder directly in it,
-        because subfolders are searched for captures of their own."""
+        """Return the member of this name, in any case: the one nearest to a zip's top, or directly in a folder."""
         names = self.names if self._archive is not None else (n for n in self.names if "/" not in n)
         found = [n for n in names if PurePosixPath(n).name.lower() == name.lower()]
         return min(found, key=lambda n: (n.count("/"), n)) if found else None

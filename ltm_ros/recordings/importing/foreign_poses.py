@@ -46,8 +46,7 @@ def _numbers_of(text: str) -> list[float]:
 
 
 def _metashape_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the cameras of an XML export. Axes are optical; pixels count from the corner, the centre from the
-    middle."""
+    """Return the cameras of an XML export. Axes are optical; the centre counts from the image's middle."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise PoseError(f"{path}: XML with a document type is not read")
     try:
@@ -141,8 +140,7 @@ def _colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[F
 
 
 def _opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
-    """Return the shots, world to camera, east, north, up of a reference; focal lengths are shares of the longer
-    side."""
+    """Return the shots, world to camera, metres from a reference; focal lengths are shares of the longer side."""
     parts = json.loads(text)
     beside = path.with_name("reference_lla.json")
     reference: Any = parts[0].get("reference_lla")
@@ -211,8 +209,7 @@ def read_foreign_poses(
 
 
 def _alproj(path: Path, text: str) -> list[ForeignPose]:
-    """Return one or several poses, the latter by the photos' names. Pan is from north, tilt up, roll right, in
-    degrees."""
+    """Return one or several poses, the latter by the photos' names. Pan, tilt and roll are in degrees."""
     content = json.loads(text)
     many = {path.stem: content} if "pan" in content else content
     return [_alproj_pose(name, values, f"{path}: {name}") for name, values in many.items()]
@@ -318,8 +315,7 @@ def _stated(size: tuple[int, int] | None, path: Path, tool: str) -> tuple[int, i
 
 
 def _omega_phi_kappa(path: Path, text: str, camera: Camera | None) -> list[ForeignPose]:
-    """Return the poses of lines of label, X, Y, Z, omega, phi, kappa, in the unit that the header names, else
-    degrees."""
+    """Return the poses of lines of label, X, Y, Z, omega, phi, kappa; the header names the unit, else degrees."""
     head = " ".join(line for line in text.splitlines()[:5] if re.match(r"\W*[A-Za-z#]", line)).lower()
     unit = next((name for name in ("gon", "radians", "degrees") if name in head or f"[{name[:3]}]" in head), "degrees")
     poses: list[ForeignPose] = []

@@ -38,8 +38,7 @@ class PlacedPhoto:
 
 
 def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed: Assumptions) -> PlacedPhoto:
-    """Combine what is known of a photo: its row precedes the site's fixed pose and calibration of `camera`, which
-    precede its sensors and EXIF.
+    """Combine what is known of a photo: its row precedes the site's `camera`, which precedes sensors and EXIF.
 
     Raises PoseError, CameraError or RecordingError if position, azimuth, pitch, focal length or date are unknown."""
     fixed = site.cameras.get(camera, CameraConfig())
@@ -157,11 +156,9 @@ class _Placing:
         return z, sensed.altitude_sigma or self.assumed.altitude_sigma, what
 
     def _climbed(self) -> tuple[float, float, str] | None:
-        """Return the height from the barometer. Weather moves it by tens of metres, so only the climb since the start
-        is used.
+        """Return the height from the barometer, whose climb since the start is used, because of the weather.
 
-        The start height is given by the user, or is the median that puts the whole walk at eye height above the
-        terrain, because single GPS fixes may be on other ground."""
+        The start height is given, or the median that puts the whole walk at eye height above the terrain."""
         sensed, site, assumed = self.sensed, self.site, self.assumed
         if sensed.climb is None:
             return None

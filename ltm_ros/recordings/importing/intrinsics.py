@@ -41,9 +41,8 @@ class LensFacts:
     """What metadata states about a lens; None or empty if it states nothing. Lengths in mm.
 
     `zoom`: digital zoom ratio; `zoom_included`: whether the 35 mm equivalent certainly includes it. `plane`: sensor
-    pixels per mm along x and y. `size`: width and height in pixels that the camera recorded. `untouched`: whether the
-    camera itself wrote the file. `not_pinhole`: why the image is not of a pinhole camera. `calibration`: in pixels of
-    `size`."""
+    pixels per mm. `size`: width and height as recorded. `untouched`: whether the camera wrote the file. `not_pinhole`:
+    why it is no pinhole camera's image. `calibration`: in pixels of `size`."""
 
     focal_mm: float | None = None
     focal_35mm: float | None = None
@@ -107,8 +106,7 @@ def intrinsics(
 
 
 def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[str, list[float]]:
-    """Return possible focal lengths in pixels by source, the most accurate first; two if it may include a digital
-    zoom."""
+    """Return possible focal lengths in pixels by source, the most accurate first; two with a doubtful zoom."""
     stated: dict[str, float] = {}
     if lens.calibration.fx is not None:
         stated["calibration in XMP"] = lens.calibration.fx * scale

@@ -68,8 +68,7 @@ class Photo:
 class ImportedImage:
     """A photo to import, whatever file contains it.
 
-    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
-    each time, because a season's photos do not fit in memory."""
+    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads it each time."""
 
     name: str
     path: Path
@@ -145,8 +144,7 @@ def columns() -> list[str]:
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Return rows by photo name, from a CSV with a header line; or by the photos' names without suffix, from a folder
-    of pose files, as `ltm pose photo` writes it.
+    """Return rows by photo name, from a CSV with a header; or by names without suffix, from a folder of pose files.
 
     Raises ConfigError for another file, unknown columns, invalid values (with the line), or a photo listed twice."""
     if path.is_dir():

@@ -98,8 +98,7 @@ class PoseRefinement:
         """Results by camera and photo; the reason for a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
-        """Search one photo by itself, before the first one is refined. Raises ModelError, ConfigError for the camera's
-        mask."""
+        """Search one photo by itself, before the first one is refined. Raises ModelError, ConfigError."""
         if camera not in self._views:
             network = None if self._segment is not None else site_segmenter(self._site, camera)
             segment = self._segment if network is None else lambda photo: network.segment(photo).labels

@@ -1,5 +1,4 @@
-"""Read recordings of the phone app Sensor Logger, a zip or folder of CSV tables with camera frames, and give what the
-sensors recorded at a photo's time.
+"""Read recordings of the phone app Sensor Logger (CSV tables, camera frames), and its values at a photo's time.
 
 Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `time` is nanoseconds since 1970 UTC;
 `altitude` is above the WGS 84 ellipsoid; a negative accuracy marks an invalid value; `bearing` is the course of travel,

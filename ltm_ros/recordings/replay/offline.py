@@ -56,8 +56,7 @@ class Selection:
         truth: bool = True,
         names: Mapping[str, str] | None = None,
     ) -> Selection:
-        """Open a bag; `names`: other names of its topics. Raises RecordingError without an image, or anything in the
-        span."""
+        """Open a bag; `names`: other names of its topics. Raises RecordingError without images in the span."""
         reader = BagReader(bag, names=names)
         recorded = reader.topics()
         inputs = InputReader(reader, site)
@@ -122,8 +121,7 @@ class Selection:
 def require_frames(
     bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
 ) -> None:
-    """Raise RecordingError if no frame reached the fuel map, with the reasons; if none was complete, with the bag's
-    topics."""
+    """Raise RecordingError with the reasons if no frame reached the fuel map; with the topics if none was complete."""
     if int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
         return
     said = [(*key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]

@@ -91,8 +91,8 @@ class LivePlayer:
         rclpy.try_shutdown(context=self._context)
 
     def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
-        """Wait until the images have subscribers, at least `nodes` nodes have reported and subscribed to the clock, all
-        are matched, and nothing of that has changed for a second.
+        """Wait until images have subscribers, `nodes` nodes have reported and take the clock, and all match for a
+        second.
 
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain."""
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
@@ -224,9 +224,9 @@ class LivePlayer:
 class ReplayOptions:
     """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
 
-    `state`: an existing folder in which the fuel map, the terrain and the nodes `pose` keep what they know; None: it
-    ends with the replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live
-    replay only. `names`: other names of recorded topics."""
+    `state`: an existing folder for what nodes keep; None: it ends with the replay. `rrd`: Rerun recording. `rate`,
+    `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live replay only. `names`: other names of recorded
+    topics."""
 
     start: float = 0.0
     duration: float | None = None
