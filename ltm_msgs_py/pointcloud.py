@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import sys
 from array import array as byte_array
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.base.errors import MessageError
@@ -36,9 +35,7 @@ _LARGEST_POINT = 2**31 - 1
 """Maximum bytes of a point, NumPy's limit for records."""
 
 
-def columns_to_msg(
-    columns: Mapping[str, NDArray[Any]], stamp_ns: int, frame_id: str, is_dense: bool = True
-) -> PointCloud2:
+def columns_to_msg(columns: Columns, stamp_ns: int, frame_id: str, is_dense: bool = True) -> PointCloud2:
     """Columns of N values each, packed without gaps in their order, as an unorganised PointCloud2.
 
     Raises MessageError on columns of unequal length or of a dtype that PointField does not have."""

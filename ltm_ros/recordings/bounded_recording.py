@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.storage.disk_io import SpaceFloor, disk_bytes
@@ -41,9 +42,7 @@ class RecordingLimits:
     split: Split
 
     @classmethod
-    def of(
-        cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float
-    ) -> RecordingLimits:
+    def of(cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float) -> Self:
         """Return the limits of a configuration on the disk of `path`. Raises RecordingError without such a disk."""
         try:
             disk = disk_bytes(path)

@@ -46,9 +46,9 @@ def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
     return Dem(elevation, GridGeometry(*corner, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs))
 
 
-def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
+def terrain_mesh(dem: Dem) -> TexturedMesh:
     """Return the terrain with tinted relief as its texture; no triangle touches a cell without height."""
-    coarse = decimated(dem, max_triangles)
+    coarse = decimated(dem)
     rows, cols = coarse.elevation.shape
     row, col = np.mgrid[:rows, :cols]
     x, y = coarse.geometry.to_map(row, col)
@@ -90,10 +90,8 @@ class FuelTile:
 class FuelLayer:
     """Fuel cells as flat coloured quads just above the drawn terrain; only changed tiles are returned."""
 
-    def __init__(
-        self, dem: Dem, geometry: GridGeometry, palette: ClassPalette, max_triangles: int = MAX_TRIANGLES
-    ) -> None:
-        self._surface = decimated(dem, max_triangles)
+    def __init__(self, dem: Dem, geometry: GridGeometry, palette: ClassPalette) -> None:
+        self._surface = decimated(dem)
         self._geometry = geometry
         self._palette = palette
         # Quads and mesh meet the surface at different points; the lift keeps the mesh from poking through.

@@ -29,6 +29,10 @@ RECORDING = "recording"
 """Name of the recording in the summaries of a replay, beside those of the nodes."""
 
 
+Summaries = dict[str, dict[str, str]]
+"""Health summary of each node by its full name."""
+
+
 @dataclass(frozen=True)
 class Selection:
     """The input topics of a site's cameras in a bag, and a time span.
@@ -118,9 +122,7 @@ class Selection:
         return None if message is None else self.content(message)
 
 
-def require_frames(
-    bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
-) -> None:
+def require_frames(bag: Path, site: Site, summaries: Summaries, names: Mapping[str, str] | None = None) -> None:
     """Raise RecordingError with the reasons if no frame reached the fuel map; with the topics if none was complete."""
     if int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
         return
@@ -136,7 +138,7 @@ def require_frames(
     raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
 
 
-def require_whole(bag: Path, summaries: Mapping[str, Mapping[str, str]]) -> None:
+def require_whole(bag: Path, summaries: Summaries) -> None:
     """Raise RecordingError if messages of the bag were lost or invalid, with the reasons."""
     recorded = summaries.get(RECORDING, {})
     causes = {key.removeprefix("reason."): why for key, why in recorded.items() if key.startswith("reason.")}
@@ -236,7 +238,7 @@ class _Outlet:
 
 def replay_offline(
     selection: Selection, graph: Graph, record: Path | None = None, progress: Callable[[int], None] = lambda done: None
-) -> dict[str, dict[str, str]]:
+) -> Summaries:
     """Run a recording through a graph; return each node's health summary by its full name.
 
     `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`."""

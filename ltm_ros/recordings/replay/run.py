@@ -29,7 +29,7 @@ from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
 from ltm_ros.recordings.inputs import is_image
 from ltm_ros.recordings.replay import LONGEST_PAUSE
-from ltm_ros.recordings.replay.offline import RECORDING, Selection, replay_offline
+from ltm_ros.recordings.replay.offline import RECORDING, Selection, Summaries, replay_offline
 from ltm_ros.runtime.delivery_checks import unmatched
 from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
 from ltm_ros.runtime.topics import CAMERA_TRUTH
@@ -44,6 +44,10 @@ WARM_UP = 60.0
 """Maximum number of seconds to wait for the first frames."""
 QUIET = 2.5
 """Seconds without any change in the graph's diagnostics after which it is idle."""
+
+
+Progress = Callable[[int, int], None]
+"""Gets the number of messages done, and of all."""
 
 
 class LivePlayer:
@@ -68,7 +72,7 @@ class LivePlayer:
         }
         self._clock = self._node.create_publisher(Clock, "/clock", 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
-        self.summaries: dict[str, dict[str, str]] = {}
+        self.summaries: Summaries = {}
         """The last diagnostics of every node, by full name."""
         self._heard: dict[str, float] = {}
         self._changed = time.monotonic()
@@ -262,9 +266,7 @@ def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     )
 
 
-def run_offline(
-    bag: Path, site_path: Path, options: ReplayOptions, progress: Callable[[int, int], None]
-) -> dict[str, dict[str, str]]:
+def run_offline(bag: Path, site_path: Path, options: ReplayOptions, progress: Progress) -> Summaries:
     """Without DDS; each node's health summary. Raises LtmError on bad input."""
     selection = options.selection(bag, load_site(site_path))
     graph = graph_of(site_path, options, sim_time=False)
@@ -273,12 +275,8 @@ def run_offline(
 
 
 def publish(
-    bag: Path,
-    site_path: Path,
-    options: ReplayOptions,
-    progress: Callable[[int, int], None],
-    stopped: Callable[[], bool],
-) -> dict[str, dict[str, str]]:
+    bag: Path, site_path: Path, options: ReplayOptions, progress: Progress, stopped: Callable[[], bool]
+) -> Summaries:
     """Play into a graph that runs already; return the summary of the recording. Raises LtmError."""
     apply_to_process(options.domain_id)
     selection = options.selection(bag, load_site(site_path))
@@ -292,10 +290,10 @@ def run_live(
     bag: Path,
     site_path: Path,
     options: ReplayOptions,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     console: Callable[[str], None],
     stopped: Callable[[], bool] = bool,
-) -> dict[str, dict[str, str]]:
+) -> Summaries:
     """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
     Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work."""
