@@ -65,11 +65,10 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
         right = [name for name in present if recorded[name].type_name in accepted_types(images[name])]
         for name in sorted(right or present, key=lambda name: recorded[name].message_count == 0)[:1]:
             found[name] = images[name]
-        others = (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES)
-        named = {camera_topic(site.name, camera, topic): topic for topic in others}
         needed = other_inputs(config)
-        for name, topic in named.items():
-            if name in recorded and (topic in needed or recorded[name].type_name in accepted_types(topic)):
+        for topic in (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES):
+            known = recorded.get(name := camera_topic(site.name, camera, topic))
+            if known is not None and (topic in needed or known.type_name in accepted_types(topic)):
                 found[name] = topic
     return found
 
