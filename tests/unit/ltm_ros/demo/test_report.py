@@ -12,13 +12,7 @@ from scenes.depth_score import score_depth
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.report import (
-    CameraPictures,
-    ReportData,
-    Table,
-    render_report,
-    write_report,
-)
+from ltm_ros.demo.report import CameraPictures, ReportData, Table, render_report, write_report
 from ltm_ros.runtime.health import NodeRow
 
 LABELS = LabelSet.load()
