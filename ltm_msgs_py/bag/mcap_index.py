@@ -209,20 +209,16 @@ class McapIndex:
 
     def _valid(self, records: Iterable[McapRecord], offset: int) -> list[Message]:
         """Return the messages among records that have a known channel and valid times; note the others."""
-        messages = [record for record in records if isinstance(record, Message)]
-        known = [message for message in messages if message.channel_id in self.channels]
-        if len(known) < len(messages):
-            missing = len(messages) - len(known)
-            self._damaged(f"{self.path}: at byte {offset}, {missing} messages have no channel", Counter({"": missing}))
+        found = [record for record in records if isinstance(record, Message)]
+        known = [message for message in found if message.channel_id in self.channels]
         kept = [message for message in known if max(message.log_time, message.publish_time) <= LATEST_NS]
-        if len(kept) < len(known):
-            latest = max(max(message.log_time, message.publish_time) for message in known)
-            late = (m.channel_id for m in known if max(m.log_time, m.publish_time) > LATEST_NS)
-            self._damaged(
-                f"{self.path}: at byte {offset}, {len(known) - len(kept)} messages have times up to {latest} "
-                f"ns, later than {LATEST_NS} ns, and are ignored",
-                self._by_topic(late),
-            )
+        place = f"{self.path}: at byte {offset}"
+        if missing := len(found) - len(known):
+            self._damaged(f"{place}, {missing} messages have no channel", Counter({"": missing}))
+        if late := [m for m in known if max(m.log_time, m.publish_time) > LATEST_NS]:
+            latest = max(max(message.log_time, message.publish_time) for message in late)
+            limit = f"{len(late)} messages have times up to {latest} ns, later than {LATEST_NS} ns"
+            self._damaged(f"{place}, {limit}, and are ignored", self._by_topic(m.channel_id for m in late))
         return kept
 
     def _by_topic(self, channel_ids: Iterable[int]) -> Counter[str]:
