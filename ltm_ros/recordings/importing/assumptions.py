@@ -56,10 +56,8 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
         apart = clock.replace(tzinfo=UTC) - gps  # a clock without a zone may differ from UTC only by a zone's offset
         rest = apart - round(apart / _ZONES_APART) * _ZONES_APART
         if abs(apart) > timedelta(hours=14, minutes=10) or abs(rest) > timedelta(minutes=5):
-            notes.append(
-                f"{said} (no time zone) and the GPS stamp {gps.isoformat()} differ by {_span(apart)}, which is not a "
-                "time zone: the GPS stamp is used; check the camera's clock"
-            )
+            off = f"{said} (no time zone) and the GPS stamp {gps.isoformat()} differ by {_span(apart)}"
+            notes.append(f"{off}, which is not a time zone: the GPS stamp is used; check the camera's clock")
         return gps
     if clock.tzinfo is None and zone is None:
         notes.append("EXIF's dates have no time zone: UTC is assumed; give --time-zone otherwise")
@@ -69,10 +67,8 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
             notes.append(f"{said} is in the hour of a clock change of {zone}: it may be an hour off")
     clock = clock if clock.tzinfo is not None else clock.replace(tzinfo=zone or UTC)
     if gps is not None and abs(clock - gps) > _CONTRADICTION:
-        notes.append(
-            f"{said} and the GPS stamp {gps.isoformat()} differ by {_span(clock - gps)}: the date is used; check the "
-            "camera's clock and its time zone, or give a `stamp` in a pose file"
-        )
+        off = f"{said} and the GPS stamp {gps.isoformat()} differ by {_span(clock - gps)}"
+        notes.append(f"{off}: the date is used; check the camera's clock and its time zone, or give a `stamp`")
     return clock
 
 

@@ -134,10 +134,9 @@ class _Placing:
             return
         if sensed.climb is None:
             raise PoseError(f"{path}: {why}: give the drone's z or height_above_ground in a pose file (--poses)")
-        raise PoseError(
-            f"{path}: {why}, and {sensed.source} only gives {sensed.climb:.1f} m above the take-off place: give its "
-            "height in the DEM's vertical datum, --start-height (0 if the drone counts from sea level)"
-        )
+        only = f"{sensed.source} only gives {sensed.climb:.1f} m above the take-off place"
+        remedy = "its height in the DEM's vertical datum, --start-height (0 if the drone counts from sea level)"
+        raise PoseError(f"{path}: {why}, and {only}: give {remedy}")
 
     def _altitude(self, ground: float) -> tuple[float, float, str] | None:
         """Return the height in the DEM's datum from an altitude, its standard deviation and its name; None without."""
@@ -215,10 +214,8 @@ class _Placing:
             pitch, self.found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
             self.notes.append(f"pitch is unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
         if pitch is None:
-            raise PoseError(
-                f"{self.photo.path}: its pitch is unknown ({source} has none): give pitch_deg in a pose file "
-                "(--poses), --pitch-deg for all photos, or --refine"
-            )
+            what = f"{self.photo.path}: its pitch is unknown ({source} has none)"
+            raise PoseError(f"{what}: give pitch_deg in a pose file (--poses), --pitch-deg for all, or --refine")
         if roll is None:
             roll, self.found["roll_sigma_deg"] = 0.0, tilt_sigma
             self.notes.append(f"roll is unknown: 0 +- {tilt_sigma:g} deg is assumed")

@@ -71,10 +71,8 @@ def intrinsics(
     if lens.size is not None:
         scale = long / max(lens.size)
         if abs(short / min(lens.size) / scale - 1) > _SAME_ASPECT + 1 / short:
-            raise CameraError(
-                f"{what}: the camera recorded {lens.size[0]:g} x {lens.size[1]:g} pixels, but the image has {width} x "
-                f"{height}, so that it is cropped: use the original, or {remedy} with cx and cy"
-            )
+            sizes = f"of {lens.size[0]:g} x {lens.size[1]:g} pixels to {width} x {height}"
+            raise CameraError(f"{what}: the image is cropped, {sizes}: use the original, or {remedy} with cx and cy")
     sources = _sources(lens, long, math.hypot(width, height), scale)
     if not sources and focal_35mm is not None:
         sources = {"--focal-35mm": [focal_35mm / FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)]}
@@ -93,10 +91,8 @@ def intrinsics(
     sensor_mm = (lens.focal_mm or 0.0) * long / agreed[0] * lens.zoom
     exists = sensor_mm >= _LEAST_SENSOR_MM and not _NO_SENSOR_MM[0] < sensor_mm < _NO_SENSOR_MM[1]
     if all(name.startswith("FocalPlane") for name in sources) and not (lens.untouched and exists):
-        raise CameraError(
-            f"{what}: only the focal plane resolution gives the field of view ({values}), and software that resizes an "
-            f"image leaves it unchanged: {remedy}"
-        )
+        why = f"only the focal plane resolution gives the field of view ({values})"
+        raise CameraError(f"{what}: {why}, and software that resizes an image leaves it unchanged: {remedy}")
     stated = lens.calibration
     if stated.fx is None or agreed[0] != stated.fx * scale:
         return PartialCalibration(fx=agreed[0])

@@ -228,10 +228,8 @@ def _fixes(location: _Table) -> tuple[Series, bool]:
     if "horizontalAccuracy" in location.columns:
         good &= np.isfinite(accuracy)
     if not good.any():
-        raise RecordingError(
-            f"{location.path}: none of {len(good)} positions in Location is valid (negative accuracy, or out of "
-            "range): the phone had no GPS fix; give the photos' positions in a pose file (--poses)"
-        )
+        what = f"none of {len(good)} positions in Location is valid (negative accuracy, or out of range)"
+        raise RecordingError(f"{location.path}: {what}: the phone had no GPS fix; give positions (--poses)")
     sea, ellipsoid = (location.column(name) for name in ("altitudeAboveMeanSeaLevel", "altitude"))
     known = bool(np.isfinite(sea[good]).any())
     altitude = sea if known else ellipsoid
@@ -269,11 +267,9 @@ def _android_axes(rotations: Rotation, angles: Float64Array, platform: str, path
         off[android] = float(np.median(turns.magnitude()))
     likely = min(off, key=lambda key: off[key])
     if off[likely] > _AGREE:
-        raise RecordingError(
-            f"{path}: the quaternions of Orientation do not match the yaw, pitch and roll beside them (off by "
-            f"{math.degrees(off[likely]):.0f} degrees or more in either platform's axes): remove Orientation.csv, "
-            "and give the photos' directions in a pose file (--poses)"
-        )
+        what = f"{path}: the quaternions of Orientation do not match the yaw, pitch and roll beside them"
+        by = f"by {math.degrees(off[likely]):.0f} degrees or more"
+        raise RecordingError(f"{what} ({by}): remove Orientation.csv, and give directions in a pose file (--poses)")
     return likely
 
 
