@@ -56,20 +56,15 @@ def changed_to_msg(
     """Return changed cells as points. `heights`: (N,) of the updated surface there; `geometry`: the terrain's grid."""
     x, y = geometry.to_map(changed.rows, changed.cols)
     columns: dict[str, NDArray[Any]] = {
-        "x": x.astype(np.float32),
-        "y": y.astype(np.float32),
-        "z": heights.astype(np.float32),
-        "row": changed.rows.astype(np.int32),
-        "col": changed.cols.astype(np.int32),
-        "change": changed.kind.astype(np.uint8),
-        "shift": changed.shift.astype(np.float32),
+        name: values.astype(np.float32) for name, values in (("x", x), ("y", y), ("z", heights))
     }
+    columns |= {"row": changed.rows.astype(np.int32), "col": changed.cols.astype(np.int32)}
+    columns |= {"change": changed.kind.astype(np.uint8), "shift": changed.shift.astype(np.float32)}
     return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
 
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
-    """Return the changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError for other
-    fields or types, and for invalid kinds."""
+    """Return changed cells, with kind 0 before, and places (N, 3) x, y, z. Raises MessageError for invalid fields."""
     columns = msg_to_columns(msg)
     rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
     kind = take(columns, "change", np.uint8, _WHAT)
@@ -97,14 +92,11 @@ def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:
 
 
 def msg_to_version(msg: Any) -> str:
-    """Return the version that a message names; never a file: who takes it looks it up in its own site's folder. Raises
-    MessageError without one."""
+    """Return the version that a message names, which is never a path. Raises MessageError without one."""
     version = msg_to_values(msg).get("version")
     if version == AS_GIVEN or (version is not None and re.fullmatch(VERSION, version, re.ASCII)):
         return version
-    raise MessageError(
-        f"version {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
-    )
+    raise MessageError(f"version {str(version)[:80]!r}: expected 16 hexadecimal digits, or nothing")
 
 
 def traced_to_msg(camera: str, stamp_ns: int, version: str) -> DiagnosticArray:

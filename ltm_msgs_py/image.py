@@ -19,60 +19,48 @@ from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.storage.image_io import decode_rgb, image_format, stated_size
 from ltm_msgs_py.stamp import make_header
 
+_SAME = -1
+_U8, _U16, _F32 = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)
+
 
 @dataclass(frozen=True)
 class _Encoding:
+    """`to_rgb`: OpenCV's conversion of photos, `_SAME`: none is needed, None: it is not a photo's."""
+
     dtype: np.dtype[Any]
     channels: int
+    to_rgb: int | None = None
 
 
 ENCODINGS = {
-    "rgb8": _Encoding(np.dtype(np.uint8), 3),
-    "bgr8": _Encoding(np.dtype(np.uint8), 3),
-    "rgba8": _Encoding(np.dtype(np.uint8), 4),
-    "bgra8": _Encoding(np.dtype(np.uint8), 4),
-    "mono8": _Encoding(np.dtype(np.uint8), 1),
-    "mono16": _Encoding(np.dtype(np.uint16), 1),
-    "16UC1": _Encoding(np.dtype(np.uint16), 1),
-    "32FC1": _Encoding(np.dtype(np.float32), 1),
-    "32FC3": _Encoding(np.dtype(np.float32), 3),
-    "8UC1": _Encoding(np.dtype(np.uint8), 1),
-    "8UC3": _Encoding(np.dtype(np.uint8), 3),
-    **{name: _Encoding(np.dtype(np.uint8), 2) for name in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")},
-    **{f"bayer_{p}8": _Encoding(np.dtype(np.uint8), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
-    **{f"bayer_{p}16": _Encoding(np.dtype(np.uint16), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
+    "rgb8": _Encoding(_U8, 3, _SAME),
+    **dict.fromkeys(("bgr8", "8UC3"), _Encoding(_U8, 3, cv2.COLOR_BGR2RGB)),  # 8UC3 is OpenCV's own order
+    "rgba8": _Encoding(_U8, 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": _Encoding(_U8, 4, cv2.COLOR_BGRA2RGB),
+    **dict.fromkeys(("mono8", "8UC1"), _Encoding(_U8, 1, cv2.COLOR_GRAY2RGB)),
+    **dict.fromkeys(("mono16", "16UC1"), _Encoding(_U16, 1, cv2.COLOR_GRAY2RGB)),
+    "32FC1": _Encoding(_F32, 1),
+    "32FC3": _Encoding(_F32, 3),
+    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(_U8, 2, cv2.COLOR_YUV2RGB_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _Encoding(_U8, 2, cv2.COLOR_YUV2RGB_YUYV)),
+    **{
+        f"bayer_{pattern}{8 * dtype.itemsize}": _Encoding(dtype, 1, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
+        for dtype in (_U8, _U16)
+        for pattern in ("rggb", "bggr", "gbrg", "grbg")
+    },
 }
 """Encodings that `image_to_msg` and `msg_to_array` support; names as in sensor_msgs/image_encodings.hpp."""
-
-_TO_RGB = {
-    **{"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB},  # 8UC3 is OpenCV's own order
-    **{"rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB},
-    **dict.fromkeys(("mono8", "8UC1", "mono16", "16UC1"), cv2.COLOR_GRAY2RGB),
-    **dict.fromkeys(("yuv422", "uyvy"), cv2.COLOR_YUV2RGB_UYVY),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), cv2.COLOR_YUV2RGB_YUYV),
-    **dict.fromkeys(("bayer_rggb8", "bayer_rggb16"), cv2.COLOR_BayerRGGB2RGB),
-    **dict.fromkeys(("bayer_bggr8", "bayer_bggr16"), cv2.COLOR_BayerBGGR2RGB),
-    **dict.fromkeys(("bayer_gbrg8", "bayer_gbrg16"), cv2.COLOR_BayerGBRG2RGB),
-    **dict.fromkeys(("bayer_grbg8", "bayer_grbg16"), cv2.COLOR_BayerGRBG2RGB),
-}
-"""OpenCV's conversion of each encoding of photos; None: none is needed."""
-COLOUR_ENCODINGS = tuple(_TO_RGB)
+COLOUR_ENCODINGS = tuple(name for name, encoding in ENCODINGS.items() if encoding.to_rgb is not None)
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
     """Return an array as an Image.
 
-    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. Raises
-    ImageError."""
+    `image`: (H, W) or (H, W, channels) of the dtype of `encoding` in `ENCODINGS`; any strides. Raises ImageError."""
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
-    expected_ndim = 2 if spec.channels == 1 else 3
-    if (
-        image.ndim != expected_ndim
-        or 0 in image.shape
-        or image.dtype != spec.dtype
-        or (expected_ndim == 3 and image.shape[2] != spec.channels)
-    ):
+    beyond = () if spec.channels == 1 else (spec.channels,)
+    if image.ndim < 2 or image.shape[2:] != beyond or 0 in image.shape or image.dtype != spec.dtype:
         wanted = "(H, W)" if spec.channels == 1 else f"(H, W, {spec.channels})"
         raise ImageError(
             f"an image to write as {encoding} must be {wanted} {spec.dtype}, got {image.shape} {image.dtype}"
@@ -116,23 +104,20 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """Return a colour or grey Image as (H, W, 3) uint8 RGB; rgb8 is a read-only view. 16-bit samples keep their high
-    byte.
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; rgb8 is a read-only view, 16 bits keep the high byte.
 
     Raises ImageError as `msg_to_array` does, and for an odd width or size that the encoding does not have."""
-    pixels, code = msg_to_array(msg, COLOUR_ENCODINGS), _TO_RGB[msg.encoding]
+    pixels, code = msg_to_array(msg, COLOUR_ENCODINGS), ENCODINGS[msg.encoding].to_rgb
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    if code is None:
+    if code == _SAME:
         pixels.flags.writeable = False  # all nodes of a process see the same pixels
         return pixels
     try:
-        return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+        return np.asarray(cv2.cvtColor(pixels, code or _SAME), np.uint8)
     except cv2.error as error:
-        raise ImageError(
-            f"{msg.encoding} image of {msg.width} x {msg.height} pixels cannot be converted; yuv422 needs an even "
-            "width, bayer at least 3 x 3 pixels"
-        ) from error
+        what = f"{msg.encoding} image of {msg.width} x {msg.height} pixels cannot be converted"
+        raise ImageError(f"{what}; yuv422 needs an even width, bayer at least 3 x 3 pixels") from error
 
 
 def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str) -> Image:
@@ -156,10 +141,8 @@ def compressed_to_msg(data: bytes, encoding: str, stamp_ns: int, frame_id: str) 
     """JPEG or PNG bytes as they are. Raises ImageError where `data` does not begin like `encoding`."""
     found = image_format(data)
     if not found or found != encoding:
-        raise ImageError(
-            f"{len(data)} bytes given as {encoding!r} begin with {data[:8].hex(' ') or 'nothing'}: "
-            f"that is {found or 'neither jpeg nor png'}"
-        )
+        what = f"{len(data)} bytes given as {encoding!r} begin with {data[:8].hex(' ') or 'nothing'}"
+        raise ImageError(f"{what}: that is {found or 'neither jpeg nor png'}")
     msg = CompressedImage(header=make_header(stamp_ns, frame_id), format=encoding, check_fields=True)
     buffer = byte_array("B")
     buffer.frombytes(data)
@@ -172,9 +155,7 @@ def encode_rgb(image: UInt8Array, encoding: str = "jpeg", quality: int = 92) -> 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
         raise ImageError(f"an image to compress must be (H, W, 3) uint8, got {image.shape} {image.dtype}")
     if encoding not in ("jpeg", "png") or not 1 <= quality <= 100:
-        raise ImageError(
-            f"images are compressed as 'jpeg' with quality 1..100 or 'png', not {encoding!r} with {quality}"
-        )
+        raise ImageError(f"images are 'jpeg' with quality 1..100 or 'png', not {encoding!r} with {quality}")
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if encoding == "jpeg" else []
     done, encoded = cv2.imencode(f".{encoding}", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
     if not done:
@@ -212,8 +193,6 @@ def _named(msg: Any) -> str:
 def _as_sent(data: bytes, what: str) -> bytes:
     """Return the same bytes. Raises ImageError if they are in another format than cameras send."""
     if not image_format(data):
-        raise ImageError(
-            f"{what} ({len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}) is neither jpeg nor png; "
-            "publish one of these, or raw images"
-        )
+        found = f"{len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}"
+        raise ImageError(f"{what} ({found}) is neither jpeg nor png; publish one of these, or raw images")
     return data

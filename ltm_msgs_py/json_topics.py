@@ -174,8 +174,7 @@ def json_schemas() -> dict[str, Any]:
 
 
 def label_set_to_msg(labels: LabelSet, model: str = "", reliability: str = "") -> String:
-    """Return the classes, their colours and their part in votes; `model`: the network, if known; `reliability`: what
-    its labels were measured on."""
+    """Return classes and colours; `model`: the network; `reliability`: what its labels were measured on."""
     return LabelInfo(**labels.info(), model=model, reliability=reliability).to_msg()
 
 

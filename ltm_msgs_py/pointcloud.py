@@ -6,19 +6,17 @@ So votes are sparse and name the classes that they count, and any ROS tool shows
 
 Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
 
-One point a cell, the labelled 3D points of the map: x, y, z float32 (its centre on the terrain), life_form uint8, prior
-and code int16 (fuel models, -9999 none), p_max, entropy and evidence float32, changed and seen_by uint8. Any ROS tool
-colours points by such a field."""
+One point a cell: x, y, z float32 (its centre on the terrain), life_form uint8, prior and code int16 (fuel models, -9999
+none), p_max, entropy and evidence float32, changed and seen_by uint8."""
 
 from __future__ import annotations
 
 import sys
 from array import array as byte_array
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.base.errors import MessageError
@@ -29,23 +27,15 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_msgs_py.stamp import make_header, stamp_of
 
 _DTYPES: dict[int, np.dtype[Any]] = {
-    PointField.INT8: np.dtype(np.int8),
-    PointField.UINT8: np.dtype(np.uint8),
-    PointField.INT16: np.dtype(np.int16),
-    PointField.UINT16: np.dtype(np.uint16),
-    PointField.INT32: np.dtype(np.int32),
-    PointField.UINT32: np.dtype(np.uint32),
-    PointField.FLOAT32: np.dtype(np.float32),
-    PointField.FLOAT64: np.dtype(np.float64),
+    getattr(PointField, name.upper()): np.dtype(name)
+    for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 }
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 _LARGEST_POINT = 2**31 - 1
 """Maximum bytes of a point, NumPy's limit for records."""
 
 
-def columns_to_msg(
-    columns: Mapping[str, NDArray[Any]], stamp_ns: int, frame_id: str, is_dense: bool = True
-) -> PointCloud2:
+def columns_to_msg(columns: Columns, stamp_ns: int, frame_id: str, is_dense: bool = True) -> PointCloud2:
     """Columns of N values each, packed without gaps in their order, as an unorganised PointCloud2.
 
     Raises MessageError on columns of unequal length or of a dtype that PointField does not have."""
@@ -77,8 +67,7 @@ def columns_to_msg(
 def msg_to_columns(msg: Any) -> Columns:
     """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
-    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an unknown
-    datatype, or holds more than one element."""
+    Raises MessageError for contradictory sizes, and fields beyond the point, twice, unknown, or of several elements."""
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
     fits = 1 <= point_step <= _LARGEST_POINT and row_step >= width * point_step
@@ -91,16 +80,13 @@ def msg_to_columns(msg: Any) -> Columns:
     for field in msg.fields:
         dtype = _DTYPES.get(int(field.datatype))
         if dtype is None or field.count != 1:
-            raise MessageError(
-                f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}; "
-                f"supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
-            )
+            what = f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}"
+            raise MessageError(f"{what}; supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each")
         if field.name in names:
             raise MessageError(f"PointCloud2 has duplicate field {field.name!r}")
         if field.offset < 0 or field.offset + dtype.itemsize > point_step:
-            raise MessageError(
-                f"PointCloud2 field {field.name!r} at offset {field.offset} exceeds its point of {point_step} bytes"
-            )
+            what = f"PointCloud2 field {field.name!r} at offset {field.offset}"
+            raise MessageError(f"{what} exceeds its point of {point_step} bytes")
         names.append(field.name)
         formats.append(dtype.newbyteorder(">" if msg.is_bigendian else "<"))
         offsets.append(int(field.offset))
@@ -113,8 +99,7 @@ def msg_to_columns(msg: Any) -> Columns:
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
-    """Return votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
-    `votes_to_columns`."""
+    """Return votes as points; `class_names`: (K,) of the counts' columns. Raises MessageError."""
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
@@ -123,8 +108,7 @@ def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "
 def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:
     """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
 
-    Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
-    message is refused unread."""
+    Raises MessageError as `columns_to_votes` does, and, before reading, for sizes that exceed the grid's."""
     names = checked_names(class_names)
     cells = geometry.width * geometry.height
     most = most_bytes(cells, names)

@@ -1,10 +1,9 @@
 """Convert poses, transforms, corrections of mounts and places to geometry_msgs, and back.
 
-- Poses are PoseWithCovarianceStamped (or PoseStamped, Odometry): of the camera's optical frame in `header.frame_id`.
+- Poses are of the camera's optical frame in `header.frame_id`.
 - A correction of a mount is a PoseWithCovarianceStamped that moves nothing, with a covariance of zeros if it is as
   stated; the tilt zero of a PTZ head is in the status `pose/info` of the same stamp.
-- Regions of images are PolygonStamped or PointStamped in the optical frame: x and y are pixels u and v; z is ignored.
-- Places are PoseWithCovarianceStamped in `map`, without orientation."""
+- Regions of images are in the optical frame: x and y are pixels u and v; z is ignored."""
 
 from __future__ import annotations
 
@@ -59,17 +58,13 @@ def as_stamped_pose(msg: Any, any_frame: bool = False) -> PoseWithCovarianceStam
         return msg
     child = getattr(msg, "child_frame_id", "optical")
     if not child.endswith("optical") and not any_frame:
-        raise PoseError(
-            f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the camera's optical frame; publish "
-            f"the transform from {child!r} to that frame on /tf_static"
-        )
+        what = f"{type(msg).__name__} gives the pose of the frame {child!r}, not of the optical frame"
+        raise PoseError(f"{what}; publish the transform between them on /tf_static")
     made = PoseWithCovarianceStamped(header=msg.header)
-    if isinstance(msg, TransformStamped):
-        made.pose.pose = _pose_msg(msg_to_transform(msg))
-    elif hasattr(msg.pose, "covariance"):
+    if hasattr(getattr(msg, "pose", None), "covariance"):
         made.pose = msg.pose
     else:
-        made.pose.pose = msg.pose
+        made.pose.pose = _pose_msg(msg_to_transform(msg)) if isinstance(msg, TransformStamped) else msg.pose
     return made
 
 
@@ -130,10 +125,7 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
         return assumed
     variances = given.diagonal()
     if np.isnan(given).any() or (variances < 0).any():
-        raise PoseError(
-            f"pose covariance has the variances {variances.tolist()}: it needs numbers without negative "
-            "variances; send zeros if it is unknown"
-        )
+        raise PoseError(f"pose covariance has invalid variances {variances.tolist()}; send zeros if unknown")
     known = variances < UNKNOWN_VARIANCES
     matrix = given[np.ix_(known, known)]
     if not np.isfinite(matrix).all():
@@ -162,10 +154,8 @@ def _check_correlations(matrix: Float64Array) -> None:
         or (np.abs(correlations - correlations.T) > 1e-6).any()
         or (len(matrix) and np.linalg.eigvalsh(correlations).min() < -1e-6)
     ):
-        raise PoseError(
-            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; send "
-            "zeros if it is unknown"
-        )
+        what = f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}"
+        raise PoseError(f"{what}; send zeros if it is unknown")
 
 
 def _pose_msg(pose: Pose) -> PoseMsg:
@@ -177,19 +167,12 @@ def _pose_msg(pose: Pose) -> PoseMsg:
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
-    """Return the rotation of a correction and its covariance; `stamp_ns`: of its last image. A PTZ head's tilt zero is
-    in `correction_values`."""
+    """Return the rotation of a correction and its covariance; the tilt zero is in `correction_values`."""
     turn = Pose(np.zeros(3), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:
         covariance[3:, 3:] = correction.angles
     return pose_to_msg(turn, stamp_ns, "map", covariance)
-
-
-def msg_to_correction(msg: Any) -> PoseCorrection:
-    """Return a correction without tilt zero. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
-    covariance, rotation = msg_to_covariance(msg), vector_of_matrix(msg_to_pose(msg, "map").rotation)
-    return PoseCorrection(rotation, None if covariance is None else covariance[3:, 3:])
 
 
 def correction_values(correction: PoseCorrection) -> dict[str, object]:
@@ -199,18 +182,19 @@ def correction_values(correction: PoseCorrection) -> dict[str, object]:
 
 
 def msgs_to_correction(correction: Any, info: Any) -> PoseCorrection:
-    """Return the correction of a mount from `pose/correction` and the `pose/info` of the same stamp. Raises
-    MessageError or PoseError if they are invalid."""
-    values, found = msg_to_values(info), msg_to_correction(correction)
+    """Return the correction of a mount from `pose/correction` and `pose/info` of a stamp. Raises MessageError,
+    PoseError."""
+    values, covariance = msg_to_values(info), msg_to_covariance(correction)
+    rotation = vector_of_matrix(msg_to_pose(correction, "map").rotation)
     try:
         numbers = np.array([values["tilt_zero"], *values["tilt_covariance"].split()], np.float64)
     except (KeyError, ValueError):
         numbers = np.empty(0)
     if numbers.shape != (5,) or not np.isfinite(numbers).all():
         raise MessageError("pose/info: expected tilt_zero and the four numbers of tilt_covariance, all finite")
-    if found.angles is None:
-        return PoseCorrection(found.rotation, None, float(numbers[0]))
-    return PoseCorrection(found.rotation, found.angles, float(numbers[0]), numbers[1:])
+    if covariance is None:
+        return PoseCorrection(rotation, None, float(numbers[0]))
+    return PoseCorrection(rotation, covariance[3:, 3:], float(numbers[0]), numbers[1:])
 
 
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:

@@ -20,22 +20,24 @@ from ltm_msgs_py.stamp import make_header, stamp_of
 def msg_to_attitude(msg: Any) -> Attitude:
     """Return an attitude in a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is unknown.
 
-    Raises PoseError if the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1, and
-    for an invalid covariance."""
-    covariance = np.array(msg.orientation_covariance, np.float64).reshape(3, 3)
-    if covariance[0, 0] == -1.0:
+    Raises PoseError without an orientation (covariance[0] = -1), and for an invalid quaternion or covariance."""
+    if msg.orientation_covariance[0] == -1.0:
         raise PoseError(
             "the Imu message states that it has no orientation (orientation_covariance[0] = -1): publish the "
             "phone's rotation vector, or fuse its sensors first (imu_filter_madgwick with a magnetometer)"
         )
-    if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
-        raise PoseError(
-            "the Imu message's orientation_covariance must be finite without negative variances, got "
-            f"{covariance.tolist()}; send zeros if it is unknown"
-        )
+    covariance = _covariance(msg.orientation_covariance, "the Imu message's orientation_covariance", "zeros")
     q = msg.orientation
     rotation = Pose.from_quaternion((0.0, 0.0, 0.0), (q.x, q.y, q.z, q.w)).rotation
     return Attitude(stamp_of(msg), rotation, covariance if covariance.any() else None)
+
+
+def _covariance(values: Any, what: str, unknown: str) -> Float64Array:
+    covariance = np.array(values, np.float64).reshape(3, 3)
+    if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
+        what = f"{what} must be finite without negative variances, got {covariance.tolist()}"
+        raise PoseError(f"{what}; send {unknown} if it is unknown")
+    return covariance
 
 
 _NO_FIX = -1
@@ -53,12 +55,8 @@ def msg_to_fix(msg: Any) -> Fix:
         raise PoseError("receivers send a GPS fix at (0, 0) if they have none: wait for one under open sky")
     covariance = None
     if msg.position_covariance_type != _COVARIANCE_UNKNOWN:
-        covariance = np.array(msg.position_covariance, np.float64).reshape(3, 3)
-        if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
-            raise PoseError(
-                "the GPS fix's position_covariance must be finite without negative variances, got "
-                f"{covariance.tolist()}; send position_covariance_type 0 if it is unknown"
-            )
+        what = "the GPS fix's position_covariance"
+        covariance = _covariance(msg.position_covariance, what, "position_covariance_type 0")
         if not covariance.diagonal().any():
             covariance = None
     return Fix(stamp_of(msg), lon, lat, float(msg.altitude), covariance)
@@ -106,25 +104,18 @@ def msg_to_camera(msg: Any) -> Camera:
     if k[1] != 0 or k[3] != 0 or k[6] != 0 or k[7] != 0 or k[8] != 1:
         raise CameraError(f"{who}: K must be [fx 0 cx; 0 fy cy; 0 0 1] without skew, got {k.tolist()}")
     if msg.distortion_model != "plumb_bob" and not (msg.distortion_model == "" and not any(d)):
-        raise CameraError(
-            f"{who}: distortion model {msg.distortion_model!r} is not supported, only 'plumb_bob'; undistort the "
-            "images or calibrate with plumb_bob"
-        )
+        what = f"{who}: distortion model {msg.distortion_model!r} is not supported, only 'plumb_bob'"
+        raise CameraError(f"{what}; undistort the images or calibrate with plumb_bob")
     if len(d) not in (0, 4, 5):
         raise CameraError(f"{who}: plumb_bob has D = (k1, k2, p1, p2[, k3]), 0, 4 or 5 numbers; got {len(d)}: {d}")
     if msg.binning_x > 1 or msg.binning_y > 1:
-        raise CameraError(
-            f"{who}: binning {msg.binning_x} x {msg.binning_y} is not supported; publish K for the image as sent"
-        )
+        raise CameraError(f"{who}: binning {msg.binning_x} x {msg.binning_y}; publish K for the image as sent")
     roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
     if roi not in ((0, 0, 0, 0), (0, 0, msg.width, msg.height)):
-        raise CameraError(
-            f"{who}: region of interest x, y, width, height = {roi} is not supported; publish K for the image as sent"
-        )
+        raise CameraError(f"{who}: region of interest x, y, width, height = {roi}; publish K for the image as sent")
     k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
     try:
-        return Camera(
-            int(msg.width), int(msg.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]), (k1, k2, p1, p2, k3)
-        )
+        return Camera(int(msg.width), int(msg.height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
     except CameraError as error:
         raise CameraError(f"{who}: {error}") from error

@@ -16,26 +16,20 @@ LATEST_NS = 2**31 * NS_PER_S - 1
 
 
 def ns_to_time(stamp_ns: int) -> Time:
-    """Return a stamp in nanoseconds since the epoch as a Time. Raises MessageError if it is negative or past
-    `LATEST_NS`."""
+    """Return nanoseconds since the epoch as a Time. Raises MessageError if negative or past `LATEST_NS`."""
     stamp_ns = int(stamp_ns)
     if not 0 <= stamp_ns <= LATEST_NS:
-        raise MessageError(
-            f"stamp {stamp_ns} ns does not fit builtin_interfaces/Time, which holds 0 to {LATEST_NS} ns "
-            "(int32 seconds); are these seconds, or another epoch?"
-        )
+        what = f"stamp {stamp_ns} ns does not fit builtin_interfaces/Time (0 to {LATEST_NS} ns)"
+        raise MessageError(f"{what}; are these seconds, or another epoch?")
     seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def time_to_ns(time: Any) -> int:
-    """Return a Time as nanoseconds since the epoch. Raises MessageError for negative seconds or nanosec of a second or
-    more."""
+    """Return a Time as nanoseconds since the epoch. Raises MessageError if it is negative or not normalised."""
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
-        raise MessageError(
-            f"stamp sec={sec} nanosec={nanosec} is invalid: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
-        )
+        raise MessageError(f"stamp sec={sec} nanosec={nanosec}: give sec >= 0 and nanosec in [0, {NS_PER_S})")
     return sec * NS_PER_S + nanosec
 
 
@@ -50,8 +44,7 @@ def stamp_of(msg: Any) -> int:
 
 
 def time_text(stamp_ns: int) -> str:
-    """Return nanoseconds since the epoch for people and machines: `2023-11-14T22:13:20.100Z
-    (1700000000100000000 ns)`."""
+    """Return nanoseconds since the epoch as `2023-11-14T22:13:20.100Z (1700000000100000000 ns)`."""
     moment = moment_of_stamp(stamp_ns)
     return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
 

@@ -59,25 +59,15 @@ class PartialCalibration(StrictModel):
             raise ValueError("give both width and height, or neither")
         return self
 
-    @property
-    def distortion(self) -> tuple[float, float, float, float, float]:
-        """Return (k1, k2, p1, p2, k3)."""
-        return self.k1, self.k2, self.p1, self.p2, self.k3
-
     def camera_of(self, width: int, height: int, fx: float) -> Camera:
         """Return the camera of an image of this size; `fx` applies if neither fx nor hfov_deg is stated."""
         if self.hfov_deg is not None:
             fx = Camera.from_fov(width, height, self.hfov_deg).fx
-        fx = self.fx if self.fx is not None else fx
-        return Camera(
-            width,
-            height,
-            fx,
-            self.fy if self.fy is not None else fx,
-            self.cx if self.cx is not None else (width - 1) / 2,
-            self.cy if self.cy is not None else (height - 1) / 2,
-            self.distortion,
-        )
+        fx = fx if self.fx is None else self.fx
+        fy = fx if self.fy is None else self.fy
+        cx = (width - 1) / 2 if self.cx is None else self.cx
+        cy = (height - 1) / 2 if self.cy is None else self.cy
+        return Camera(width, height, fx, fy, cx, cy, (self.k1, self.k2, self.p1, self.p2, self.k3))
 
 
 class CalibrationConfig(PartialCalibration):
@@ -173,15 +163,12 @@ class PartialPose(StrictModel):
         """Return the (6, 6) covariance as in `pose_covariance` from the stated sigmas; None if there are none.
 
         `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not."""
-        metres = (self.position_sigma, self.height_sigma)
         degrees = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
-        if all(sigma is None for sigma in (*metres, *degrees)):
+        stated = (self.position_sigma, self.height_sigma, *degrees)
+        if all(sigma is None for sigma in stated):
             return None
-        return pose_covariance(
-            pose,
-            *(position if sigma is None else sigma for sigma in metres),
-            *(angle_deg if sigma is None else sigma for sigma in degrees),
-        )
+        usual = (position, position, angle_deg, angle_deg, angle_deg)
+        return pose_covariance(pose, *(u if sigma is None else sigma for sigma, u in zip(stated, usual, strict=True)))
 
     def sigmas_of_place(self) -> tuple[float, float, float] | None:
         """Return the standard deviations of x, y and height in metres; None if none is stated."""
@@ -193,21 +180,23 @@ class PartialPose(StrictModel):
         """Return the position in the map frame; None if it is not known.
 
         Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's."""
-        if self.lon is not None and self.lat is not None:
-            x, y = _transformed(self.lon, self.lat, "EPSG:4326", frame.crs)
-        elif self.x is None or self.y is None:
+        stated = self._stated()
+        if stated is None:
             return None
-        else:
-            x, y = _transformed(self.x, self.y, self.crs or frame.crs, frame.crs)
+        x, y, crs = stated
+        x, y = _transformed(x, y, crs or frame.crs, frame.crs)
         return x - frame.x_origin, y - frame.y_origin
+
+    def _stated(self) -> tuple[float, float, str | None] | None:
+        """Return the position as stated, and its CRS if it is stated."""
+        if self.lon is not None and self.lat is not None:
+            return self.lon, self.lat, "EPSG:4326"
+        return None if self.x is None or self.y is None else (self.x, self.y, self.crs)
 
     def lonlat(self) -> tuple[float, float] | tuple[None, None]:
         """Return the position in WGS 84 degrees; None if it is not known without a frame. Raises as `xy` does."""
-        if self.lon is not None and self.lat is not None:
-            return self.lon, self.lat
-        if self.x is None or self.y is None or self.crs is None:
-            return None, None
-        return _transformed(self.x, self.y, self.crs, "EPSG:4326")
+        x, y, crs = self._stated() or (0.0, 0.0, None)
+        return (None, None) if crs is None else _transformed(x, y, crs, "EPSG:4326")
 
     def grid_azimuth_deg(self, frame: SiteFrame, place: tuple[float, float, float], on: date | None) -> float | None:
         """Return the azimuth from grid north at a map place. Raises ConfigError for a magnetic one without a date."""
@@ -218,10 +207,8 @@ class PartialPose(StrictModel):
         if self.azimuth_ref == "true":
             return frame.true_to_grid_deg(azimuth, x, y)
         if on is None:
-            raise ConfigError(
-                f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known: give it from true "
-                "north (azimuth_ref: true) or from grid north"
-            )
+            what = f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known"
+            raise ConfigError(f"{what}: give it from true north (azimuth_ref: true) or from grid north")
         return frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
 
 
@@ -238,16 +225,15 @@ class PlacedPose(PartialPose):
 
     def described(self, frame: SiteFrame) -> str:
         """Return the place as stated, with its coordinates in the frame's CRS if these differ. Raises as `xy`."""
-        stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
-        given = f"({stated[0]:.10g}, {stated[1]:.10g})"
+        x, y, crs = self._stated() or (0.0, 0.0, None)
+        given = f"({x:.10g}, {y:.10g})"
         if crs is None or same_crs(crs, frame.crs):
             return given
         x, y = self.xy(frame) or (0.0, 0.0)
         return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
 
     def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
-        """Return the position in the map frame. Raises PoseError if the ground under a camera with a relative height is
-        unknown."""
+        """Return the position in the map frame. Raises PoseError if the ground is needed and not known."""
         place = self.xy(frame)
         assert place is not None  # nosec B101 # tells the type checker what holds
         if self.z is not None:
@@ -268,8 +254,7 @@ class PoseConfig(PlacedPose):
     azimuth_deg: AzimuthDeg
 
     def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """Return the pose in the map frame. Raises PoseError for a camera under the ground, and as `position` and
-        `grid_azimuth_deg`."""
+        """Return the pose in the map frame. Raises PoseError, also for a camera under the ground, and ConfigError."""
         place = self.position(dem, frame)
         ground = float(dem.elevation_at(*place[:2]))
         if place[2] <= ground:
@@ -284,7 +269,6 @@ def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, f
         return x, y
     moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     if not np.isfinite(moved).all():
-        raise PoseError(
-            f"position ({x}, {y}) in {source} cannot be converted to {target}; with EPSG:4326 give longitude first"
-        )
+        what = f"position ({x}, {y}) in {source} cannot be converted to {target}"
+        raise PoseError(f"{what}; with EPSG:4326 give longitude first")
     return float(moved[0]), float(moved[1])

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from pyproj import Transformer
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
@@ -57,8 +58,7 @@ class ForeignPose:
         return replace(self, rotation=rotation)
 
     def pose(self, frame: SiteFrame, ground: Callable[[float, float], float], undulation: float) -> Pose:
-        """Return the pose in a map frame. `undulation`: of the geoid, metres, subtracted from ellipsoidal heights, as
-        Earth-centred coordinates have them."""
+        """Return the pose in a map frame. `undulation`: of the geoid, subtracted from Earth-centred heights, metres."""
         left, _, right = np.linalg.svd(self.rotation)
         rotation = left @ right
         x, y, z = (float(v) for v in self.position)
@@ -66,9 +66,18 @@ class ForeignPose:
             lon, lat, height = _geodetic().transform(x, y, z)
             rotation = east_north_up(lon, lat) @ rotation
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            return Pose(np.array([x, y, height - undulation]), grid_turn(frame, x, y) @ rotation)
-        x, y = x - frame.x_origin, y - frame.y_origin
-        return Pose(np.array([x, y, z + (0.0 if self.target is None else ground(x, y))]), rotation)
+            turn = Rotation.from_euler("Z", -frame.true_to_grid_deg(0.0, x, y), degrees=True).as_matrix()
+            return Pose(np.array([x, y, height - undulation]), turn @ rotation)
+        origin = np.array([frame.x_origin, frame.y_origin, 0.0])
+        place = self.position - origin
+        if self.target is None:
+            return Pose(place, rotation)
+        aim = self.target - origin
+        for point in (place, aim):
+            point[2] += ground(*point[:2])
+        azimuth, _, roll = Pose(place, rotation).angles_deg
+        way = aim - place
+        return Pose.from_angles(place, azimuth, math.degrees(math.atan2(way[2], math.hypot(way[0], way[1]))), roll)
 
 
 @lru_cache(maxsize=1)
@@ -78,14 +87,8 @@ def _geodetic() -> Transformer:
 
 def east_north_up(lon: float, lat: float) -> Float64Array:
     """Return the rotation (3, 3) from Earth-centred axes to east, north, up."""
-    a, b = np.radians([lon, lat])
-    return np.array(
-        [
-            [-np.sin(a), np.cos(a), 0.0],
-            [-np.sin(b) * np.cos(a), -np.sin(b) * np.sin(a), np.cos(b)],
-            [np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)],
-        ]
-    )
+    turned = Rotation.from_euler("ZX", [90 + lon, 90 - lat], degrees=True)
+    return np.asarray(turned.as_matrix().T, np.float64)
 
 
 def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
@@ -95,20 +98,9 @@ def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
     return np.asarray(np.array(origin) + east_north_up(lon, lat).T @ local, np.float64)
 
 
-def grid_turn(frame: SiteFrame, x: float, y: float) -> Float64Array:
-    """Return the rotation (3, 3) from true east, north to the grid's."""
-    turn = np.radians(frame.true_to_grid_deg(0.0, x, y))
-    c, s = np.cos(turn), np.sin(turn)
-    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def omega_phi_kappa(radians: Float64Array) -> Float64Array:
     """Return the rotation, optical to map, of omega, phi and kappa: Rx Ry Rz of axes x right, y up, z backward."""
-    (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in radians)
-    x = np.array([[1, 0, 0], [0, co, -so], [0, so, co]])
-    y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    z = np.array([[ck, -sk, 0], [sk, ck, 0], [0, 0, 1]])
-    return np.asarray(x @ y @ z @ UPWARD, np.float64)
+    return np.asarray(Rotation.from_euler("XYZ", radians).as_matrix() @ UPWARD, np.float64)
 
 
 UNITS = {"degrees": np.pi / 180, "radians": 1.0, "gon": np.pi / 200}
@@ -158,8 +150,6 @@ def closest_camera(start: Camera, project: Callable[[Float64Array], Float64Array
     solved = least_squares(errors, first, x_scale=np.array([*first[:2], *first[:2], 0.1, 0.1, 0.01, 0.01, 0.1]))
     worst = float(np.hypot(*solved.fun.reshape(-1, 2).T).max())
     if worst > MOST_LENS_ERROR:
-        raise PoseError(
-            f"{place}: its lens model differs by {worst:.1f} px from Brown-Conrady distortion (k1, k2, p1, p2, k3); "
-            "calibrate the lens again with that model"
-        )
+        what = f"{place}: its lens model differs by {worst:.1f} px from k1, k2, p1, p2, k3 (Brown-Conrady)"
+        raise PoseError(f"{what}; calibrate the lens again with that model")
     return camera(solved.x)

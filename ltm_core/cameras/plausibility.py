@@ -1,7 +1,6 @@
 """Detect values in another unit: angles of poses in radians or gon, heights of cameras in feet.
 
-An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
-false warnings."""
+An angle off the circle is an error; possible but unlikely values give a warning in words."""
 
 from __future__ import annotations
 
@@ -22,30 +21,20 @@ _DEEP = 50.0
 """Metres below the ground that no datum and no coarse DEM explains."""
 
 
-def _azimuth(value: float) -> float:
-    if not -180.0 <= value <= 360.0:
-        raise ValueError(
-            f"an azimuth is 0 to 360 degrees clockwise from grid north, or -180 to 180, not {value:g}: convert gon, "
-            "mils or tenths of a degree first"
-        )
-    return value
+def _within(low: float, high: float, what: str) -> AfterValidator:
+    def checked(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(what.format(value))
+        return value
+
+    return AfterValidator(checked)
 
 
-def _pitch(value: float) -> float:
-    if not -90.0 <= value <= 90.0:
-        raise ValueError(f"a pitch is -90 (straight down) to 90 degrees (straight up), not {value:g}")
-    return value
-
-
-def _roll(value: float) -> float:
-    if not -180.0 <= value <= 180.0:
-        raise ValueError(f"a roll is -180 to 180 degrees, not {value:g}")
-    return value
-
-
-AzimuthDeg = Annotated[float, AfterValidator(_azimuth)]
-PitchDeg = Annotated[float, AfterValidator(_pitch)]
-RollDeg = Annotated[float, AfterValidator(_roll)]
+_AZIMUTH = "an azimuth is 0 to 360 (or -180 to 180) degrees from grid north, not {:g}: convert gon or mils first"
+_PITCH = "a pitch is -90 (straight down) to 90 degrees (straight up), not {:g}"
+AzimuthDeg = Annotated[float, _within(-180.0, 360.0, _AZIMUTH)]
+PitchDeg = Annotated[float, _within(-90.0, 90.0, _PITCH)]
+RollDeg = Annotated[float, _within(-180.0, 180.0, "a roll is -180 to 180 degrees, not {:g}")]
 
 
 def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
@@ -56,13 +45,10 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
     different = sorted(set(azimuths_deg))
     if not different or max(map(abs, different)) > 2 * math.pi or all(value == round(value) for value in different):
         return None
-    last = different[-1] if different[-1] != round(different[-1]) else next(v for v in different if v != round(v))
-    what = (
-        f"azimuth {last:g} lies" if len(different) == 1 else f"all azimuths, {different[0]:g} to {different[-1]:g}, lie"
-    )
+    odd = next(value for value in reversed(different) if value != round(value))
     return (
-        f"{what} within 2 pi, close to grid north: if these are radians, write degrees "
-        f"({last:g} rad is {math.degrees(last) % 360:.1f} deg)"
+        f"azimuths from {different[0]:g} to {different[-1]:g} lie within 2 pi, close to grid north: if these are "
+        f"radians, write degrees ({odd:g} rad is {math.degrees(odd) % 360:.1f} deg)"
     )
 
 

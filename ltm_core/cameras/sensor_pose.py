@@ -1,11 +1,8 @@
-"""Compute a camera's pose from a satellite fix and a device's attitude.
+"""Compute a camera's pose from a satellite fix and the attitude of a device that carries it.
 
-Attitude of devices that carry a camera: from their own axes and worlds to the angles of a pose.
-
-A device tells how its axes lie in a world of its own. `ENU_FROM_*` take each of these worlds to east, north, up of the
-device's own north (true or magnetic); `phone_camera` says how a phone's back camera is mounted. Sources: Android's
-SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), and the axes of a phone that
-both share: x to the right of the screen, y to its top, z out of it towards the person."""
+A device states how its axes lie in a world of its own; `ENU_FROM_*` rotate these worlds to east, north, up of its own
+north (true or magnetic). Sources: Android's SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame
+(x north, z up), and the axes of a phone in both: x to the right of the screen, y to its top, z out of it."""
 
 from __future__ import annotations
 
@@ -38,12 +35,10 @@ ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
     """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
-    `turned_deg`: counter-clockwise turn of the phone from portrait, as its user sees it: 90 for landscape with the top
-    to the left."""
-    t = math.radians(turned_deg)
-    cosine, sine = (round(v, 12) if turned_deg % 90 == 0 else v for v in (math.cos(t), math.sin(t)))
-    right, down = np.array([cosine, -sine, 0.0]), np.array([-sine, -cosine, 0.0])
-    return np.column_stack([right, down, [0.0, 0.0, -1.0]])
+    `turned_deg`: counter-clockwise turn of the phone from portrait: 90 for landscape with the top to the left."""
+    turn = math.radians(turned_deg)
+    cosine, sine = round(math.cos(turn), 12), round(math.sin(turn), 12)
+    return np.array([[cosine, -sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
 
 
 def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
@@ -94,8 +89,7 @@ class SensorsConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Position fix. `altitude`: metres above the WGS 84 ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north,
-    up in m^2, None if unknown."""
+    """Position fix. `altitude`: above the ellipsoid, or NaN. `covariance`: (3, 3) of east, north, up, or None."""
 
     stamp_ns: int
     lon: float
@@ -106,8 +100,7 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Attitude of a device. `rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations
-    about these in rad^2, None if unknown."""
+    """Attitude of a device. `rotation`: its axes to east, north, up. `covariance`: (3, 3) about these, or None."""
 
     stamp_ns: int
     rotation: Float64Array
@@ -125,11 +118,9 @@ def sensed_pose(
 ) -> tuple[Pose, Float64Array]:
     """Return the pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
 
-    Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known."""
-    for what, stamp, age in (
-        ("fix", fix.stamp_ns, config.fix_age),
-        ("attitude", attitude.stamp_ns, config.attitude_age),
-    ):
+    Raises PoseError if fix or attitude are of another time, or the ground is needed and not known."""
+    times = (("fix", fix.stamp_ns, config.fix_age), ("attitude", attitude.stamp_ns, config.attitude_age))
+    for what, stamp, age in times:
         if abs(stamp - stamp_ns) > age * 1e9:
             raise PoseError(
                 f"the nearest {what} is {(stamp - stamp_ns) / 1e9:+.2f} s from the image of stamp {stamp_ns} ns, at "
@@ -140,19 +131,26 @@ def sensed_pose(
     if fix.covariance is not None:
         east, north, up = fix.covariance.diagonal()
         position_sigma, altitude_sigma = math.sqrt(max((east + north) / 2, 1e-6)), math.sqrt(max(up, 1e-6))
-    z, height_sigma = _height(fix, x, y, dem, config, altitude_sigma)
+    ground = float(dem.elevation_at(x, y))
+    z, height_sigma = fix.altitude - (config.geoid_undulation or 0.0), altitude_sigma
+    if config.geoid_undulation is None or not np.isfinite(z) or z <= ground:
+        z, height_sigma = ground + config.height_above_ground, config.ground_sigma
+    if not np.isfinite(z):
+        raise PoseError(
+            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies outside the DEM, so its height is not known: give "
+            "`geoid_undulation` under the camera's `sensors` in the site file"
+        )
     if config.mount == "phone":
         mount = held_phone(attitude.rotation, portrait=size[1] > size[0])
     elif config.mount == "phone_sensor":
         mount = phone_camera(90.0)
     else:
         mount = matrix_of_quaternion(config.mount)
-    seen = attitude.rotation @ mount
-    azimuth, pitch, roll = optical_angles_deg(seen)
-    on = moment_of_stamp(stamp_ns).date()
-    grid = frame.true_to_grid_deg(azimuth, x, y)
+    azimuth, pitch, roll = optical_angles_deg(attitude.rotation @ mount)
     if config.north == "magnetic":
-        grid = frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
+        grid = frame.magnetic_to_grid_deg(azimuth, x, y, moment_of_stamp(stamp_ns).date(), z)
+    else:
+        grid = frame.true_to_grid_deg(azimuth, x, y)
     pose = Pose.from_angles((x, y, z), grid, pitch, roll)
     tilt, about = config.tilt_sigma_deg, config.compass_sigma_deg
     if attitude.covariance is not None:
@@ -164,20 +162,3 @@ def sensed_pose(
 
 def _degrees(variance: float) -> float:
     return math.degrees(math.sqrt(max(variance, 1e-10)))
-
-
-def _height(
-    fix: Fix, x: float, y: float, dem: Dem, config: SensorsConfig, altitude_sigma: float
-) -> tuple[float, float]:
-    """z and its sigma: by the altitude, or above the terrain where this is not known or under it."""
-    ground = float(dem.elevation_at(x, y))
-    if config.geoid_undulation is not None and np.isfinite(fix.altitude):
-        z = fix.altitude - config.geoid_undulation
-        if not z <= ground:  # also where the ground is not known
-            return z, altitude_sigma
-    if not np.isfinite(ground):
-        raise PoseError(
-            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies outside the DEM, so its height is not known: give "
-            "`geoid_undulation` under the camera's `sensors` in the site file"
-        )
-    return ground + config.height_above_ground, config.ground_sigma

@@ -1,8 +1,7 @@
 """Repeat an accuracy assessment with simulated interpreters and count how often its 95 % intervals contain the truth.
 
 The maps are a rendered one (prior, map and true life forms) and drawn ones of clustered classes with known errors. The
-truth of an interval is what the interpreter would answer in a census of the map.
-"""
+truth of an interval is what the interpreter would answer in a census of the map."""
 
 from __future__ import annotations
 
@@ -56,8 +55,7 @@ def drawn_population(
     `errors`: share of cells in which both the map and its prior are wrong, so that the prior does not hold.
 
     `changed`: true share of change; the map misses a fifth of it and shows as much false change. `cluster`: radius of
-    the errors in cells; 0: independent cells. `accuracy`: of the interpreter.
-    """
+    the errors in cells; 0: independent cells. `accuracy`: of the interpreter."""
     rng = np.random.default_rng(seed)
     truth = _classes(rng)
     prior = truth.copy()

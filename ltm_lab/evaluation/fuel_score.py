@@ -29,8 +29,7 @@ class FuelBagScore:
     """`maps`: the evidence, the same after the recording has come again for some hours, the vote, the prior.
 
     `unjustified`: cells that only the repetitions changed. `errors`: what was known of the network. `correlation`: of
-    its errors in this recording; `lacking` says why it is not known. `cells`: by [true form, commonest label].
-    """
+    its errors in this recording; `lacking` says why it is not known. `cells`: by [true form, commonest label]."""
 
     frames: int
     maps: list[MapScore]
@@ -43,8 +42,7 @@ class FuelBagScore:
 
 def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScore:
     """Count the votes of a bag into the site's empty map, and score it. Raises RecordingError where it has none, and
-    without truth.
-    """
+    without truth."""
     site = recorded.site
     labels = LabelSet.load(config_path(site.labels))
     grid = site.fuel_geometry(site.open_dem())

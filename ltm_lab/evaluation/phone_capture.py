@@ -22,11 +22,9 @@ def write_phone_capture(
 ) -> int:
     """Write the walk of a `ltm-lab simulate` folder to `out`; the number of its photos.
 
-    `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the phone's sensors on that
-    walk as the app records them.
-    `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`.
-    Raises RecordingError on a folder without frames of exactly one walk, or where photos of an earlier one lie.
-    """
+    `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the phone's sensors on that walk as the app
+    records them. `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`. Raises
+    RecordingError on a folder without frames of exactly one walk, or where photos of an earlier one lie."""
     index = read_index(frames)
     walks = {walk.name: walk for walk in index.walks}
     entries = [frame for frame in read_truth_frames(frames) if frame.camera_name in walks]

@@ -1,8 +1,7 @@
 """Run `ltm-lab eval photo`: a real photo with surveyed control points through the live graph.
 
 For each control point, it measures the distance between the surveyed point and the point that the graph traced for its
-pixel.
-"""
+pixel."""
 
 from __future__ import annotations
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.vision.labels import Label
+from ltm_lab.evaluation.dated_run import DatedRun
 from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, depth_skyline, skyline
 from ltm_lab.evaluation.terrain_score import TerrainScore, score_terrain
-from ltm_ros.demo.score import RunScore, RunTally
+from ltm_ros.demo.score import DEPTH_SOURCES, RunScore, RunTally
 from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
-from ltm_ros.recordings.recorded_run import Recorded, image_shape
+from ltm_ros.recordings.recorded_run import image_shape
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, POSED_POSE
 
 _RESULTS = (POSED_POSE, DEPTH_IMAGE, NETWORK_DEPTH, FUSED_DEPTH, LABELS_IMAGE, FUEL_VOTES)
@@ -39,7 +40,7 @@ class BagScore(RunScore):
     latency: list[LatencyRow] = field(default_factory=list)
 
 
-def score_bag(recorded: Recorded) -> BagScore:
+def score_bag(recorded: DatedRun) -> BagScore:
     """Score all frames that carry truth. Raises LtmError if the bag cannot be read."""
     stream = recorded.stream()
     tally = RunTally(recorded, stream)
@@ -49,6 +50,8 @@ def score_bag(recorded: Recorded) -> BagScore:
         if "truth_depth" in frame:
             _add_skylines(lines, frame, image_shape(frame, recorded.site))
     score = BagScore(**vars(tally.score()))
+    wanted = {"truth": "truth_depth", "labels": "labels", **{f"depth, {name}": name for name in DEPTH_SOURCES}}
+    score.lacking += [f"{name}: the bag has none" for name, part in wanted.items() if not stream.has(part)]
     score.skylines = [(name, line.score()) for name, line in lines.items() if line.score().columns]
     score.latency = _latencies(stream)
     measured = {name for name, _ in score.skylines}
@@ -82,7 +85,7 @@ def _latencies(stream: FrameStream) -> list[LatencyRow]:
     return rows
 
 
-def _score_terrain(score: BagScore, recorded: Recorded) -> None:
+def _score_terrain(score: BagScore, recorded: DatedRun) -> None:
     now, earlier = recorded.surfaces
     if now is None:
         score.lacking.append(f"terrain: no truth/DATE/surface.tif in {recorded.truth}; name it with --truth and --date")

@@ -43,9 +43,8 @@ def write_simulated_bag(
 
     `quality`: JPEG quality of the images, the scenario's unless given. Truth depth is along the optical axis (REP-118),
     of every n-th pixel as the scenario says and rounded to 6e-5 of itself, with a camera_info of its own; `pose` is
-    what the sensors reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which
-    they came. Raises RecordingError on a folder without frames.json.
-    """
+    what the sensors reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which they
+    came. Raises RecordingError on a folder without frames.json."""
     index = read_index(frames)
     quality = index.jpeg_quality if quality is None else quality
     waiting = sorted(read_truth_frames(frames, date or ""), key=lambda f: (f.reported.received_ns, f.camera_name))

@@ -25,9 +25,8 @@ from ltm_ros.runtime.topics import TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_UPDATE,
 @dataclass(frozen=True)
 class TerrainScore:
     """`change`: cells that independent views looked at; truly changed where the true surface moved by `threshold`
-    metres or more since the earlier date (None: there is none). `updated`, `reference`: heights of the changed cells
-    as updated, and as they stood in the reference, against the true surface.
-    """
+    metres or more since the earlier date (None: there is none). `updated`, `reference`: heights of the changed cells as
+    updated, and as they stood in the reference, against the true surface."""
 
     cells: int
     threshold: float
@@ -39,8 +38,7 @@ class TerrainScore:
 def score_terrain(bag: Path, site: Site, surface: Path, earlier: Path | None) -> TerrainScore:
     """`surface`, `earlier`: the true surface at the bag's date and at the one before.
 
-    Raises RecordingError where the bag has no terrain topics, RasterError on truth that cannot be read.
-    """
+    Raises RecordingError where the bag has no terrain topics, RasterError on truth that cannot be read."""
     reader = BagReader(bag)
     grid = _last(reader, site_topic(site.name, TERRAIN_CHANGE))
     if grid is None:

@@ -1,8 +1,7 @@
 """Test whether traced depth follows the surface that the terrain confirms, in an exact hillside scene.
 
 A scene is written as a site, the messages of its two towers are fed to the graph's own handlers, and the traced depth
-before and after the confirmation is scored and drawn.
-"""
+before and after the confirmation is scored and drawn."""
 
 from __future__ import annotations
 
@@ -157,8 +156,7 @@ class UpdateScore:
     """Median error of traced depth, metres, over the pixels whose cell has changed, as given or in truth.
 
     `before` is that of the frames before any surface was confirmed, `after` that of the later half of all frames, of
-    which `followed` were traced to a confirmed surface.
-    """
+    which `followed` were traced to a confirmed surface."""
 
     frames_before: int
     frames_after: int

@@ -1,9 +1,7 @@
-"""Decode images from serialised messages without the middleware, whose libraries are slow to load; decode and encode
-tf2_msgs/TFMessage, whose package has no wheel.
+"""Decode serialised images without the middleware, which loads slowly, and tf2_msgs/TFMessage, which has no wheel.
 
-The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields in their order,
-numbers aligned to their size, strings and sequences after a uint32 of their length, a string's with its closing zero.
-"""
+The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields, numbers aligned to
+their size, strings (with a closing zero) and sequences after a uint32 of their length."""
 
 from __future__ import annotations
 
@@ -68,8 +66,7 @@ class RawPicture:
 
 
 def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
-    """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError for
-    another type."""
+    """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError if none."""
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
         raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
@@ -102,8 +99,7 @@ class Transforms:
 
 
 def transforms_of(raw: bytes) -> list[TransformStamped]:
-    """Return the transforms of a serialised TFMessage. Raises RecordingError for invalid bytes, MessageError for an
-    invalid stamp."""
+    """Return the transforms of a serialised TFMessage. Raises RecordingError, MessageError for an invalid stamp."""
     found = []
     try:
         fields = _Fields(raw)
@@ -111,7 +107,7 @@ def transforms_of(raw: bytes) -> list[TransformStamped]:
             header = make_header(fields.stamp_ns(), fields.text())
             one = TransformStamped(header=header, child_frame_id=fields.text())
             move, turn = one.transform.translation, one.transform.rotation
-            move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.real() for _ in range(7))
+            move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w = (fields.number("d") for _ in range(7))
             found.append(one)
     except (struct.error, ValueError) as error:
         raise RecordingError(f"{len(raw)} bytes do not decode as {TF_TYPE} ({error})") from error
@@ -158,27 +154,18 @@ class _Fields:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < _HEAD or raw[0] != 0 or raw[1] not in (0, 1):
-            raise ValueError(
-                f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected plain CDR (00 00 or 00 01)"
-            )
+            raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected CDR (00 00 or 00 01)")
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
-    def number(self, form: str) -> int:
-        return int(self._value(form))
-
-    def real(self) -> float:
-        return float(self._value("d"))
-
-    def _value(self, form: str) -> int | float:
+    def number(self, form: str) -> Any:
         size = struct.calcsize(form)
         self._at += -self._at % size
-        value: int | float
         (value,) = struct.unpack_from(f"{self._order}{form}", self._bytes, self._at)
         self._at += size
         return value
 
     def stamp_ns(self) -> int:
-        return self.number("i") * NS_PER_S + self.number("I")
+        return int(self.number("i")) * NS_PER_S + int(self.number("I"))
 
     def text(self) -> str:
         return bytes(self.data()).rstrip(b"\0").decode()

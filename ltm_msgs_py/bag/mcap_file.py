@@ -7,7 +7,6 @@ import os
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -55,20 +54,21 @@ class _Unbuffered:
 class McapFile:
     """Messages go into chunks; a chunk is handed to the operating system when it is full, or at `flush`.
 
-    `add_topic`, `write`, `flush` and `finish` raise OSError where the disk fails; then `abandon` ends the file after
-    its last whole chunk, and `unsaved` is how many messages were lost."""
+    All raise OSError if the disk fails; then `abandon` ends the file after its last whole chunk, and `unsaved` messages
+    were lost. `record`: metadata of what is saved. `first_ns`: log time of the first message."""
 
-    def __init__(self, path: Path, compression: CompressionType, chunk_size: int, library: str) -> None:
-        """Create the file. Raises OSError, and leaves no file then."""
-        self.path = path
-        self.saved: Counter[str] = Counter()
-        """New messages by topic that the operating system has, which survive a kill of the process."""
+    def __init__(
+        self, path: Path, compression: CompressionType, chunk_size: int, library: str, saved: Counter[str]
+    ) -> None:
+        """Create the file. `saved`: gets new messages by topic that the system has. Raises OSError, and leaves no file
+        then."""
+        self.path, self._saved = path, saved
         self.first_ns: int | None = None
-        """Log time of the first message."""
-        self._record = FileRecord(path.name, 0, 0, Counter())
+        self.record = FileRecord(path.name, 0, 0, Counter())
         self._waiting: list[tuple[str, int, bool]] = []
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._holds_new = False
         self._stream = _Unbuffered(path)
         self._reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
         try:
@@ -90,11 +90,6 @@ class McapFile:
     def unsaved(self) -> int:
         """Return the number of new messages that wait for their chunk."""
         return sum(new for _, _, new in self._waiting)
-
-    @property
-    def record(self) -> FileRecord:
-        """Return the file's entry in the bag's metadata, for what is saved."""
-        return replace(self._record, counts=self._record.counts.copy())
 
     def add_topic(self, record: TopicRecord) -> None:
         """Add a topic. Raises RecordingError if the type has no definition here, OSError."""
@@ -121,34 +116,29 @@ class McapFile:
         self._writer.flush()
         self._note_chunks()
 
-    def finish(self, metadata: Mapping[str, str]) -> FileRecord:
+    def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the index, wait for the disk and close the file. `metadata`: the record that rosbag2 writes."""
-        self.flush()
         self._reserve.give_up()
         self._writer.add_metadata("rosbag2", dict(metadata))
         self._writer.finish()
         self._stream.sync()
         self._stream.close()
-        return self.record
 
-    def abandon(self) -> FileRecord | None:
-        """End the file after its last complete chunk and close it, after an OSError; None if it holds nothing new.
+    def abandon(self) -> bool:
+        """End the file after its last complete chunk, after an OSError; delete it and return False without new
+        messages.
 
         If even that fails, the file ends at that chunk without an index, and BagReader can read it."""
         self._reserve.give_up()
         with suppress(OSError):
             self._stream.close()
-        if not self.saved:
-            with suppress(OSError):
-                self.path.unlink()
-            return None
-        try:
-            os.truncate(self.path, self._whole)
-            finish_cut_file(self.path)
-        except OSError:
-            with suppress(OSError):
+        with suppress(OSError):
+            if self._holds_new:
                 os.truncate(self.path, self._whole)
-        return self.record
+                finish_cut_file(self.path)
+            else:
+                self.path.unlink()
+        return self._holds_new
 
     def _note_chunks(self) -> None:
         """Detect chunks that the library has ended, by the growth of the file."""
@@ -157,9 +147,10 @@ class McapFile:
         self._whole = self._stream.size
         if not self._waiting:
             return
-        record, times = self._record, [time for _, time, _ in self._waiting]
+        record, times = self.record, [time for _, time, _ in self._waiting]
         record.start_ns = min(times) if not record.counts else min(record.start_ns, *times)
         record.end_ns = max(record.end_ns, *times)
         record.counts.update(topic for topic, _, _ in self._waiting)
-        self.saved.update(topic for topic, _, new in self._waiting if new)
+        self._holds_new |= self.unsaved > 0
+        self._saved.update(topic for topic, _, new in self._waiting if new)
         self._waiting.clear()

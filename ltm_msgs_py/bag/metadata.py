@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,22 +63,18 @@ def is_latched(offered_qos_profiles: str) -> bool:
     """Return whether a channel's `offered_qos_profiles` (YAML) has a transient local publisher.
 
     Versions below 9 write RMW's number for it (1), later ones its name. Other text: False."""
-    try:
-        profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else []
-    except ConfigError:
-        return False
-    if not isinstance(profiles, list):
-        return False
-    return any(isinstance(p, dict) and p.get("durability") in ("transient_local", 1) for p in profiles)
+    profiles: Any = None
+    with suppress(ConfigError):
+        profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else None
+    stated = profiles if isinstance(profiles, list) else []
+    return any(isinstance(p, dict) and p.get("durability") in ("transient_local", 1) for p in stated)
 
 
 def bag_information(
     files: Sequence[FileRecord], topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return the content of `rosbag2_bagfile_information` for a bag of these files, in their order."""
-    total: Counter[str] = Counter()
-    for file in files:
-        total += file.counts
+    total = sum((file.counts for file in files), Counter[str]())
     filled = [file for file in files if file.counts]
     start = min((file.start_ns for file in filled), default=0)
     end = max((file.end_ns for file in filled), default=0)
@@ -118,8 +115,7 @@ def bag_information(
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml into a bag's folder atomically, even with a power cut, because a bag that has one counts as
-    finished. Raises OSError."""
+    """Write a bag's metadata.yaml atomically, also in a power cut, because it marks a finished bag. Raises OSError."""
     unfinished = folder / f"{FILE_NAME}.tmp"
     with unfinished.open("w", encoding="utf-8") as file:
         file.write(to_yaml({INFORMATION: dict(information)}))
@@ -152,9 +148,7 @@ def bag_files(folder: Path) -> list[Path] | None:
     info = document.get(INFORMATION) if isinstance(document, dict) else None
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-        raise RecordingError(
-            f"{path} is not rosbag2 metadata: it has no rosbag2_bagfile_information.relative_file_paths"
-        )
+        raise RecordingError(f"{path} is not rosbag2 metadata: it has no {INFORMATION}.relative_file_paths")
     files = []
     for name in names:
         file = folder / Path(name).name

@@ -17,8 +17,7 @@ from mcap.records import Channel, Message, Schema
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_msgs_py.bag.cdr import TF_TYPE, Transforms, transforms_of
-from ltm_msgs_py.bag.mcap_chunk import LARGEST_MESSAGE
-from ltm_msgs_py.bag.mcap_index import McapIndex
+from ltm_msgs_py.bag.mcap_index import LARGEST_MESSAGE, McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
 from ltm_msgs_py.bag.schemas import message_class
 
@@ -27,8 +26,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a bag; `type_name`: the first one if its messages have several. `latched`: its publisher was
-    transient local."""
+    """One topic of a bag; `type_name`: the first of several. `latched`: its publisher was transient local."""
 
     type_name: str
     message_count: int
@@ -37,8 +35,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`. `encoding`: `cdr`
-    in every ROS 2 bag."""
+    """One recorded message: its bytes, received at `log_time_ns`, sent at `publish_time_ns`, in `encoding`."""
 
     topic: str
     log_time_ns: int
@@ -122,11 +119,6 @@ def is_bag_file(name: str) -> bool:
     return name.removesuffix(".zstd").endswith((".mcap", ".db3"))
 
 
-def _magic(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(len(_SQLITE))
-
-
 def _plain(raw: bytes) -> bytes:
     """Return a message's CDR, which rosbag2 may compress message by message; unchanged if invalid or too large."""
     if not raw.startswith(zstandard.FRAME_HEADER):
@@ -200,18 +192,17 @@ class BagReader:
         """Yield messages with start_ns <= log time < end_ns by log time; equal times in file order.
 
         `topics`: only these (None: all); a topic that is not in the bag gives no messages."""
-        begins = [file.start_ns for file in self._files]
-        for _, message in by_log_time(begins, lambda n: self._messages_of(self._files[n], topics, start_ns, end_ns)):
-            yield message
 
-    def _messages_of(
-        self, file: Storage, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
-    ) -> Iterator[BagMessage]:
-        wanted = {i for i, c in file.channels.items() if topics is None or self._named(c) in topics}
-        for channel, message in file.messages(wanted, start_ns, end_ns):
-            kind = self._named(channel), message.log_time, message.publish_time, _type_of(file, channel)
-            yield BagMessage(*kind, _plain(message.data), channel.message_encoding)
-        self._log_damage()
+        def of_file(number: int) -> Iterator[BagMessage]:
+            file = self._files[number]
+            wanted = {i for i, c in file.channels.items() if topics is None or self._named(c) in topics}
+            for channel, message in file.messages(wanted, start_ns, end_ns):
+                kind = self._named(channel), message.log_time, message.publish_time, _type_of(file, channel)
+                yield BagMessage(*kind, _plain(message.data), channel.message_encoding)
+            self._log_damage()
+
+        for _, message in by_log_time([file.start_ns for file in self._files], of_file):
+            yield message
 
     def _named(self, channel: Channel) -> str:
         topic: str = channel.topic
@@ -247,16 +238,18 @@ class BagReader:
         return files
 
     def _opened(self, path: Path) -> Storage:
-        """Open a file of the bag by its first bytes; one that is compressed as a whole is unpacked into a temporary
-        folder (TMPDIR). Raises RecordingError."""
-        plain = path
+        """Open a file by its first bytes; one that is compressed as a whole is unpacked. Raises RecordingError."""
         try:
-            if _magic(path).startswith(zstandard.FRAME_HEADER):
-                self._unpacked.append(tempfile.TemporaryDirectory(prefix="ltm_bag_"))
-                plain = Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
-                with path.open("rb") as source, plain.open("wb") as whole:
-                    zstandard.ZstdDecompressor().copy_stream(source, whole)
-            return SqliteIndex.open(plain) if _magic(plain) == _SQLITE else McapIndex.open(plain)
+            with path.open("rb") as source:
+                magic = source.read(len(_SQLITE))
+                source.seek(0)
+                if magic.startswith(zstandard.FRAME_HEADER):
+                    self._unpacked.append(tempfile.TemporaryDirectory(prefix="ltm_bag_"))
+                    plain = Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
+                    with plain.open("wb") as whole:
+                        zstandard.ZstdDecompressor().copy_stream(source, whole)
+                    return self._opened(plain)
+            return SqliteIndex.open(path) if magic == _SQLITE else McapIndex.open(path)
         except (OSError, zstandard.ZstdError) as error:
             raise RecordingError(f"cannot read {path}: {error}") from error
 
@@ -278,8 +271,7 @@ def by_log_time(
 ) -> Iterator[tuple[int, MessageT]]:
     """Merge streams by log time, equal times in their order; yield each message after the number of its stream.
 
-    `begins`: of each stream, None: empty. Files of a long recording follow each other: only those that overlap in time
-    are open together."""
+    `begins`: of each stream, None: empty. Only streams that overlap in time are open together."""
     waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
     heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
 

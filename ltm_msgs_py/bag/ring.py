@@ -1,5 +1,4 @@
-"""Keep the recordings of one recorder as a ring of files: limited in bytes, the oldest complete files are deleted
-first."""
+"""Keep a recorder's files as a ring: limited in bytes, the oldest complete files are deleted first."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ class RecordingRing:
     the file, or `.keep` in its folder."""
 
     def __init__(self, path: Path, recorder: str, most_bytes: int | None) -> None:
-        """Open the ring. `path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept;
-        None: unlimited."""
+        """Open the ring. `path`: of the first bag. `most_bytes`: of all files that are not kept; None: unlimited."""
         self._path = path.resolve()
         self.library = f"ltm recorder {recorder} {self._path.name}"
         self.most_bytes = most_bytes
@@ -52,9 +50,7 @@ class RecordingRing:
     def new_folder(self) -> Path:
         """Return the folder of the next bag, numbered after all others, so that names are in order of time."""
         folders = self._numbered()
-        if not folders:
-            return self._path
-        if len(folders) == 1 and folders[0][1] == self._path and not any(self._path.iterdir()):
+        if not folders or ([path for _, path in folders] == [self._path] and not any(self._path.iterdir())):
             return self._path
         return self._path.with_name(f"{self._path.name}_{folders[-1][0] + 1}")
 
@@ -99,18 +95,16 @@ class RecordingRing:
         """Remove a file; return False if a process writes it, or it cannot be removed."""
         folder = path.parent
         with suppress(OSError, RecordingError), _held(path) as free:
-            if not free:
-                return False
-            left = [file.path for file in self._files_in(folder) if file.path != path]
-            if (folder / FILE_NAME).exists():
-                # First, so that a bag never lists what is gone.
-                rewrite_metadata(folder, left)
-            path.unlink()
-            if not left:
-                (folder / FILE_NAME).unlink(missing_ok=True)
-                with suppress(OSError):  # not empty: something that is not ours
-                    folder.rmdir()
-            return True
+            if free:
+                left = [file.path for file in self._files_in(folder) if file.path != path]
+                if (folder / FILE_NAME).exists():  # first, so that a bag never lists what is gone
+                    rewrite_metadata(folder, left)
+                path.unlink()
+                if not left:
+                    (folder / FILE_NAME).unlink(missing_ok=True)
+                    with suppress(OSError):  # not empty: something that is not ours
+                        folder.rmdir()
+                return True
         return False
 
     def _numbered(self) -> list[tuple[int, Path]]:
@@ -151,12 +145,11 @@ class RecordingRing:
 def _held(path: Path) -> Iterator[bool]:
     """Lock a file in the context; yields whether no process is writing it. Raises OSError."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    free = False
     try:
-        try:
+        with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            yield False
-        else:
-            yield True
+            free = True
+        yield free
     finally:
         os.close(descriptor)

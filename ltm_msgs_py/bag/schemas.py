@@ -52,10 +52,8 @@ def message_class(type_name: str) -> Any:
     imported. Raises RecordingError if the name is malformed or its package is not installed."""
     package, message = split_type_name(type_name)
     if _installed_file(package, f"{message}.msg") is None:
-        raise RecordingError(
-            f"message type {type_name} is not installed here; install the package {package} (pip: "
-            f"ros-jazzy-{package.replace('_', '-')}, apt: ros-jazzy-{package.replace('_', '-')})"
-        )
+        package = f"ros-jazzy-{package.replace('_', '-')}"
+        raise RecordingError(f"message type {type_name} is not installed here; install {package} (pip or apt)")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), message)
     except (ImportError, AttributeError) as error:
@@ -64,22 +62,14 @@ def message_class(type_name: str) -> Any:
 
 @lru_cache
 def schema_text(type_name: str) -> str:
-    """Return the `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG:
-    pkg/Name`.
+    """Return the `ros2msg` schema of a type: its definition, then each dependency after a line and `MSG: pkg/Name`.
 
-    Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError if
-    neither has the type."""
-    parts = [_definition(type_name)]
-    todo, done = _dependencies(type_name, parts[0]), {type_name}
-    while todo:
-        dependency = todo.pop(0)
-        if dependency in done:
-            continue
-        done.add(dependency)
-        text = _definition(dependency)
-        package, message = split_type_name(dependency)
-        parts.append(f"{_SEPARATOR}\nMSG: {package}/{message}\n{text}")
-        todo += _dependencies(dependency, text)
+    Definitions come from installed packages, else from `rosbags`' Jazzy types. Raises RecordingError without one."""
+    parts, names = list[str](), [type_name]
+    for name in names:  # which grows
+        text = _definition(name)
+        parts.append(f"{_SEPARATOR}\nMSG: {'/'.join(split_type_name(name))}\n{text}" if parts else text)
+        names += dict.fromkeys(one for one in _dependencies(name, text) if one not in names)
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 
@@ -108,11 +98,9 @@ def _store_definition(type_name: str) -> str:
 
         text, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
     except Exception as error:  # rosbags absent, or one of its own errors for a type that it does not have
-        raise RecordingError(
-            f"no definition of message type {type_name}: no share/<package>/msg in "
-            f"{os.environ.get('AMENT_PREFIX_PATH', '(AMENT_PREFIX_PATH not set)')} or {sys.prefix}, and not in "
-            f"rosbags' Jazzy store ({type(error).__name__}); install its package"
-        ) from error
+        place = os.environ.get("AMENT_PREFIX_PATH", "(AMENT_PREFIX_PATH not set)")
+        what = f"no definition of message type {type_name} in {place}, {sys.prefix} or rosbags ({type(error).__name__})"
+        raise RecordingError(f"{what}; install its package") from error
     return str(text).partition(_SEPARATOR)[0]
 
 
@@ -132,14 +120,9 @@ def _dependencies(type_name: str, text: str) -> list[str]:
 
 
 def _installed_file(package: str, name: str) -> Path | None:
-    """Return `share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip
-    wheels)."""
+    """Return `share/<package>/msg/<name>` under an ament prefix, or above the Python package (the wheels)."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     spec = importlib.util.find_spec(package)
     if spec is not None and spec.origin is not None:
         prefixes += Path(spec.origin).parents
-    for prefix in prefixes:
-        path = prefix / "share" / package / "msg" / name
-        if is_file(path):
-            return path
-    return None
+    return next(filter(is_file, (prefix / "share" / package / "msg" / name for prefix in prefixes)), None)

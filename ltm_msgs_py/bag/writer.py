@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, NoReturn, Self
+from typing import Any, Literal, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 
@@ -52,8 +52,8 @@ class BagWriter:
         library: str = LIBRARY_IDENTIFIER,
         before_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes, as each file's header
-        tells. `before_file`: called before each file is made.
+        """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes. `before_file`: called
+        before each file is made.
 
         Raises RecordingError when `path` exists and is not an empty folder."""
         if compression not in _COMPRESSIONS:
@@ -71,19 +71,19 @@ class BagWriter:
         self._sequences: Counter[str] = Counter()
         self._latched: dict[str, tuple[bytes, int] | None] = {}
         self._finished: list[FileRecord] = []
-        self._earlier: Counter[str] = Counter()
+        self._file: McapFile | None = None
         self._next = 0
         self._closed = False
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            self._file: McapFile | None = self._begin_file()
         except OSError as error:
             raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
+        self._next_file(0)
 
     @staticmethod
     def require_free(path: Path, overwrite: bool = False) -> None:
-        """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
-        ConfigError if it cannot be written now.
+        """Raise RecordingError unless `path` does not exist or is an empty folder, ConfigError if it cannot be written
+        now.
 
         `overwrite`: first delete a bag that is there, if the folder holds nothing else."""
         if overwrite and is_folder(path):
@@ -111,9 +111,7 @@ class BagWriter:
         known = self._topics.get(topic)
         if known is not None:
             if (known.type_name, known.qos) != (type_name, qos):
-                raise RecordingError(
-                    f"topic {topic} is already in {self.path} with type {known.type_name} or other QoS"
-                )
+                raise RecordingError(f"{topic} is already in {self.path} with type {known.type_name} or other QoS")
             return
         if not topic.startswith("/"):
             raise RecordingError(f"topic {topic!r} must be absolute, such as /{topic}")
@@ -121,11 +119,9 @@ class BagWriter:
         record = self._topics[topic] = TopicRecord(topic, type_name, type_hash(type_name), qos)
         if latched:
             self._latched[topic] = None
-        if self._file is not None:
-            try:
-                self._file.add_topic(record)
-            except OSError as error:
-                self._abandon(error)
+        with self._ending_on_failure() as file:
+            if file is not None:
+                file.add_topic(record)
 
     def write(self, topic: str, msg: Any, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """Append a message object. Raises RecordingError as `write_raw` does."""
@@ -148,59 +144,55 @@ class BagWriter:
         if known.type_name != type_name:
             raise RecordingError(f"topic {topic} holds {known.type_name} in {self.path}, not {type_name}")
         if len(cdr) < 4 or cdr[0] != 0:
-            raise RecordingError(
-                f"{len(cdr)} bytes for {topic} are not a CDR message: the 4-byte encapsulation header is missing"
-            )
+            raise RecordingError(f"{len(cdr)} bytes for {topic} are not a CDR message: they have no encapsulation")
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns <= LATEST_NS and 0 <= sent_ns <= LATEST_NS):
-            raise RecordingError(
-                f"times of a message on {topic} must be nanoseconds since 1970, "
-                f"got log {log_time_ns}, publish {sent_ns}"
-            )
-        file = self._file_for(log_time_ns)
+            what = f"times of a message on {topic} must be nanoseconds since 1970"
+            raise RecordingError(f"{what}, got log {log_time_ns}, publish {sent_ns}")
+        try:
+            if self._file is not None and self._split is not None and self._file.first_ns is not None:
+                age = log_time_ns - self._file.first_ns
+                if self._file.size >= self._split.most_bytes or age >= self._split.longest_ns:
+                    self.end_file()
+            if self._file is None:
+                self._next_file(log_time_ns)
+        except RecordingError:
+            self.lost += 1
+            raise
         if topic in self._latched:
             self._latched[topic] = bytes(cdr), sent_ns
-        try:
-            file.write(topic, bytes(cdr), log_time_ns, sent_ns, self._sequences[topic])
-        except OSError as error:
-            self._abandon(error)
+        sequence = self._sequences[topic]
         self._sequences[topic] += 1
-        self._count()
+        with self._ending_on_failure() as file:
+            assert file is not None  # nosec B101 # tells the type checker what holds
+            file.write(topic, bytes(cdr), log_time_ns, sent_ns, sequence)
 
     def flush(self) -> None:
         """Write the current chunk to the operating system: everything written so far survives a kill."""
-        if self._file is None:
-            return
-        try:
-            self._file.flush()
-        except OSError as error:
-            self._abandon(error)
-        self._count()
+        with self._ending_on_failure() as file:
+            if file is not None:
+                file.flush()
 
     def end_file(self) -> None:
         """Finish the current file; the next message begins another. Raises RecordingError as `flush`."""
-        if self._file is None:
-            return
-        try:
-            self._file.flush()
-            info = bag_information([self._file.record], list(self._topics.values()), self._custom_data)
-            record = self._file.finish({"serialized_metadata": to_yaml(info)})
-        except OSError as error:
-            self._abandon(error)
-        self._let_go(record)
+        with self._ending_on_failure() as file:
+            if file is None:
+                return
+            file.flush()
+            info = bag_information([file.record], list(self._topics.values()), self._custom_data)
+            file.finish({"serialized_metadata": to_yaml(info)})
+            self._let_go(file.record)
 
     def close(self) -> None:
-        """Finish the last file and write metadata.yaml; a second call does nothing. Raises RecordingError on a full
-        disk."""
+        """Finish the last file and write metadata.yaml, once. Raises RecordingError on a full disk."""
         if self._closed:
             return
         self._closed = True
         try:
             self.end_file()
         finally:
-            files = self._still_there()
             try:
-                if files:
+                if files := self._still_there():
                     topics = list(self._topics.values())
                     write_metadata(self.path, bag_information(files, topics, self._custom_data))
             except OSError as error:
@@ -209,79 +201,52 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin_file(self) -> McapFile:
-        """Begin a file. Raises OSError."""
-        self._before_file()
-        path = self.path / f"{self.path.resolve().name}_{self._next}.mcap"
-        file = McapFile(path, self._compression, self._chunk_size, self._library)
-        self._next += 1
-        return file
-
-    def _file_for(self, log_time_ns: int) -> McapFile:
-        """Return the file for a message of that time; the message is lost if there is none."""
-        try:
-            if self._file is not None and self._is_full(self._file, log_time_ns):
-                self.end_file()
-            return self._file or self._next_file(log_time_ns)
-        except RecordingError:
-            self.lost += 1
-            raise
-
-    def _next_file(self, log_time_ns: int) -> McapFile:
+    def _next_file(self, log_time_ns: int) -> None:
         """Begin the next file with all topics, and with the latched messages."""
         try:
-            file = self._file = self._begin_file()
+            self._before_file()
+            path = self.path / f"{self.path.resolve().name}_{self._next}.mcap"
+            self._file = McapFile(path, self._compression, self._chunk_size, self._library, self.on_disk)
         except OSError as error:
-            raise RecordingError(f"cannot write to {self.path}: {error}") from error
-        try:
+            raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
+        self._next += 1
+        with self._ending_on_failure() as file:
+            assert file is not None  # nosec B101 # tells the type checker what holds
             for record in self._topics.values():
                 file.add_topic(record)
             for topic, last in self._latched.items():
                 if last is not None:
                     cdr, sent_ns = last
                     file.write(topic, cdr, log_time_ns, sent_ns, self._sequences[topic] - 1, new=False)
-        except OSError as error:
-            self._abandon(error)
-        return file
 
-    def _is_full(self, file: McapFile, log_time_ns: int) -> bool:
-        if self._split is None or file.first_ns is None:
-            return False
-        return file.size >= self._split.most_bytes or log_time_ns - file.first_ns >= self._split.longest_ns
-
-    def _abandon(self, error: OSError) -> NoReturn:
-        """End the current file after a disk error."""
+    @contextmanager
+    def _ending_on_failure(self) -> Iterator[McapFile | None]:
+        """Yield the current file, and end it on a disk error. Raises RecordingError then."""
         file = self._file
-        assert file is not None  # nosec B101 # tells the type checker what holds
-        record = file.abandon()
-        self.lost += file.unsaved
-        self._let_go(record)
-        kept = 0 if record is None else record.counts.total()
-        raise RecordingError(
-            f"cannot write to {file.path}: {error.strerror or error}; {file.unsaved} messages are lost, the {kept} "
-            "before them are in it; what comes next goes into another file"
-        ) from error
+        try:
+            yield file
+        except OSError as error:
+            assert file is not None  # nosec B101 # tells the type checker what holds
+            record = file.record if file.abandon() else None
+            self.lost += file.unsaved
+            self._let_go(record)
+            kept = 0 if record is None else record.counts.total()
+            raise RecordingError(
+                f"cannot write to {file.path}: {error.strerror or error}; {file.unsaved} messages are lost, the {kept} "
+                "before them are in it; what comes next goes into another file"
+            ) from error
 
     def _let_go(self, record: FileRecord | None) -> None:
         """Drop the current file after its end; None: it held nothing and is deleted."""
-        self._count()
-        self._earlier, self._file = self.on_disk, None
-        self._finished = self._still_there()
-        if record is not None:
-            self._finished.append(record)
+        self._file = None
+        self._finished = [*self._still_there(), *([] if record is None else [record])]
 
     def _still_there(self) -> list[FileRecord]:
         """Remove the files that the ring has deleted from the bag's list."""
         return [record for record in self._finished if (self.path / record.name).exists()]
-
-    def _count(self) -> None:
-        if self._file is not None:
-            self.on_disk = self._earlier + self._file.saved
 
 
 def _require_absent(path: Path) -> None:

@@ -4,36 +4,21 @@ from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 
-@dataclass(frozen=True)
-class StoredFile:
-    """`name`: its path. `version`: changes with the content."""
-
-    name: str
-    size_bytes: int
-    version: str
-
-
-def files_below(archive: Path) -> list[StoredFile]:
-    """Return a file, or the files in a folder at any depth, by name; none if nothing exists. Raises OSError."""
-    path = archive.expanduser().resolve()
-    return [_on_disk(p) for p in ([path] if path.is_file() else _files_in(path))]
-
-
-def _files_in(folder: Path) -> list[Path]:
-    """Return files at any depth, by path, also behind links, each folder once; none without such a folder. A broken
-    link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises OSError for an unreadable
-    folder, unlike `Path.rglob`."""
+def files_below(archive: Path) -> list[Path]:
+    """Return a file, or the files in a folder at any depth, by name, also behind links, each folder once; none if
+    nothing exists. A broken link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises
+    OSError also for an unreadable folder, unlike `Path.rglob`."""
+    top = archive.expanduser().resolve()
 
     def failed(error: OSError) -> None:
-        if not (isinstance(error, FileNotFoundError) and error.filename == str(folder)):
+        if not (isinstance(error, FileNotFoundError) and error.filename == str(top)):
             raise error
 
-    found, known = list[Path](), set[str]()
-    for place, below, names in os.walk(folder, onerror=failed, followlinks=True):
+    found, known = [top] if top.is_file() else [], set[str]()
+    for place, below, names in os.walk(top, onerror=failed, followlinks=True) if not found else ():
         real = os.path.realpath(place)
         if real in known:  # a link to a parent folder, or to one that is in the archive itself
             below.clear()
@@ -44,17 +29,8 @@ def _files_in(folder: Path) -> list[Path]:
     return sorted(path for path in found if path.is_file() or path.is_symlink())
 
 
-def _on_disk(path: Path) -> StoredFile:
-    try:
-        state = path.stat()
-    except FileNotFoundError:
-        return StoredFile(str(path), 0, "")
-    return StoredFile(str(path), state.st_size, str(state.st_mtime_ns))
-
-
 def write_result(path: Path, content: bytes | Path) -> None:
-    """Write bytes, or a copy of a file, so that the name has its complete content even after a power cut. Raises
-    OSError."""
+    """Write bytes, or a copy of a file, completely or not at all, also in a power cut. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:

@@ -1,15 +1,12 @@
 """List the frames of an archive: location, content, pose and calibration.
 
-Poses and calibrations are joined here, across files, by the same rules as live (`FrameJoin`), so that frames can be
-processed separately and in any order."""
+Poses and calibrations are joined here by the same rules as live (`FrameJoin`), so that frames can come in any order."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
 from ltm_core.base.number_text import DAY_NS
@@ -28,12 +25,9 @@ from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArchiveFrame:
-    """A usable frame: file, topic and log time of its image; `content`: the image's digest.
-
-    `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
-    `covariance` (36 numbers, row by row): of the pose."""
+    """A usable frame: file, topic, log time and digest (`content`) of its image; `covariance` (6, 6): of the pose."""
 
     camera: str
     stamp_ns: int
@@ -42,34 +36,19 @@ class ArchiveFrame:
     log_time_ns: int
     size_bytes: int
     content: str
-    intrinsics: tuple[float, ...]
-    position: tuple[float, ...]
-    quaternion: tuple[float, ...]
-    covariance: tuple[float, ...]
+    calibration: Camera
+    pose: Pose
+    covariance: Float64Array
 
     @property
     def day(self) -> int:
         """Return whole days since 1970, UTC."""
         return self.stamp_ns // DAY_NS
 
-    @property
-    def calibration(self) -> Camera:
-        width, height, fx, fy, cx, cy, *distortion = self.intrinsics
-        k1, k2, p1, p2, k3 = distortion
-        return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-
-    @property
-    def pose(self) -> Pose:
-        return Pose.from_quaternion(self.position, self.quaternion)
-
-    @property
-    def pose_covariance(self) -> Float64Array:
-        """Return the covariance (6, 6)."""
-        return np.array(self.covariance).reshape(6, 6)
-
     def identity(self) -> list[object]:
         """Return everything that its votes depend on besides the site, without its location."""
-        return [self.stamp_ns, self.content, self.intrinsics, self.position, self.quaternion, self.covariance]
+        numbers = (self.pose.position, self.pose.rotation, self.covariance)
+        return [self.stamp_ns, self.content, astuple(self.calibration), *(values.tolist() for values in numbers)]
 
 
 @dataclass(frozen=True)
@@ -109,10 +88,8 @@ class ManifestRules:
 def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> ArchiveManifest:
     """List the frames of these cameras. Raises ArchiveError for a site whose poses depend on the order of frames."""
     if site.refine_poses is not None:
-        raise ArchiveError(
-            f"site {site.name} refines poses (refine_poses): a frame's pose then depends on earlier frames. Write "
-            "the refined pose into the site file (ltm pose photo) and remove the section for the archive"
-        )
+        what = f"site {site.name} refines poses (refine_poses), so that they depend on earlier frames"
+        raise ArchiveError(f"{what}: remove the section for the archive, and write poses into the site file")
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for scan in scans:
         manifest.recorded |= scan.recorded
@@ -142,8 +119,10 @@ def _join_camera(
     topics = {camera_topic(site.name, camera, topic): topic for topic in join.others}
     others = dict(zip(topics, join.others.values(), strict=True))
     known: dict[int, str] = {}
-    for file, message in _by_log_time(scans, {*images, *others}):
-        log_time = message.log_time_ns
+    wanted = {*images, *others}
+    begins = [min((scan.begins[t] for t in wanted & scan.begins.keys()), default=None) for scan in scans]
+    for number, message in by_log_time(begins, lambda n: scans[n].messages(wanted)):
+        file, log_time = scans[number].name, message.log_time_ns
         try:
             if message.trouble:
                 raise RecordingError(message.trouble)
@@ -186,52 +165,25 @@ class _Picture:
         return self.message.width, self.message.height
 
 
-def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    """Merge by log time, with the file of each message."""
-    begins = [min((scan.begins[t] for t in topics & scan.begins.keys()), default=None) for scan in scans]
-    for number, message in by_log_time(begins, lambda n: scans[n].messages(topics)):
-        yield scans[number].name, message
-
-
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
     limits = site.limits
     # As in `capture`: the largest supported raw encoding has four bytes per pixel.
     most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
     if message.size_bytes <= most and message.width * message.height <= limits.pixels:
         return True
-    health.drop(
-        "too_large",
-        f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes; raise pixels or "
-        "image_bytes under `expert.limits` in the site file",
-    )
+    size = f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes"
+    health.drop("too_large", f"{size}; raise pixels or image_bytes under `expert.limits` in the site file")
     return False
 
 
 def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Array) -> ArchiveFrame:
     """Return a frame with pose and covariance as nodes receive them, through a message."""
-    given, message = joined.camera, image.message
+    message = image.message
     sent = pose_to_msg(joined.pose, message.stamp_ns, "map", joined.covariance)
-    msg_to_pose(sent, "map")
     covariance = msg_to_covariance(sent, assumed)
     assert covariance is not None  # nosec B101 # some is assumed
-    position, quaternion = (
-        [float(getattr(part, axis)) for axis in axes]
-        for part, axes in ((sent.pose.pose.position, "xyz"), (sent.pose.pose.orientation, "xyzw"))
-    )
-    intrinsics = (given.width, given.height, given.fx, given.fy, given.cx, given.cy, *given.distortion)
-    return ArchiveFrame(
-        camera,
-        message.stamp_ns,
-        image.file,
-        message.topic,
-        message.log_time_ns,
-        message.size_bytes,
-        message.content,
-        tuple(float(value) for value in intrinsics),
-        tuple(position),
-        tuple(quaternion),
-        tuple(float(value) for value in covariance.ravel()),
-    )
+    place = camera, message.stamp_ns, image.file, message.topic, message.log_time_ns, message.size_bytes
+    return ArchiveFrame(*place, message.content, joined.camera, msg_to_pose(sent, "map"), covariance)
 
 
 _HELD = 4
@@ -246,8 +198,15 @@ class ArchiveImageReader:
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
         """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now."""
-        reader = self._reader(frame.file)
-        at = frame.log_time_ns
+        name, at = frame.file, frame.log_time_ns
+        if name not in self._open:
+            if len(self._open) == _HELD:
+                del self._open[next(iter(self._open))]
+            try:
+                self._open[name] = BagReader(Path(name))
+            except RecordingError as error:
+                raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
+        reader = self._open[name]
         for message in reader.messages([frame.topic], at, at + 1):
             try:
                 picture = picture_of(message.raw, message.type_name)
@@ -256,18 +215,6 @@ class ArchiveImageReader:
             if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
                 return picture
         if reader.unread:
-            raise ArchiveError(f"{frame.file} cannot be read now: {'; '.join(reader.unread)}")
-        raise ArchiveError(
-            f"{frame.file} no longer contains the image of {frame.topic} at log time {at} ns: the file has changed; "
-            "run again"
-        )
-
-    def _reader(self, name: str) -> BagReader:
-        if name not in self._open:
-            if len(self._open) == _HELD:
-                del self._open[next(iter(self._open))]
-            try:
-                self._open[name] = BagReader(Path(name))
-            except RecordingError as error:
-                raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
-        return self._open[name]
+            raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
+        what = f"{name} no longer contains the image of {frame.topic} at log time {at} ns"
+        raise ArchiveError(f"{what}: the file has changed; run again")

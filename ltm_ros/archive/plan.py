@@ -1,5 +1,4 @@
-"""Plan an archive's tasks, a camera's day each: the node parameters from the site file, and the names of results, which
-are digests of all that goes into them.
+"""Plan an archive's tasks, a camera's day each, and the names of results, digests of all that goes into them.
 
 Runs with equal results have equal digests; any change of a result changes its digest."""
 
@@ -7,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -78,12 +78,11 @@ def plan(
     frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int, burns: Sequence[Burn] = ()
 ) -> list[Task]:
     """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
-    of_site = {
-        name: site_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
-    }
-    days: dict[tuple[int, str], list[ArchiveFrame]] = {}
+    steps = settings.tracing, settings.labelling
+    of_site = {name: site_digest(site, name, *steps) for name in {frame.camera for frame in frames}}
+    days = defaultdict[tuple[int, str], list[ArchiveFrame]](list)
     for frame in frames:
-        days.setdefault((frame.day, frame.camera), []).append(frame)
+        days[frame.day, frame.camera].append(frame)
     tasks = []
     for (day, camera), found in sorted(days.items()):
         of_day = tuple(burn for burn in burns if burn.stamp_ns // DAY_NS == day)
@@ -96,17 +95,8 @@ def plan(
     return tasks
 
 
-@dataclass(frozen=True)
-class NodeRules:
-    """Parameters of a site's nodes for joining, tracing and labelling."""
-
-    manifest: ManifestRules
-    tracing: TracingConfig
-    labelling: LabellingConfig
-
-
-def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
-    """Return the parameters, with the nodes' defaults. Raises ConfigError."""
+def node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, TracingConfig, LabellingConfig]:
+    """Return the parameters of a site's nodes for joining, tracing and labelling. Raises ConfigError."""
     from ltm_ros.fuel_map.services import FuelMapConfig
 
     graph = describe(site, path)
@@ -117,7 +107,7 @@ def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
 
     fuel_map = only(FuelMapConfig, "fuel_map")
     rules = ManifestRules(only(FrameJoinConfig, f"{camera}/capture"), fuel_map.max_ahead, fuel_map.max_behind)
-    return NodeRules(rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation"))
+    return rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation")
 
 
 @cache
@@ -133,8 +123,7 @@ def code_digest() -> str:
 
 
 def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
-    """Return the digest of everything that makes evidence of a camera's frames, except the frames. Raises LtmError for
-    missing files."""
+    """Return the digest of all that makes evidence of a camera's frames, except these. Raises LtmError."""
     step = LabellingStep(site, camera, labelling)
     network = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())

@@ -1,14 +1,13 @@
 """Merge the evidence of all tasks into a site's store, in the order of the plan, and publish the map with its layers.
 
-A node can open the store and continue from it: its tiles with their sources, the counted frames, and a journal with the
-map at the end of each day."""
+A node can continue from the store: tiles with their sources, counted frames, and a journal of the days."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import shutil
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,8 +29,9 @@ from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.files import write_result
+from ltm_ros.archive.manifest import Failure
 from ltm_ros.archive.plan import Task
-from ltm_ros.archive.task import LostFrame, TaskEvidence, read_evidence
+from ltm_ros.archive.task import TaskEvidence, read_evidence
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.fuel_map.source import FuelSource
@@ -47,32 +47,29 @@ class Reduction:
     """`counted`: frames with votes for a cell, by camera; `lost`, `unused` as of the tasks."""
 
     counted: Counter[str] = field(default_factory=Counter)
-    lost: list[LostFrame] = field(default_factory=list)
+    lost: list[Failure] = field(default_factory=list)
     unused: Counter[str] = field(default_factory=Counter)
 
 
 def reduce_to_store(
     tasks: Sequence[Task], results: Path, site: Site, path: Path, burns: Sequence[Burn] = ()
 ) -> Reduction:
-    """Write the store into `path`, which must not exist. `burns`: by time; each is applied on its day, so that the
-    journal before it is unaffected.
+    """Write the store into `path`, which must not exist. `burns`: by time; each is applied on its day.
 
     Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written."""
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
     shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
-    days: dict[int, tuple[list[Task], list[Burn]]] = {}
+    of_days = defaultdict[int, list[Task]](list)
     for task in tasks:
-        days.setdefault(task.frames[0].day, ([], []))[0].append(task)
-    for burn in burns:
-        days.setdefault(burn.stamp_ns // DAY_NS, ([], []))[1].append(burn)
+        of_days[task.frames[0].day].append(task)
     with TileStore.open(path, fuel_schema(site, geometry)) as store:
-        for _, (of_day, burned) in sorted(days.items()):
-            for burn in burned:
+        for day in sorted({*of_days, *(burn.stamp_ns // DAY_NS for burn in burns)}):
+            for burn in (burn for burn in burns if burn.stamp_ns // DAY_NS == day):
                 evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
                 rows, cols = np.divmod(burn.cells, geometry.width)
                 touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
-            parts = [read_evidence(results / task.file, site, geometry) for task in of_day]
+            parts = [read_evidence(results / task.file, site, geometry) for task in of_days[day]]
             merged = merged_parts(part.partial for part in parts)
             merged.after(evidence).merge_into(evidence)
             records = [record for part in parts for record in _records(part)]
@@ -88,8 +85,7 @@ def reduce_to_store(
 
 
 def store_digest(store: TileStore) -> str:
-    """Return the digest of a map's content: the state of all tiles, their sources, and the number of counted frames per
-    source.
+    """Return the digest of a map's content: all tiles, their sources, and the counted frames per source.
 
     The journal is excluded: a live node writes it frame by frame, an archive day by day."""
     found = hashlib.sha256(store.schema.described().encode())
@@ -103,10 +99,10 @@ def store_digest(store: TileStore) -> str:
 
 
 def _records(one: TaskEvidence) -> Iterator[FrameRecord]:
-    tiles: dict[int, list[Key]] = {}
+    tiles = defaultdict[int, list[Key]](list)
     for key, stamps in one.touched.items():
         for stamp in stamps:
-            tiles.setdefault(stamp, []).append(key)
+            tiles[stamp].append(key)
     for camera, counted in one.partial.stamps.items():
         yield from (FrameRecord(camera, stamp, tiles[stamp], one.model) for stamp in counted.tolist())
 
@@ -145,10 +141,8 @@ def _own_store(results: Path) -> str:
         return ""
     found, known = _sha256(results / STORE_FILE), results / STORES
     if not known.exists() or found not in json.loads(known.read_bytes()):
-        raise ArchiveError(
-            f"{results / STORE_FILE} is not what the last run wrote: a node may have continued from it; move it away "
-            "or give another folder"
-        )
+        what = f"{results / STORE_FILE} is not what the last run wrote: a node may have continued from it"
+        raise ArchiveError(f"{what}; move it away or give another folder")
     return found
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -26,7 +26,7 @@ from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, mak
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, node_rules, plan
 from ltm_ros.archive.reduction import RUN, publish, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
-from ltm_ros.archive.scan import first_message, recordings, scan
+from ltm_ros.archive.scan import Scan, first_message, recordings, scan
 from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
@@ -69,8 +69,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Summary:
-    """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
-    if none was made."""
+    """Result of a run. `worked`: frames processed in this run; `digest`: of the map's store, empty if none was made."""
 
     tasks: int
     worked: int
@@ -85,8 +84,7 @@ class Summary:
 
 
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
-    """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
-    be processed."""
+    """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an unusable archive."""
     site = load_site(options.site)
     grid = site.in_crs(site.fuel_geometry(site.open_dem()))
     # Before a scan of hours, because a file of burns may be invalid.
@@ -96,15 +94,15 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         site.camera(name)
     results = options.out.expanduser().resolve()
     found = recordings(options.archives)
-    scans, unread = [], []
+    scans, unread = list[Scan](), list[Failure]()
     for number, recording in enumerate(found, start=1):
         try:
             scans.append(scan(recording, site, results))
         except (LtmError, OSError) as error:
-            unread.append(Failure(recording.name, "unread", str(error)))
+            unread.append(Failure(str(recording), "unread", str(error)))
         progress(number, len(found))
-    rules = node_rules(site, options.site, cameras[0])
-    manifest = make_manifest(scans, site, cameras, rules.manifest)
+    rules, tracing, labelling = node_rules(site, options.site, cameras[0])
+    manifest = make_manifest(scans, site, cameras, rules)
     manifest.unread = unread
     warn_of_ignored(site, partial(first_message, scans))
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
@@ -113,7 +111,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     if options.sample.count:
         frames, passed = chosen(frames, options.sample, site, results)
     path = str(options.site.resolve())
-    settings = TaskSettings(path, results, code_digest(), rules.tracing, rules.labelling)
+    settings = TaskSettings(path, results, code_digest(), tracing, labelling)
     tasks = plan(frames, site, settings, options.frames_per_task, burns)
     return Plan(options, site, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
@@ -121,8 +119,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
     """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
-    Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
-    written."""
+    Raises ArchiveError if too many frames failed, or there is none; then no map, but the record is written."""
     results = planned.settings.results
     if not planned.frames and not planned.manifest.unread:
         _write_record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {}))
@@ -143,7 +140,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
         store = Path(folder) / STORE_FILE
         found = reduce_to_store(whole, results, planned.site, store, planned.burns)
-        failures = (*failures, *(Failure("frame", lost.cause, lost.why) for lost in found.lost))
+        failures = (*failures, *found.lost)
         summary = Summary(len(tasks), worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures) or _empty(summary):
             _write_record(planned, summary)
@@ -157,13 +154,11 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
 def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
     """Return why no map may be written, or nothing. Frames lost before sampling count as a share of all frames."""
     manifest, most = planned.manifest, planned.options.max_failed
+    listed = f"no map was written; {planned.settings.results}/{RUN} lists them"
     if manifest.unread:
         first = manifest.unread[0]
-        return (
-            f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
-            f"written; {planned.settings.results}/{RUN} lists them, the first is {first.place} ({first.why}); run "
-            "again, or remove invalid files from ARCHIVES"
-        )
+        which = f"{listed}, the first is {first.place} ({first.why}); run again, or remove invalid files"
+        return f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: {which}"
     joining, working = manifest.failures, failures[len(manifest.failures) :]
     found = len(manifest.frames) + sum(failure.count for failure in joining)
     for lost, total in ((joining, found), (working, len(planned.frames))):
@@ -172,38 +167,31 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             causes[failure.cause] += failure.count
         if causes.total() > most * total:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
-            return (
-                f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.settings.results}/{RUN} lists them; to accept more, raise --max-failed"
-            )
+            why = f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}"
+            return f"{why}: {listed}; to accept more, raise --max-failed"
     return ""
 
 
 def _no_frames(planned: Plan) -> str:
     """Return why there is no frame, with the archive's topics beside the expected ones."""
-    manifest, options = planned.manifest, planned.options
+    manifest = planned.manifest
     if manifest.frames:
-        passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items())
-        return (
-            f"none of {len(manifest.frames)} frames is usable in the given time span and sample"
-            f"{f' ({passed})' if passed else ''}: no map was written; change --since, --until or --sample"
-        )
-    lost = (f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in manifest.failures[:5])
-    beside = beside_expected(planned.site, manifest.recorded, options.cameras)
-    return f"no frame was found, no map was written: {'; '.join((*lost, beside))}"
+        passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items()) or "none seen"
+        which = f"none of {len(manifest.frames)} frames is usable in the given time span and sample ({passed})"
+        return f"{which}: no map was written; change --since, --until or --sample"
+    beside = beside_expected(planned.site, manifest.recorded, planned.options.cameras)
+    return f"no frame was found, no map was written: {'; '.join((*_named(manifest.failures), beside))}"
 
 
 def _empty(summary: Summary) -> str:
-    if summary.merged:
-        return ""
-    why = "; ".join(
-        (
-            *(f"{count} x {reason}" for reason, count in summary.unused.items()),
-            *(f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in summary.failures[:5]),
-        )
-    )
+    unused = (f"{count} x {reason}" for reason, count in summary.unused.items())
+    why = "; ".join((*unused, *_named(summary.failures)))
     why = why or "none shows a cell of the fuel map; check the poses and the DEM's extent"
-    return f"no frame reached the map, none was written: {why}"
+    return "" if summary.merged else f"no frame reached the map, none was written: {why}"
+
+
+def _named(failures: Sequence[Failure]) -> list[str]:
+    return [f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in failures[:5]]
 
 
 def _write_record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None) -> None:

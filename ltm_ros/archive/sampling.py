@@ -59,8 +59,7 @@ class Sample:
 
 
 def sampled(frames: Sequence[ArchiveFrame], count: int, look: Look, turn: int) -> tuple[list[ArchiveFrame], list[str]]:
-    """Choose at most `count` clear frames of one span, by stamp; also return why others were rejected. `turn`: number
-    of the span."""
+    """Choose at most `count` clear frames of the span number `turn`, by stamp; also return why others were rejected."""
     parts: dict[int, list[ArchiveFrame]] = {}
     for frame in frames:
         first, last = frames[0].stamp_ns, frames[-1].stamp_ns
@@ -79,8 +78,8 @@ def sampled(frames: Sequence[ArchiveFrame], count: int, look: Look, turn: int) -
 
 
 def spans(frames: Sequence[ArchiveFrame], sample: Sample, site: Site) -> dict[tuple[str, int], list[ArchiveFrame]]:
-    """Return the frames in daylight by camera and number of their span; days begin at solar midnight. All frames of a
-    day without any daylight count, as in a polar night."""
+    """Return the frames in daylight by camera and number of their span; days begin at solar midnight. In a polar night,
+    all frames count."""
     longitude, latitude = (math.radians(float(value)) for value in site.frame.to_lonlat(0.0, 0.0))
     shift = round(longitude / math.tau * DAY_NS)
     bright = sun_elevation(latitude, longitude, [frame.stamp_ns for frame in frames]) > 0
@@ -97,8 +96,8 @@ def spans(frames: Sequence[ArchiveFrame], sample: Sample, site: Site) -> dict[tu
 def chosen(
     frames: Sequence[ArchiveFrame], sample: Sample, site: Site, results: Path
 ) -> tuple[list[ArchiveFrame], Counter[str]]:
-    """Choose the sample of frames, by camera and stamp; also return the number of unclear images, by reason. Raises
-    ArchiveError, OSError if an image cannot be read now."""
+    """Choose a sample of frames, by camera and stamp; also count unclear images by reason. Raises ArchiveError,
+    OSError."""
     taken, passed = list[ArchiveFrame](), Counter[str]()
     reader, former, before = ArchiveImageReader(), "", set[str]()
     for (camera, number), span in sorted(spans(frames, sample, site).items()):

@@ -1,7 +1,6 @@
 """Scan a recording once: locations and digests of its images, and all messages joined to them.
 
-A scan depends only on the file and the topic names, so it is stored with the results and used again while the file is
-unchanged."""
+A scan depends only on the file and the topic names, so it is stored and used again while the file is unchanged."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
-from ltm_ros.archive.files import StoredFile, files_below, write_result
+from ltm_ros.archive.files import files_below, write_result
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
@@ -36,8 +35,7 @@ def digest(*parts: object) -> str:
 
 
 def picture_digest(picture: CompressedPicture | RawPicture) -> str:
-    """Return the digest of an image's content and encoding, not of its time: a fixed camera may send the same image
-    again."""
+    """Return the digest of an image without its time, because a fixed camera may send the same image again."""
     about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
     found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
     found.update(picture.data)
@@ -48,8 +46,7 @@ def picture_digest(picture: CompressedPicture | RawPicture) -> str:
 class ScannedMessage:
     """A message of a recording, in the order of log times.
 
-    For an image, `content` is its digest, `stamp_ns` and size are its own, and `raw` is empty; `trouble` says why it is
-    invalid. For others, `raw` is the message."""
+    For an image, `content` is its digest and `trouble` says why it is invalid. For others, `raw` is the message."""
 
     topic: str
     type_name: str
@@ -70,8 +67,7 @@ _SCHEMA = pa.schema([(name, _KINDS[kind]) for name, kind in ScannedMessage.__ann
 @dataclass(frozen=True, eq=False)
 class Scan:
     """Result of scanning the recording `name`, read on request from the file `kept`. `begins`: log time of the first
-    message of each topic. `damage`: unreadable parts, in words; `lost`: their messages as in `BagReader.lost`.
-    `recorded`: types of the file's topics."""
+    message of each topic. `damage`, `lost`: as in `BagReader`. `recorded`: types of the file's topics."""
 
     name: str
     kept: Path
@@ -89,32 +85,32 @@ class Scan:
                 yield from (ScannedMessage(**row) for row in batch.to_pylist())
 
 
-def recordings(archives: Sequence[Path]) -> list[StoredFile]:
-    """Return the files of bags, in folders at any depth; each once, by name.
+def recordings(archives: Sequence[Path]) -> list[Path]:
+    """Return the files of bags, in folders at any depth; each once.
 
     Raises ArchiveError for a place without any, OSError if it cannot be read now."""
-    found: dict[str, StoredFile] = {}
+    found: dict[Path, None] = {}
     for archive in archives:
         alone = archive.expanduser().is_file()
         inside = [file for file in files_below(archive) if alone or is_bag_file(file.name)]
         if not inside:
             raise ArchiveError(f"{archive}: no recordings (*.mcap, *.db3); make one of photos with `ltm import`")
-        found.update({file.name: file for file in inside})
-    return list(found.values())
+        found |= dict.fromkeys(inside)
+    return list(found)
 
 
-def scan(file: StoredFile, site: Site, results: Path) -> Scan:
+def scan(file: Path, site: Site, results: Path) -> Scan:
     """Return the scan in `results`, or make and store it now.
 
-    Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
-    nothing is stored."""
+    Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now."""
     cameras = ((name, one.image, one.source is None, one.topics.model_dump()) for name, one in site.cameras.items())
     topics = [site.name, *sorted(cameras, key=itemgetter(0))]
-    kept = results / SCANS / f"{digest(_VERSION, file.name, file.size_bytes, file.version, topics)}.parquet"
+    state = file.stat()
+    kept = results / SCANS / f"{digest(_VERSION, str(file), state.st_size, state.st_mtime_ns, topics)}.parquet"
     if not kept.exists():
-        write_result(kept, _scanned(Path(file.name), site))
+        write_result(kept, _scanned(file, site))
     about: dict[str, Any] = json.loads(pq.read_schema(kept).metadata[_ABOUT])
-    return Scan(file.name, kept, about["begins"], tuple(about["damage"]), about["lost"], about["recorded"])
+    return Scan(str(file), kept, about["begins"], tuple(about["damage"]), about["lost"], about["recorded"])
 
 
 def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:

@@ -5,9 +5,10 @@ A task writes a file named by the digest of its inputs. An existing file is vali
 from __future__ import annotations
 
 import multiprocessing
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -30,7 +31,7 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import Key
 from ltm_ros.archive.files import write_result
-from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
+from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader, Failure
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
 from ltm_ros.archive.scan import packed, unpacked
 from ltm_ros.runtime.health import cause_of
@@ -48,25 +49,14 @@ class TaskReport:
     worked: int
 
 
-@dataclass(frozen=True)
-class LostFrame:
-    """A frame without votes, and the reason."""
-
-    camera: str
-    stamp_ns: int
-    cause: str
-    why: str
-
-
 @dataclass(frozen=True, eq=False)
 class TaskEvidence:
-    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of frames with
-    unusable images."""
+    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of images."""
 
     partial: PartialEvidence
     touched: dict[Key, list[int]]
     model: str
-    lost: tuple[LostFrame, ...]
+    lost: tuple[Failure, ...]
     unused: Mapping[str, int]
 
 
@@ -85,8 +75,7 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
 
 
 class FrameSteps:
-    """All steps from an image to votes for one camera; frames may come in any order, so smoke, which needs earlier
-    images, is not detected."""
+    """All steps from an image to votes for one camera, in any order, so that smoke is not detected."""
 
     def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
         self.site = site
@@ -103,15 +92,14 @@ class FrameSteps:
         return self._labelling.described
 
     def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
-        """Return the votes of a frame, None if its image shows nothing, and why it is not fully used. Raises LtmError
-        as the steps do."""
+        """Return the votes of a frame, None without any, and why it is not fully used. Raises LtmError."""
         camera, pose, stamp = frame.calibration, frame.pose, frame.stamp_ns
         posed = PosedImage(photo, camera, pose, stamp, frame.camera)
-        found, view = self._labelling.label(posed, frame.pose_covariance, in_order=False)
+        found, view = self._labelling.label(posed, frame.covariance, in_order=False)
         if view.reason is not None:
             return None, view.unusable  # an image that shows nothing needs no ranges
         depth = seen(self._tracing.trace(camera, pose).ranges.depth(), self._tracing.hidden(camera, pose))
-        cast = self._voting.cast(depth, camera, pose, found, stamp, frame.pose_covariance)
+        cast = self._voting.cast(depth, camera, pose, found, stamp, frame.covariance)
         # As nodes receive them, through a message.
         names = self._voting.labels.names
         columns = votes_to_columns(self._voting.carried(cast), names)
@@ -139,7 +127,7 @@ def _evidence_file(task: Task, steps: FrameSteps) -> bytes:
             votes, reason = steps.votes(frame, picture.rgb())
         except LtmError as error:
             why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
-            lost.append(LostFrame(frame.camera, frame.stamp_ns, cause_of(error), why))
+            lost.append(Failure("frame", cause_of(error), why))
             continue
         if reason:
             unused[reason] += 1
@@ -164,12 +152,12 @@ def read_evidence(file: Path, site: Site, geometry: GridGeometry) -> TaskEvidenc
         tiles[key], touched[key] = schema.unpack(row["content"]), row["stamps"]
     stamps = sorted({stamp for found in touched.values() for stamp in found})
     known = {about["camera"]: np.array(stamps, np.int64)} if stamps else {}
-    lost = tuple(LostFrame(**one) for one in about["lost"])
+    lost = tuple(Failure(**one) for one in about["lost"])
     return TaskEvidence(PartialEvidence(known, tiles), touched, about["model"], lost, about["unused"])
 
 
-_DEATHS = 3
-"""Number of workers, beyond the first, that may die during a task before it is given up."""
+_ATTEMPTS = 4
+"""Number of workers that may die during a task before it is given up."""
 
 
 @dataclass(frozen=True)
@@ -195,57 +183,36 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
 
 
 def on_workers(count: int, job: Job | None = None) -> Engine:
-    """Return an engine with the given number of processes on this machine, which end with it. `job`: replaces the work
-    of each task."""
+    """Return an engine of `count` processes on this machine. `job`: replaces the work of each task."""
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
-        workers = [_worker(count) for _ in range(min(count, len(tasks)))]
-        ahead, deaths = iter(tasks), dict[int, int]()
-        at_work: dict[Future[TaskReport], tuple[int, Task]] = {}
+        own, workers = threading.local(), list[ProcessPoolExecutor]()  # each thread waits for a process of its own
 
-        def start(number: int, task: Task | None) -> None:
-            if task is not None:
+        def ended(task: Task) -> Done:
+            for _ in range(_ATTEMPTS):
+                if not hasattr(own, "worker"):
+                    context = multiprocessing.get_context("spawn")
+                    own.worker = ProcessPoolExecutor(1, context, initializer=keep_to_cores, initargs=(count,))
+                    workers.append(own.worker)
                 try:
-                    at_work[workers[number].submit(job or work, task, settings)] = number, task
-                except BrokenProcessPool:  # it died after its last task
-                    workers[number] = _worker(count)
-                    start(number, task)
+                    return Done(task, own.worker.submit(job or work, task, settings).result())
+                except BrokenProcessPool:
+                    del own.worker
+                except (LtmError, OSError) as error:
+                    return Done(task, None, str(error))
+            why = "several workers died of it: out of memory, or an image that crashes the process"
+            return Done(task, None, why)
 
+        threads = ThreadPoolExecutor(min(count, len(tasks)))
         try:
-            for number in range(len(workers)):
-                start(number, next(ahead, None))
-            while at_work:
-                for future in wait(at_work, return_when=FIRST_COMPLETED).done:
-                    number, task = at_work.pop(future)
-                    error = future.exception()
-                    if isinstance(error, BrokenProcessPool):  # each worker has one task, so that it is this one's
-                        workers[number].shutdown()
-                        workers[number] = _worker(count)
-                        deaths[number] = deaths.get(number, 0) + 1
-                        if deaths[number] <= _DEATHS:
-                            start(number, task)
-                            continue
-                        why = "several workers died of it: out of memory, or an image that crashes the process"
-                        yield Done(task, None, why)
-                    elif error is None:
-                        yield Done(task, future.result())
-                    elif isinstance(error, LtmError | OSError):
-                        yield Done(task, None, str(error))
-                    else:
-                        raise error  # an internal error
-                    deaths[number] = 0
-                    start(number, next(ahead, None))
+            for future in as_completed([threads.submit(ended, task) for task in tasks]):
+                yield future.result()
         finally:
+            threads.shutdown(cancel_futures=True)
             for worker in workers:
-                worker.shutdown(cancel_futures=True)
+                worker.shutdown()
 
     return run
-
-
-def _worker(count: int) -> ProcessPoolExecutor:
-    """Return an executor of one process, which is limited to its share of the cores."""
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, context, initializer=keep_to_cores, initargs=(count,))
 
 
 def keep_to_cores(workers: int) -> None:

@@ -173,7 +173,7 @@ def _different(found: Sequence[_Found]) -> list[_Found]:
 def _bags(path: Path) -> list[Path]:
     """Return the folders with bags in an archive; a path without any itself, so that its reader reports it."""
     below = files_below(path) if path.is_dir() else []
-    return sorted({Path(file.name).parent for file in below if is_bag_file(file.name)}) or [path]
+    return sorted({file.parent for file in below if is_bag_file(file.name)}) or [path]
 
 
 def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:

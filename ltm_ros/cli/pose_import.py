@@ -57,9 +57,8 @@ def import_poses(
     from ltm_core.cameras.plausibility import doubt_of_height
     from ltm_core.geometry.geodesy import SiteFrame, ray_bend
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses
+    from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses, read_transform
     from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
-    from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
     sides = _size(size, photos)
     camera = _camera(focal, sides) if focal is not None and sides is not None else None

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ltm_core import pictures
 from ltm_core.base.number_text import counted
 from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
@@ -16,18 +17,6 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import (
-    MapCamera,
-    RangeScale,
-    fit,
-    label_legend,
-    overlay_depth,
-    overlay_labels,
-    panel,
-    range_legend,
-    to_png,
-    with_legend,
-)
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.pictures.legend import UNLABELLED
 from ltm_core.pictures.maps import interesting_bounds
@@ -47,36 +36,29 @@ def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
     """Return the first frame of each viewing direction of each camera, because a patrol repeats its views."""
     shown: list[RecordedFrame] = []
     for frame in frames:
-        azimuth = frame.pose.angles_deg[0]
-        apart = [
-            abs((azimuth - other.pose.angles_deg[0] + 180) % 360 - 180) >= HEADING_STEP_DEG
-            for other in shown
-            if other.camera_name == frame.camera_name
-        ]
-        if all(apart):
+        others = [other.pose.angles_deg[0] for other in shown if other.camera_name == frame.camera_name]
+        apart = [abs((frame.pose.angles_deg[0] - other + 180) % 360 - 180) for other in others]
+        if min(apart, default=360.0) >= HEADING_STEP_DEG:
             shown.append(frame)
     return shown
 
 
-def range_scale(frames: Sequence[RecordedFrame]) -> RangeScale:
+def range_scale(frames: Sequence[RecordedFrame]) -> pictures.RangeScale:
     """Return one colour scale for all frames of a run, fitted to their ranges."""
-    return RangeScale.of(np.concatenate([frame.depth[::8, ::8].ravel() for frame in frames]))
+    return pictures.RangeScale.of(np.concatenate([frame.depth[::8, ::8].ravel() for frame in frames]))
 
 
-def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: RangeScale) -> list[CameraPictures]:
-    """Return photo, depth and labels of each frame, for the report."""
-    return [
-        CameraPictures.of(
-            frame.camera_name,
-            frame.photo,
-            frame.depth,
-            frame.labels,
-            labels,
-            caption="azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2]),
-            scale=scale,
-        )
-        for frame in frames
-    ]
+def camera_pictures(
+    frames: Sequence[RecordedFrame], labels: LabelSet, scale: pictures.RangeScale
+) -> list[CameraPictures]:
+    """Return photo, depth and labels of each frame, for the report, which has the legends once."""
+    drawn = []
+    for frame in frames:
+        depth = pictures.overlay_depth(frame.photo, frame.depth, scale)
+        labelled = pictures.overlay_labels(frame.photo, frame.labels, labels)
+        caption = "azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2])
+        drawn.append(CameraPictures(frame.camera_name, frame.photo, depth, labelled, caption))
+    return drawn
 
 
 class PosedView(Protocol):
@@ -99,15 +81,12 @@ def map_picture(
     labels: LabelSet,
     changed: BoolArray | None = None,
 ) -> RgbImage:
-    """Draw the part of the fuel map with known cells over relief, with the cameras and their sectors, changed cells
-    outlined."""
-    named: set[str] = set()
-    cameras = []
+    """Draw the known part of the fuel map over relief, with the cameras' sectors, and changed cells outlined."""
+    cameras: list[pictures.MapCamera] = []
     for frame in frames:
-        name = "" if frame.camera_name in named else frame.camera_name
-        named.add(frame.camera_name)
+        name = "" if any(camera.name == frame.camera_name for camera in cameras) else frame.camera_name
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
-        cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
+        cameras.append(pictures.MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
     grid = site.in_map(geometry)
     bounds = interesting_bounds(classes != UNLABELLED, grid, [c.position for c in cameras], dem.geometry)
     ground = Dem(dem.elevation, dem.geometry)
@@ -125,7 +104,7 @@ def fuel_sheets(
 ) -> dict[str, Sheet]:
     """Draw images of the fuel map, its confidence, its changes and its coverage, by file name."""
     spots = {
-        f.camera_name: MapCamera(f.camera_name, None, (float(f.pose.position[0]), float(f.pose.position[1])))
+        f.camera_name: pictures.MapCamera(f.camera_name, None, (float(f.pose.position[0]), float(f.pose.position[1])))
         for f in frames
     }
     places, seen = list(spots.values()), coverage.count() > 0
@@ -157,29 +136,31 @@ def write_pictures(
     frames: Sequence[RecordedFrame],
     fuel_map: RgbImage,
     labels: LabelSet,
-    scale: RangeScale,
+    scale: pictures.RangeScale,
     title: str = "fuel map from all cameras",
 ) -> None:
     """Write PNG files: an overview of the frame with the largest span of depths, the map, and each frame's images."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
+    (folder / "fuel_map.png").write_bytes(pictures.to_png(fuel_map))
     deepest = max(frames, key=_depth_span)
     for frame in frames:
         sheet = [("Photo", frame.photo)]
         for name, metres in (("Depth traced to the terrain", frame.depth), ("Fused depth", frame.fused)):
             if metres is not None:
-                depth = overlay_depth(frame.photo, metres, scale)
-                sheet.append((name, _over(depth, range_legend(800, scale, sky=False))))
-        named = label_legend(800, labels, np.unique(frame.labels).tolist())
-        sheet.append(("Labels", _over(overlay_labels(frame.photo, frame.labels, labels), named)))
+                depth = pictures.overlay_depth(frame.photo, metres, scale)
+                sheet.append((name, _over(depth, pictures.range_legend(800, scale, sky=False))))
+        named = pictures.label_legend(800, labels, np.unique(frame.labels).tolist())
+        sheet.append(("Labels", _over(pictures.overlay_labels(frame.photo, frame.labels, labels), named)))
         file = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
-        (folder / file).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
+        (folder / file).write_bytes(
+            pictures.to_png(pictures.panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800))
+        )
         if frame is deepest:
-            (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map, title)))
+            (folder / "overview.png").write_bytes(pictures.to_png(_overview(sheet, fuel_map, title)))
 
 
 def _over(picture: RgbImage, legend: RgbImage) -> RgbImage:
-    return with_legend(fit(picture, legend.shape[1]), legend)
+    return pictures.with_legend(pictures.fit(picture, legend.shape[1]), legend)
 
 
 def _depth_span(frame: RecordedFrame) -> float:
@@ -192,15 +173,11 @@ def _depth_span(frame: RecordedFrame) -> float:
 def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str) -> RgbImage:
     """Return the images of a frame in a column, beside the map at the same height."""
     width = 640
-    left = panel(sheet, columns=1, width=width)
-    titled = panel([(title, fuel_map)], columns=1, width=width)
+    left = pictures.panel(sheet, columns=1, width=width)
+    titled = pictures.panel([(title, fuel_map)], columns=1, width=width)
     margin = titled.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
     fitting = round((left.shape[0] - margin) * fuel_map.shape[1] / fuel_map.shape[0])
-    right = panel([(title, fuel_map)], columns=1, width=fitting)
+    right = pictures.panel([(title, fuel_map)], columns=1, width=fitting)
     height = max(left.shape[0], right.shape[0])
-    return np.hstack([_padded(left, height), _padded(right, height)])
-
-
-def _padded(picture: RgbImage, height: int) -> RgbImage:
-    missing = height - picture.shape[0]
-    return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
+    sides = [np.pad(side, ((0, height - side.shape[0]), (0, 0), (0, 0)), mode="edge") for side in (left, right)]
+    return np.hstack(sides)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.number_text import counted, moment_of_stamp, percent
-from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
-from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
+from ltm_core.base.types import Int64Array, RgbImage
+from ltm_core.pictures import RangeScale, fit, range_legend, to_jpeg
 from ltm_core.pictures.legend import ClassPalette
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import DepthScore, SegmentationScore
@@ -41,21 +41,6 @@ class CameraPictures:
     labels: RgbImage
     caption: str = ""
 
-    @classmethod
-    def of(
-        cls,
-        camera: str,
-        photo: RgbImage,
-        ranges: Float32Array,
-        labels: UInt8Array,
-        label_set: ClassPalette,
-        caption: str = "",
-        scale: RangeScale | None = None,
-    ) -> CameraPictures:
-        """Draw depth or range (H, W), metres, and class ids (H, W) over the photo; the report has the legends once."""
-        depth = overlay_depth(photo, ranges, scale)
-        return cls(camera, photo, depth, overlay_labels(photo, labels, label_set), caption)
-
 
 @dataclass(frozen=True)
 class Table:
@@ -80,9 +65,8 @@ class Sheet:
 class ReportData:
     """Contents of the report; sections without data are omitted.
 
-    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `depth`: as
-    `DepthTally.scores` returns it. `label_set`, `scale`: for the legends of the images. `recording`: the .rrd file's
-    name. `files`: (name, description)."""
+    `conditions`: of the run, as (name, value). `facts`: place and time of the recording. `label_set`, `scale`: for
+    legends. `recording`: the .rrd file's name. `files`: (name, description)."""
 
     title: str
     summary: str
@@ -136,34 +120,29 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
     latencies = [node for node in data.nodes if math.isfinite(node.latency_p95_ms)]
     if latencies:
         slowest = max(latencies, key=lambda node: node.latency_p95_ms)
-        node = "/".join(slowest.node.split("/")[-2:])
-        seconds = shown(slowest.latency_p95_ms / 1000, 1)
-        tiles.append(("Latency of 95 % of frames", f"{seconds} s", f"slowest node: {node}; without its first frames"))
-    if data.depth and data.depth[-1].pixels:
-        overall = data.depth[-1]
+        remark = f"slowest node: {'/'.join(slowest.node.split('/')[-2:])}; without its first frames"
+        tiles.append(("Latency of 95 % of frames", f"{shown(slowest.latency_p95_ms / 1000, 1)} s", remark))
+    if data.depth and (overall := data.depth[-1]).pixels:
         tiles.append(("Depth error", f"{shown(overall.median)} m", f"median of {shown(overall.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
         tiles.append(("Correct labels", percent(data.labels.accuracy), f"mean IoU {percent(data.labels.mean_iou)}"))
-    if data.fuel is not None:
-        share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
-        tiles.append(
-            ("Correct fuel cells", percent(share), f"{shown(data.fuel.right)} of {shown(data.fuel.seen)} seen")
-        )
+    if (fuel := data.fuel) is not None:
+        share = fuel.right / fuel.seen if fuel.seen else math.nan
+        tiles.append(("Correct fuel cells", percent(share), f"{shown(fuel.right)} of {shown(fuel.seen)} seen"))
     return tiles
 
 
 def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
     """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct)."""
     classes, predicted = counts.shape
-    names = [*names, *map(str, range(len(names), classes))]
-    heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]
+    heads = [*names, *map(str, range(len(names), classes))][:classes] + ["unlabelled"] * (predicted - classes)
     true = [i for i in range(classes) if counts[i].sum() or counts[:, i].sum()]
     columns = [*true, *[i for i in range(classes, predicted) if counts[:, i].sum()]]
     rows = []
     for i in true:
-        total = int(counts[i].sum())
-        cells = [(int(counts[i, j]), counts[i, j] / total if total else 0.0, i == j) for j in columns]
-        rows.append((heads[i], cells, counts[i, i] / total if total else math.nan))
+        shares = counts[i] / max(int(counts[i].sum()), 1)
+        cells = [(int(counts[i, j]), shares[j], i == j) for j in columns]
+        rows.append((heads[i], cells, shares[i] if counts[i].any() else math.nan))
     return {"heads": [heads[i] for i in columns], "rows": rows}
 
 
@@ -184,20 +163,14 @@ def bin_name(score: DepthScore) -> str:
 
 def depth_table(score: RunScore) -> Table | None:
     """Return errors by source and range; None without depth."""
-    rows: list[tuple[object, ...]] = []
-    for row in score.depth:
-        for one in row.scores:
-            rows.append(
-                (
-                    f"{row.source}, {_AGAINST[row.against]}" if one is row.scores[0] else "",
-                    bin_name(one),
-                    one.pixels,
-                    one.rmse,
-                    one.mae,
-                    one.median,
-                    one.bias,
-                )
-            )
+    rows = [
+        (
+            f"{row.source}, {_AGAINST[row.against]}" if one is row.scores[0] else "",
+            *(bin_name(one), one.pixels, one.rmse, one.mae, one.median, one.bias),
+        )
+        for row in score.depth
+        for one in row.scores
+    ]
     if not rows:
         return None
     covered = ", ".join(
@@ -207,17 +180,12 @@ def depth_table(score: RunScore) -> Table | None:
         "Metres along the optical axis, by true depth, against the visible surface (vegetation included) and bare "
         f"ground. Truth pixels of finite depth that got a depth: {covered}."
     )
-    sources = {row.source for row in score.depth}
     if any(row.against == SHARED for row in score.depth):
         note += " Shared: against the surface, on pixels where every source has a depth, to compare the sources."
-    if "network" in sources:
+    if any(row.source == "network" for row in score.depth):
         note += " Network: its own depth, scaled by the terrain; published where the fit was sound."
-    return Table(
-        "Depth errors by source",
-        ("source, against", "true depth", "pixels", "RMSE, m", "mean, m", "median, m", "bias, m"),
-        rows,
-        note,
-    )
+    columns = ("source, against", "true depth", "pixels", "RMSE, m", "mean, m", "median, m", "bias, m")
+    return Table("Depth errors by source", columns, rows, note)
 
 
 def fuel_maps_table(score: RunScore) -> Table | None:

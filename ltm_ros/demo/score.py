@@ -12,7 +12,6 @@ from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap, read_fuel_map
-from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.scoring.fuel import FuelScore, MapScore, on_grid, score_fuel, score_map
 from ltm_core.scoring.labels import DepthScore, DepthTally, SegmentationScore, at_pixels_of
@@ -21,9 +20,8 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map
-from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, TRUTH_LABELS
 
-DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
+DEPTH_SOURCES = ("traced", "network", "fused")
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
 SHARED = "visible surface, shared pixels"
 """Pixels for which every source has a depth; used to compare the sources."""
@@ -105,39 +103,9 @@ class RunTally:
             if tally.coverage > 0
         ]
         score.labels = self._labels if self._labels.pixels else None
-        fuels = self._fuel.scores()
-        score.fuel, score.fuel_vote, score.fuel_prior = fuels.fuel, fuels.vote, fuels.prior
-        score.fuel_changes = fuels.changes
-        score.lacking = self._lacking(score)
+        self._fuel.add_to(score)
+        score.lacking = [] if self._fuel.lacking is None else [self._fuel.lacking]
         return score
-
-    def _lacking(self, score: RunScore) -> list[str]:
-        have = {part for _, part in self._stream.counts}
-        lacking = []
-        if score.frames == 0:
-            lacking.append("all scores of frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)")
-        for name, topic in DEPTH_SOURCES.items():
-            if name not in have:
-                lacking.append(f"depth, {name}: the bag has no {topic.name}")
-        if len({row.source for row in score.depth}) > 1 and not any(row.against == SHARED for row in score.depth):
-            lacking.append("depth, shared: no pixel of a frame has a depth of every source")
-        if score.labels is None:
-            absent = [t.name for p, t in (("labels", LABELS_IMAGE), ("truth_labels", TRUTH_LABELS)) if p not in have]
-            lacking.append(f"labels: the bag has no {' and no '.join(absent) or 'frame with both labels and truth'}")
-        if self._fuel.lacking is not None:
-            lacking.append(self._fuel.lacking)
-        return lacking
-
-
-@dataclass(frozen=True)
-class FuelScores:
-    """Scores over the cells with votes in a recorded run; None without data. `vote`: the majority vote of the same
-    votes. `prior`: the map at the start. `changes`: changes of that map."""
-
-    fuel: FuelScore | None = None
-    vote: FuelScore | None = None
-    prior: FuelScore | None = None
-    changes: MapScore | None = None
 
 
 class FuelTally:
@@ -169,36 +137,33 @@ class FuelTally:
         except LtmError as error:
             self._votes, self.lacking = None, f"fuel cells: {error}"
 
-    def scores(self) -> FuelScores:
-        """Return the scores of all frames added so far."""
+    def add_to(self, score: RunScore) -> None:
+        """Add the scores of all frames added so far, over the cells with votes."""
         file = self._recorded.life_forms
         if self._votes is None or file is None:
-            return FuelScores()
+            return
         try:
             truth, grid = read_fuel_map(file)
-            classes, vote, prior, changes = self._classes, None, None, None
+            geometry, classes = self._geometry, self._classes
 
             def scored(values: UInt8Array) -> FuelScore:
-                return score_fuel(values, self._geometry, truth, grid, len(self._labels))
+                return score_fuel(values, geometry, truth, grid, len(self._labels))
 
             if self._counted:
                 majority = self._votes.classes()
                 unseen = majority == UNSEEN
                 classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
-                vote = scored(majority)
-                empty = self._untouched()
+                score.fuel_vote = scored(majority)
+                site = self._recorded.site
+                empty = site_evidence_map(site, site.in_map(geometry), self._labels)
                 if empty.prior is not None:
-                    prior = scored(np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8))
-                    true = on_grid(truth, grid, self._geometry)
-                    changes = score_map("fuel map", self._classes, true, empty.prior.codes, ~unseen)
-            return FuelScores(scored(classes), vote, prior, changes)
+                    before = np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8)
+                    score.fuel_prior = scored(before)
+                    true = on_grid(truth, grid, geometry)
+                    score.fuel_changes = score_map("fuel map", self._classes, true, empty.prior.codes, ~unseen)
+            score.fuel = scored(classes)
         except LtmError as error:
             self.lacking = f"fuel cells: {error}"
-            return FuelScores()
-
-    def _untouched(self) -> EvidenceMap:
-        site = self._recorded.site
-        return site_evidence_map(site, site.in_map(self._geometry), self._labels)
 
 
 def score_run(recorded: Recorded) -> RunScore:

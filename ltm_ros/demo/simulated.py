@@ -22,7 +22,7 @@ from ltm_ros.demo.report import ReportData, conditions, depth_table, fuel_maps_t
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
 from ltm_ros.fuel_map.layers import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
-from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
+from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
 from ltm_ros.runtime.health import NodeRow, node_rows
 
@@ -47,8 +47,7 @@ def run_demo(
 ) -> DemoResult:
     """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
-    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
-    Raises LtmError."""
+    Leaves maps, landscapes, state/, recording/, demo.rrd, report.html and pictures/ there. Raises LtmError."""
     demo = bags / "demo"
     site_path = demo / "site.yaml"
     site = load_site(site_path)
@@ -70,7 +69,7 @@ def run_demo(
     before = evidence.layers()
     with open_stored_map(state / STORE_FILE, site, evidence):
         write_landscapes(evidence, site, out, state)
-    recorded = Recorded(out / "recording", site_path, site, demo)
+    recorded = Recorded(out / "recording", site_path, site, demo, demo / FUEL_TRUTH)
     score = score_run(recorded)
     result = DemoResult(node_rows(summaries), score, seconds)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")

@@ -10,10 +10,12 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.storage.disk_io import SpaceFloor, disk_bytes
@@ -33,19 +35,15 @@ RETRY_S, LONGEST_RETRY_S = 1.0, 15.0
 
 @dataclass(frozen=True)
 class RecordingLimits:
-    """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free. `split`: when
-    the next file begins."""
+    """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free."""
 
     most_bytes: int | None
     floor: int
     split: Split
 
     @classmethod
-    def of(
-        cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float
-    ) -> RecordingLimits:
-        """Return the limits of a configuration on the disk of `path`. Raises RecordingError if the disk cannot be
-        queried."""
+    def of(cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float) -> Self:
+        """Return the limits of a configuration on the disk of `path`. Raises RecordingError without such a disk."""
         try:
             disk = disk_bytes(path)
         except OSError as error:
@@ -59,8 +57,7 @@ class RecordingLimits:
 class BoundedRecording:
     """Writes messages into bags; for one thread. Disk errors are reported to `health`, not raised.
 
-    Messages count as published when the operating system has them. Others are dropped as `disk` (disk error) or
-    `disk_low` (free space below the floor)."""
+    Messages count as published when the operating system has them, else as dropped by `disk` or `disk_low`."""
 
     def __init__(
         self, path: Path, recorder: str, limits: RecordingLimits, health: Health, tell: Callable[[str], None]
@@ -91,12 +88,8 @@ class BoundedRecording:
     def add_topic(self, topic: str, type_name: str, latched: bool) -> None:
         """Announce a topic. Raises RecordingError for an unknown type."""
         if self._writer is not None:
-            try:
+            with self._accounted(self._writer):
                 self._writer.add_topic(topic, type_name, latched)
-            except RecordingError as error:
-                if not isinstance(error.__cause__, OSError):
-                    raise
-                self._fail(error)
         self._topics[topic] = type_name, latched
 
     def write(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
@@ -114,25 +107,16 @@ class BoundedRecording:
             self._fail(error)
             return
         held, self._held = self._held, {}
-        for latched, state in held.items():
-            self._write(writer, latched, self._topics[latched][0], state, log_time_ns)
-        self._write(writer, topic, type_name, cdr, log_time_ns)
-
-    def _write(self, writer: BagWriter, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
-        lost = writer.lost
-        try:
-            writer.write_raw(topic, type_name, cdr, log_time_ns)
-        except RecordingError as error:
-            if not isinstance(error.__cause__, OSError):
-                raise
-            self._lose(error, writer.lost - lost)
-        self._account()
+        for name, message in [*held.items(), (topic, cdr)]:
+            with self._accounted(writer):
+                writer.write_raw(name, self._topics[name][0] if name in held else type_name, message, log_time_ns)
 
     def flush(self) -> None:
         """Pass written data to the operating system, check the disk, and report its state; call it once a second."""
         low = self._low()
         if self._writer is not None:
-            self._try(self._writer.flush)
+            with self._accounted(self._writer):
+                self._writer.flush()
         if low:
             self._health.trouble("disk_low", self._why_low())
         elif self._failed:
@@ -144,13 +128,16 @@ class BoundedRecording:
         """Finish the bag; return whether it is complete."""
         for topic in self._held:
             self._health.drop("disk", f"the last message of {topic} came while recording was stopped")
-        return self._writer is None or self._try(self._writer.close)
+        whole = self._writer is None
+        if self._writer is not None:
+            with self._accounted(self._writer):
+                self._writer.close()
+                whole = True
+        return whole
 
     def _open(self) -> BagWriter:
-        folder = self._ring.new_folder()
-        self._writer = BagWriter(
-            folder, split=self._limits.split, library=self._ring.library, before_file=self._make_room
-        )
+        folder, split, library = self._ring.new_folder(), self._limits.split, self._ring.library
+        self._writer = BagWriter(folder, split=split, library=library, before_file=self._make_room)
         for topic, (type_name, latched) in self._topics.items():
             self._writer.add_topic(topic, type_name, latched)
         return self._writer
@@ -161,8 +148,7 @@ class BoundedRecording:
         self._health.gauge("recorded_bytes", self._ring.total())
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
-        """Drop a message; the last message of a latched topic waits until recording continues, because it is not
-        repeated."""
+        """Drop a message; the last one of a latched topic waits for a recording, because it is not repeated."""
         latched = topic in self._topics and self._topics[topic][1]
         if not latched or topic in self._held:
             self._health.drop(cause, why)
@@ -175,7 +161,8 @@ class BoundedRecording:
         if low and not before:
             self._tell(f"recording stopped: {self._why_low()}")
             if self._writer is not None:
-                self._try(self._writer.end_file)
+                with self._accounted(self._writer):
+                    self._writer.end_file()
         elif before and not low:
             self._tell(f"recording continues: {self._floor.free / 1e6:.0f} MB are free")
         return low
@@ -187,24 +174,26 @@ class BoundedRecording:
             f"continues from {again} on), or lower min_free_bytes"
         )
 
-    def _try(self, act: Callable[[], None]) -> bool:
-        """Run a disk operation; return False if it failed."""
-        writer = self._writer
-        assert writer is not None  # nosec B101 # tells the type checker what holds
+    @contextmanager
+    def _accounted(self, writer: BagWriter) -> Iterator[None]:
+        """Count what a disk operation saves and loses; report a disk error. Raises RecordingError for another one."""
         lost = writer.lost
         try:
-            act()
+            yield
         except RecordingError as error:
-            self._lose(error, writer.lost - lost)
-            return False
-        finally:
-            self._account()
-        return True
-
-    def _lose(self, error: RecordingError, count: int) -> None:
-        if count:
-            self._health.drop("disk", str(error), count)
-        self._fail(error)
+            if not isinstance(error.__cause__, OSError):
+                raise
+            if writer.lost > lost:
+                self._health.drop("disk", str(error), writer.lost - lost)
+            self._fail(error)
+        new = writer.on_disk - self._told
+        for topic in new.elements():
+            self._health.published(topic)
+        self._told += new
+        if new and self._failed:
+            self._failed = ""
+            self._backoff.succeeded()
+            self._tell("recording continues")
 
     def _fail(self, error: RecordingError) -> None:
         if not self._failed:
@@ -213,30 +202,13 @@ class BoundedRecording:
         self._health.trouble("disk", self._failed)
         self._retry_at = time.monotonic() + self._backoff.failed()
 
-    def _account(self) -> None:
-        if self._writer is None:
-            return
-        new = self._writer.on_disk - self._told
-        for topic, count in new.items():
-            for _ in range(count):
-                self._health.published(topic)
-        self._told = self._writer.on_disk.copy()
-        if new and self._failed:
-            self._failed = ""
-            self._backoff.succeeded()
-            self._tell("recording continues")
-
 
 QUEUE_BYTES = 256 << 20
-"""Maximum bytes of queued messages, before more are dropped and counted. DDS may hold as much of large messages, and
-the total must stay below 1 GB."""
+"""Maximum bytes of queued messages; more are dropped. DDS may hold as much, and the total must stay below 1 GB."""
 QUEUE_MESSAGES = 100_000
 """Maximum number of queued messages: each takes some 450 bytes besides its own."""
 CLOSE_S = 5.0
 """Seconds for which a stopping recorder writes its queue."""
-
-_Work = tuple[Callable[[], None], int | None]
-"""A task, and the bytes of the message if it stores one."""
 
 
 class RecordingThread:
@@ -253,22 +225,22 @@ class RecordingThread:
         """Start the thread. `tell`: gets a line of each error."""
         self._recording, self._health, self._tell = recording, health, tell
         self._most_bytes, self._most_messages = most_bytes, most_messages
-        self._queue: queue.Queue[_Work | None] = queue.Queue()
+        self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._lock = threading.Lock()
         self._bytes = self._messages = 0
         self._flushing = False
         self._stop_at = math.inf
-        self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="recorder disk", daemon=True)
         self._thread.start()
 
     def add_topic(self, topic: str, type_name: str, latched: bool) -> None:
-        self._queue.put((partial(self._recording.add_topic, topic, type_name, latched), None))
+        self._queue.put(partial(self._recording.add_topic, topic, type_name, latched))
 
     def flush(self) -> None:
         """Pass written data to the operating system, unless that is queued already."""
         if not self._flushing:
             self._flushing = True
-            self._queue.put((self._flush, None))
+            self._queue.put(self._flush)
 
     def take(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         """Queue a message; if the queue is full, it is dropped and counted as `overload`."""
@@ -279,7 +251,7 @@ class RecordingThread:
                 return
             self._bytes += len(cdr)
             self._messages += 1
-        self._queue.put((partial(self._store, topic, type_name, cdr, log_time_ns), len(cdr)))
+        self._queue.put(partial(self._store, topic, type_name, cdr, log_time_ns))
 
     def close(self) -> bool:
         """Write the queue, for `CLOSE_S` at most, and finish the bag; return whether it is complete."""
@@ -288,10 +260,9 @@ class RecordingThread:
         self._thread.join()
         return self._recording.close()
 
-    def _write(self) -> None:
+    def _work(self) -> None:
         activity = HEARTBEAT.activity("recorder disk")
-        while (item := self._queue.get()) is not None:
-            work, size = item
+        while (work := self._queue.get()) is not None:
             try:
                 with activity.turn("write"):
                     work()
@@ -302,22 +273,21 @@ class RecordingThread:
                 # An internal error: a recorder that does not record must not look healthy; the graph restarts it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
-            if size is not None:
-                self._done(size)
-
-    def _done(self, size: int) -> None:
-        with self._lock:
-            self._bytes -= size
-            self._messages -= 1
-            self._health.gauge("queue_bytes", self._bytes)
-            self._health.gauge("queue_messages", self._messages)
 
     def _flush(self) -> None:
         self._flushing = False
         self._recording.flush()
 
     def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
-        if time.monotonic() > self._stop_at:
-            self._health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for the queued messages at the end")
-            return
-        self._recording.write(topic, type_name, cdr, log_time_ns)
+        try:
+            if time.monotonic() <= self._stop_at:
+                self._recording.write(topic, type_name, cdr, log_time_ns)
+            else:
+                why = f"the disk took more than {CLOSE_S:.0f} s for the queued messages at the end"
+                self._health.drop("stopped", why)
+        finally:
+            with self._lock:
+                self._bytes -= len(cdr)
+                self._messages -= 1
+                self._health.gauge("queue_bytes", self._bytes)
+                self._health.gauge("queue_messages", self._messages)

@@ -9,8 +9,6 @@ import logging
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +21,8 @@ from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_ros.recordings.inputs import accepted_types, decoded_input
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Topic
-from ltm_ros.runtime.topics import (
-    CAMERA_INFO,
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FUEL_VOTES,
-    FUSED_DEPTH,
-    IMAGE_COMPRESSED,
-    IMAGE_RAW,
-    LABELS_IMAGE,
-    NETWORK_DEPTH,
-    POSE,
-    POSED_POSE,
-    TRUTH_CAMERA_INFO,
-    TRUTH_DEPTH,
-    TRUTH_GROUND_DEPTH,
-    TRUTH_LABELS,
-    camera_topic,
-    input_topic,
-)
 
 Take = Callable[[Any], Any]
 Parts = Mapping[str, tuple[tuple[Topic, Take], ...]]
@@ -54,19 +34,19 @@ def _mono8(message: Any) -> UInt8Array:
 
 
 PARTS: Parts = {
-    "camera": ((CAMERA_INFO, msg_to_camera),),
-    "depth_camera": ((DEPTH_CAMERA_INFO, msg_to_camera),),
-    "pose": ((POSE, msg_to_pose), (POSED_POSE, msg_to_pose)),
-    "photo": ((IMAGE_COMPRESSED, compressed_to_rgb), (IMAGE_RAW, msg_to_rgb)),
-    "traced": ((DEPTH_IMAGE, msg_to_depth),),
-    "network": ((NETWORK_DEPTH, msg_to_depth),),
-    "fused": ((FUSED_DEPTH, msg_to_depth),),
-    "labels": ((LABELS_IMAGE, _mono8),),
-    "votes": ((FUEL_VOTES, lambda m: m),),
-    "truth_camera": ((TRUTH_CAMERA_INFO, msg_to_camera),),
-    "truth_depth": ((TRUTH_DEPTH, msg_to_depth),),
-    "truth_ground": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
-    "truth_labels": ((TRUTH_LABELS, _mono8),),
+    "camera": ((topics.CAMERA_INFO, msg_to_camera),),
+    "depth_camera": ((topics.DEPTH_CAMERA_INFO, msg_to_camera),),
+    "pose": ((topics.POSE, msg_to_pose), (topics.POSED_POSE, msg_to_pose)),
+    "photo": ((topics.IMAGE_COMPRESSED, compressed_to_rgb), (topics.IMAGE_RAW, msg_to_rgb)),
+    "traced": ((topics.DEPTH_IMAGE, msg_to_depth),),
+    "network": ((topics.NETWORK_DEPTH, msg_to_depth),),
+    "fused": ((topics.FUSED_DEPTH, msg_to_depth),),
+    "labels": ((topics.LABELS_IMAGE, _mono8),),
+    "votes": ((topics.FUEL_VOTES, lambda m: m),),
+    "truth_camera": ((topics.TRUTH_CAMERA_INFO, msg_to_camera),),
+    "truth_depth": ((topics.TRUTH_DEPTH, msg_to_depth),),
+    "truth_ground": ((topics.TRUTH_GROUND_DEPTH, msg_to_depth),),
+    "truth_labels": ((topics.TRUTH_LABELS, _mono8),),
 }
 """The parts that our nodes and importers write."""
 
@@ -98,8 +78,7 @@ class StreamedFrame:
 class FrameStream:
     """The frames of a site's cameras.
 
-    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), time from the stamp to the log time
-    of each message."""
+    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), from stamp to log time."""
 
     def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)
@@ -108,8 +87,8 @@ class FrameStream:
         for camera in cameras:
             for part, sources in parts.items():
                 for topic, take in sources:
-                    own = input_topic(site.cameras[camera], topic)
-                    name = camera_topic(site.name, camera, own)
+                    own = topics.input_topic(site.cameras[camera], topic)
+                    name = topics.camera_topic(site.name, camera, own)
                     if recorded.get(name) in accepted_types(topic):
                         self._topics[name] = (camera, part, topic, take)
         self._messages: Counter[tuple[str, int]] = Counter()
@@ -127,9 +106,9 @@ class FrameStream:
         """Open a bag of a site's cameras. Raises RecordingError."""
         return cls(bag, site, list(site.cameras), parts)
 
-    def _stamped(self, topics: Collection[str]) -> Iterator[tuple[str, str, Topic, int, BagMessage]]:
+    def _stamped(self, names: Collection[str]) -> Iterator[tuple[str, str, Topic, int, BagMessage]]:
         """Yield messages with camera, part, topic and stamp, without those of another type or without a header."""
-        for message in self._reader.messages(topics):
+        for message in self._reader.messages(names):
             camera, part, topic, _ = self._topics[message.topic]
             if message.type_name not in accepted_types(topic) or message.encoding != "cdr":
                 continue
@@ -152,12 +131,9 @@ class FrameStream:
     def frames(self, needed: Collection[str] = (), cameras: Collection[str] | None = None) -> Iterator[StreamedFrame]:
         """Yield frames that have the `needed` parts; each camera's in time order."""
         chosen = [t for t, (camera, *_) in self._topics.items() if cameras is None or camera in cameras]
-        due = {
-            camera: deque(stamp for name, stamp in keys)
-            for camera, keys in groupby(
-                sorted(key for key, parts in self._parts.items() if parts.issuperset(needed)), key=itemgetter(0)
-            )
-        }
+        due: dict[str, deque[int]] = defaultdict(deque)
+        for camera, stamp in sorted(key for key, parts in self._parts.items() if parts.issuperset(needed)):
+            due[camera].append(stamp)
         waiting: dict[tuple[str, int], dict[str, tuple[BagMessage, Topic, Take]]] = defaultdict(dict)
         missing = Counter(self._messages)
         for camera, part, topic, stamp, message in self._stamped(chosen):

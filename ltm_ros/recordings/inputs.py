@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,7 @@ def accepted_types(topic: Topic) -> tuple[str, ...]:
 def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
     """Return a recorded message as the topic's own type.
 
-    Raises MessageError for another type, RecordingError for bytes that do not decode, PoseError for odometry of another
-    frame than a camera's."""
+    Raises MessageError for another type, RecordingError for bytes that do not decode, PoseError for another frame's."""
     accepted = accepted_types(topic)
     if type_name not in accepted:
         raise MessageError(f"the type is {type_name or 'unknown'}; supported: {', '.join(accepted)}")
@@ -57,8 +57,7 @@ def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr
 
 
 def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, Topic]:
-    """Return the input topics of a site's cameras in a recording, by absolute name. Of a camera's two kinds of images,
-    only the preferred one is taken."""
+    """Return the input topics of a site's cameras in a recording, by absolute name, with one kind of images."""
     found: dict[str, Topic] = {}
     for camera, config in site.cameras.items():
         images = {camera_topic(site.name, camera, topic): topic for topic in image_topics(config)}
@@ -66,13 +65,25 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
         right = [name for name in present if recorded[name].type_name in accepted_types(images[name])]
         for name in sorted(right or present, key=lambda name: recorded[name].message_count == 0)[:1]:
             found[name] = images[name]
-        others = (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES)
-        named = {camera_topic(site.name, camera, topic): topic for topic in others}
         needed = other_inputs(config)
-        for name, topic in named.items():
-            if name in recorded and (topic in needed or recorded[name].type_name in accepted_types(topic)):
+        for topic in (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES):
+            known = recorded.get(name := camera_topic(site.name, camera, topic))
+            if known is not None and (topic in needed or known.type_name in accepted_types(topic)):
                 found[name] = topic
     return found
+
+
+@dataclass(frozen=True)
+class _PoseSource:
+    """Where a camera's pose comes from if it must be converted: `topic` of moving transforms (`moving`) or of stated
+    poses, and `static` transforms. `pose`: topic of the poses made of them."""
+
+    camera: str
+    topic: str
+    moving: bool
+    static: str
+    pose: str
+    images: tuple[str, ...]
 
 
 class InputReader:
@@ -82,108 +93,85 @@ class InputReader:
 
     def __init__(self, reader: BagReader, site: Site) -> None:
         recorded = reader.topic_infos()
-        self.reader, self._site_name = reader, site.name
+        self.reader = reader
         self.topics = recorded_inputs(site, recorded)
-        self._images = {
-            camera: [camera_topic(site.name, camera, topic) for topic in image_topics(config)]
-            for camera, config in site.cameras.items()
-        }
-        self._moving: dict[str, str] = {}
-        self._static: dict[str, str] = {}
-        self._stated: dict[str, str] = {}
-        self._poses: dict[str, str] = {}
-        """Topics of moving and static transforms, of stated poses, and of the poses made of them, by camera."""
+        self._sources: list[_PoseSource] = []
         for camera, config in site.cameras.items():
             pose = next((topic for topic in other_inputs(config) if topic.counted_name == POSE.name), None)
-            moving, static = transform_topics(config)
             if pose is None:
                 continue
-            stated = camera_topic(site.name, camera, pose)
-            if moving:
-                self._moving[camera] = moving
-            elif static in recorded and stated in recorded:
-                self._stated[camera] = stated
-            else:
-                continue
-            self._static[camera], self._poses[camera] = static, camera_topic(site.name, camera, POSE)
-        for stated in self._stated.values():
-            self.topics.pop(stated, None)
-        self.topics |= dict.fromkeys(self._poses.values(), replace(POSE, counted=False))
+            stated, own = (camera_topic(site.name, camera, topic) for topic in (pose, POSE))
+            moving, static = transform_topics(config)
+            if moving or (static in recorded and stated in recorded):
+                images = tuple(camera_topic(site.name, camera, topic) for topic in image_topics(config))
+                source = _PoseSource(camera, moving or stated, bool(moving), static, own, images)
+                self._sources.append(source)
+        for source in self._sources:
+            if not source.moving:
+                self.topics.pop(source.topic, None)
+        self.topics |= {source.pose: replace(POSE, counted=False) for source in self._sources}
 
     @property
     def converts(self) -> bool:
         """Return whether messages are converted, so that their number is unknown."""
-        return bool(self._poses)
+        return bool(self._sources)
 
     def messages(
         self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
         """Yield messages of some of `topics`, as `BagReader.messages`."""
-        poses = {camera: self._camera_poses(camera) for camera, name in self._poses.items() if name in topics}
-        images = {name: camera for camera in poses if camera in self._moving for name in self._images[camera]}
-        sources = {
-            topics_of[camera] for topics_of in (self._moving, self._stated) for camera in poses.keys() & topics_of
-        }
-        plain = set(topics) - {*self._poses.values()}
-        for message in self.reader.messages(plain | sources | images.keys(), start_ns, end_ns):
-            for camera, followed in poses.items():
-                if self._moving.get(camera) == message.topic:
-                    yield from _transformed(followed, self._poses[camera], message)
-                elif self._stated.get(camera) == message.topic:
-                    yield from _converted(followed, self._poses[camera], message)
-            if message.topic in images:
-                camera = images[message.topic]
-                yield from _at_image(poses[camera], self._poses[camera], message)
+        sources = [(source, self._camera_poses(source)) for source in self._sources if source.pose in topics]
+        plain = set(topics) - {source.pose for source in self._sources}
+        more = {name for s, _ in sources for name in (s.topic, *(s.images if s.moving else ()))}
+        for message in self.reader.messages(plain | more, start_ns, end_ns):
+            for source, poses in sources:
+                yield from _converted(source, poses, message)
             if message.topic in plain:
                 yield message
-        for camera in poses.keys() & self._moving.keys():
-            if missing := poses[camera].missing():
-                _log.warning("%s: %s", camera, missing)
+        for source, poses in sources:
+            if source.moving and (missing := poses.missing()):
+                _log.warning("%s: %s", source.camera, missing)
 
-    def _camera_poses(self, camera: str) -> CameraPoses:
+    def _camera_poses(self, source: _PoseSource) -> CameraPoses:
         """Return a camera's transforms with all static ones, also those before a replay's start."""
-        first, frame = next(self.reader.messages(self._images[camera]), None), ""
+        first, frame = next(self.reader.messages(source.images), None), ""
         with suppress(LtmError):  # the image's reader counts it
             frame = header_of(first.raw)[1] if first else ""
-        poses = CameraPoses(frame or f"{camera}_optical")
-        for message in self.reader.messages([self._static[camera]]):
-            for _ in _transformed(poses, "", message, static=True):
-                pass
+        poses = CameraPoses(frame or f"{source.camera}_optical")
+        for message in self.reader.messages([source.static]):
+            try:
+                deque(poses.of_transforms(transforms_of(message.raw), True), 0)
+            except LtmError as error:
+                _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
         return poses
 
 
-def _transformed(poses: CameraPoses, name: str, message: BagMessage, static: bool = False) -> Iterator[BagMessage]:
-    try:
-        for pose in poses.of_transforms(transforms_of(message.raw), static):
-            yield _pose_message(name, message, pose)
-    except LtmError as error:
-        _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
-
-
-def _converted(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
-    """Yield a recorded pose as the camera's; an invalid one as it is, for its reader to count."""
-    try:
-        if message.type_name not in POSE_TYPES:
-            raise MessageError(message.type_name)
-        for pose in poses.of_pose(decoded(message.raw, message.type_name, message.encoding)):
-            yield _pose_message(name, message, pose)
-    except LtmError:
-        yield replace(message, topic=name)
-
-
-def _at_image(poses: CameraPoses, name: str, message: BagMessage) -> Iterator[BagMessage]:
-    try:
-        stamp, frame = header_of(message.raw)
-        for pose in poses.of_image(frame, stamp):
-            yield _pose_message(name, message, pose)
-    except LtmError:
-        return  # the image's reader counts it
-
-
-def _pose_message(name: str, source: BagMessage, pose: Any) -> BagMessage:
+def _converted(source: _PoseSource, poses: CameraPoses, message: BagMessage) -> Iterator[BagMessage]:
+    """Yield the camera's poses that follow from a message: transforms, a stated pose, or an image."""
     from rclpy.serialization import serialize_message  # who only reads topics need not load the middleware
 
-    return BagMessage(name, source.log_time_ns, source.publish_time_ns, type_name_of(pose), serialize_message(pose))
+    try:
+        if message.topic == source.topic and source.moving:
+            found = poses.of_transforms(transforms_of(message.raw), False)
+        elif message.topic == source.topic and message.type_name not in POSE_TYPES:
+            raise MessageError(message.type_name)
+        elif message.topic == source.topic:
+            found = poses.of_pose(decoded(message.raw, message.type_name, message.encoding))
+        elif message.topic in source.images and source.moving:
+            stamp, frame = header_of(message.raw)
+            found = poses.of_image(frame, stamp)
+        else:
+            return
+        times = message.log_time_ns, message.publish_time_ns
+        for pose in found:
+            yield BagMessage(source.pose, *times, type_name_of(pose), serialize_message(pose))
+    except LtmError as error:
+        if message.topic != source.topic:
+            return  # the image's reader counts it
+        if source.moving:
+            _log.warning("%s at %s ns: %s", message.topic, message.log_time_ns, error)
+        else:
+            yield replace(message, topic=source.pose)  # as it is, for its reader to count
 
 
 def is_image(topic: Topic) -> bool:
@@ -220,17 +208,19 @@ def _proposed(site: Site, camera: str, topics: Sequence[Topic], recorded: Mappin
     image = is_image(topics[0])
     types = [name for topic in ((IMAGE_COMPRESSED, IMAGE_RAW) if image else topics) for name in accepted_types(topic)]
     types += [TF_TYPE] if topics[0].counted_name == POSE.name else []
-    taken = {camera_topic(site.name, name, topic) for name, config in site.cameras.items() if name != camera
-             for topic in (*image_topics(config), *other_inputs(config))}  # fmt: skip
-    found = [name for name in sorted(recorded, key=lambda n: (camera not in n.split("/"), n))
-             if recorded[name] in types and name not in taken and "depth" not in name.lower()
-             and not name.endswith("_static")]  # fmt: skip
+    others = ((name, config) for name, config in site.cameras.items() if name != camera)
+    taken = {
+        camera_topic(site.name, n, t) for n, config in others for t in (*image_topics(config), *other_inputs(config))
+    }
+    fitting = (name for name, kind in recorded.items() if kind in types and name not in taken)
+    found = [name for name in fitting if "depth" not in name.lower() and not name.endswith("_static")]
     if not found:
         return {}
+    first = min(found, key=lambda name: (camera not in name.split("/"), name))
     usual = [camera_topic(site.name, camera, topic) for topic in (IMAGE_COMPRESSED, IMAGE_RAW)]
-    if image and site.cameras[camera].image != "auto" and found[0] in usual:
-        return {"auto": found[0]}
-    return {"image" if image else topics[0].counted_name: found[0]}
+    if image and site.cameras[camera].image != "auto" and first in usual:
+        return {"auto": first}
+    return {"image" if image else topics[0].counted_name: first}
 
 
 def warn_of_ignored(site: Site, first: Callable[[str, Topic], Any]) -> None:

@@ -9,15 +9,7 @@ from typing import Any, Final
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.base.types import Float64Array
-from ltm_core.fuel.label_errors import (
-    LabelErrors,
-    ReliabilityRecord,
-    known_errors,
-    labels_digest,
-    record_of,
-    shares_of,
-    write_record,
-)
+from ltm_core.fuel import label_errors
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.head_fit import balanced
@@ -44,9 +36,9 @@ _POSE: Final = "pose"
 class Measured:
     """Written record, its path, and the label errors that it states."""
 
-    record: ReliabilityRecord
+    record: label_errors.ReliabilityRecord
     path: Path
-    errors: LabelErrors
+    errors: label_errors.LabelErrors
 
 
 def measure_network(
@@ -68,7 +60,7 @@ def measure_network(
     sources: list[str] = []
     if site is not None and bags:
         errors = _on_recordings(model, site, bags, head, progress)
-        about |= dict(record_of(errors, errors.source, site=site.name))
+        about |= dict(label_errors.record_of(errors, errors.source, site=site.name))
         sources.append(about.pop("source"))
     if photos is not None:
         segmenter = Segmenter.open(manifest, head=head, heads=heads)
@@ -76,22 +68,22 @@ def measure_network(
         score = SegmentationScore.empty(len(segmenter.labels))
         for frame in frames:
             score = score.plus(frame.labels, segmenter.segment(frame.image).labels)
-        about["shares"] = shares_of(segmenter.labels.names, balanced([score.confusion]))
+        about["shares"] = label_errors.shares_of(segmenter.labels.names, balanced([score.confusion]))
         about["photos"] = sum(not frame.rendered for frame in frames)
         sources.append(f"labels of {len(frames)} photos of {photos.resolve().name}")
     if not sources:
         raise ConfigError("nothing to measure on; give --site and a recording of it, or --photos")
-    about |= {"network": manifest.name, "labels": labels_digest(manifest, file)}
-    record = ReliabilityRecord(**about | {"source": "; ".join(sources)})
-    return Measured(record, write_record(record), record.errors())
+    about |= {"network": manifest.name, "labels": label_errors.labels_digest(manifest, file)}
+    record = label_errors.ReliabilityRecord(**about | {"source": "; ".join(sources)})
+    return Measured(record, label_errors.write_record(record), record.errors())
 
 
 def _on_recordings(
     model: str, site: Site, bags: Sequence[Path], head: str, progress: Callable[[int, int], None]
-) -> LabelErrors:
+) -> label_errors.LabelErrors:
     networks = {"own": model} if _is_default(model, head) else {"own": model, "known": DEFAULT_MODEL}
     votes, steps = _votes(site, bags, networks, head, progress)
-    reference = known_errors(DEFAULT_MODEL)
+    reference = label_errors.known_errors(DEFAULT_MODEL)
     given = (reference, votes.get("known", votes["own"])) if reference.measured else None
     source = f"{len(votes['own'])} frames of site {site.name} against its prior map"
     source += "" if given is None else f" and the changes that {DEFAULT_MODEL} finds"
@@ -100,7 +92,9 @@ def _on_recordings(
 
 def _is_default(model: str, head: str) -> bool:
     default = NetworkManifest.find(DEFAULT_MODEL)
-    return head == SHIPPED_LABEL_HEAD and labels_digest(NetworkManifest.find(model)) == labels_digest(default)
+    return head == SHIPPED_LABEL_HEAD and label_errors.labels_digest(
+        NetworkManifest.find(model)
+    ) == label_errors.labels_digest(default)
 
 
 def _votes(
@@ -113,19 +107,17 @@ def _votes(
     dem = site.open_dem()
     fixed = {name: (c.pose.pose(dem, site.frame), None) for name, c in site.cameras.items() if c.pose is not None}
     calibrations = {name: c.calibration.camera() for name, c in site.cameras.items() if c.calibration is not None}
-    streams = [FrameStream(bag, site, cameras, _parts()) for bag in bags]
-    found = [(place, f) for place, stream in enumerate(streams) for f in stream.frames(["photo"])]
+    streams = [FrameStream(bag, site, cameras, _PARTS) for bag in bags]
     chosen = [
         (f.stamp_ns, place, f.camera_name)
-        for place, f in found
+        for place, stream in enumerate(streams)
+        for f in stream.frames(["photo"])
         if (_POSE in f or f.camera_name in fixed)
         and ("camera" in f or "depth_camera" in f or f.camera_name in calibrations)
     ]
     if not chosen:
-        raise RecordingError(
-            f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with pose and calibration; replay the "
-            "recording with `ltm replay RECORDING --record OUT`, and measure OUT"
-        )
+        what = f"{', '.join(map(str, bags))}: no image of {', '.join(cameras)} with pose and calibration"
+        raise RecordingError(f"{what}; replay it with `ltm replay RECORDING --record OUT`, and measure OUT")
     wanted = set(evenly(sorted(chosen), MOST_FRAMES))
     tracing = {name: TracingStep(site, name, TracingConfig()) for name in cameras}
     voting = {name: VotingStep(site, name) for name in cameras}
@@ -161,10 +153,10 @@ def _with_head(site: Site, role: str) -> Site:
     return site.model_copy(update={"cameras": cameras, "vocabulary": {}})
 
 
-def _parts() -> dict[str, Any]:
-    parts = {name: PARTS[name] for name in ("camera", "depth_camera", "photo")}
-    return parts | {_POSE: ((POSE, _posed), (POSED_POSE, _posed))}
-
-
 def _posed(message: Any) -> tuple[Pose, Float64Array | None]:
     return msg_to_pose(message, "map"), msg_to_covariance(message)
+
+
+_PARTS = {name: PARTS[name] for name in ("camera", "depth_camera", "photo")} | {
+    _POSE: ((POSE, _posed), (POSED_POSE, _posed))
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.site.site import Site
-from ltm_core.site.site_io import load_site
 from ltm_core.storage.image_io import read_rgb
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
@@ -36,8 +36,7 @@ FUEL_TRUTH = "fuel_truth.tif"
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth if the
-    site has a depth network."""
+    """Inputs and results of a frame: `photo` (H, W, 3), traced `depth`, `labels` and `fused` depth, (H, W) each."""
 
     camera_name: str
     stamp_ns: int
@@ -51,46 +50,13 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bag with its site and the folder that may hold its truth rasters."""
+    """A bag with its site, the folder of its truth, and the raster of true class ids on the fuel grid."""
 
     bag: Path
     site_path: Path
     site: Site
     truth: Path
-    date: str | None = None
-    """Date of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
-
-    @classmethod
-    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Recorded:
-        """Find the site: as given, beside or in the bag, or the shipped one with the cameras of the topics; and truth:
-        the site's folder.
-
-        Raises RecordingError without a site or date, ConfigError for an invalid site."""
-        path = site or site_of(bag)
-        folder = truth or path.resolve().parent
-        dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
-        if date is None and len(dates) > 1:
-            raise RecordingError(f"{folder} contains the truth of {', '.join(dates)}: give the bag's date with --date")
-        if date is not None and date not in dates:
-            raise RecordingError(f"{folder} contains no truth of {date!r}; it has {', '.join(dates) or 'none'}")
-        return cls(bag, path, load_site(path), folder, date)
-
-    @property
-    def life_forms(self) -> Path | None:
-        """Return the raster of true class ids on the fuel grid, if any."""
-        dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
-        return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
-
-    @property
-    def surfaces(self) -> tuple[Path | None, Path | None]:
-        """Return the rasters of the true surface at the bag's date and at the previous one, if any."""
-        if self.date is None:
-            return None, None
-        folder = self.truth / "truth"
-        before = [path.stem.split("_")[1] for path in folder.glob(f"change_*_{self.date}.tif")]
-        rasters = [folder / name / "surface.tif" for name in (self.date, *before[:1])]
-        now, *earlier = [raster if raster.is_file() else None for raster in rasters]
-        return now, earlier[0] if earlier else None
+    life_forms: Path | None = None
 
     def stream(self) -> FrameStream:
         return FrameStream.open(self.bag, self.site)
@@ -108,19 +74,15 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
 
 
 def site_of(bag: Path) -> Path:
-    """Return the site file in or beside a bag, or the shipped one with the cameras of its topics. Raises
-    RecordingError."""
+    """Return the site file in or beside a bag, or the shipped one of its topics. Raises RecordingError."""
     folder = bag.resolve()
     for place in (folder, folder.parent, folder.parent.parent):
         if (place / "site.yaml").is_file():
             return place / "site.yaml"
-    names = {topic.split("/")[1] for topic in BagReader(bag).topics() if topic.count("/") > 2}
-    for name in sorted(names):
+    for name in sorted({topic.split("/")[1] for topic in BagReader(bag).topics() if topic.count("/") > 2}):
         for shipped in (f"bags/{name}/site.yaml", f"config/sites/{name}.yaml"):
-            try:
+            with suppress(LtmError):
                 return project_path(shipped)
-            except LtmError:
-                continue
     raise RecordingError(f"{bag}: no site.yaml is in it or beside it; give the site file with --site")
 
 
@@ -130,10 +92,8 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
     if camera is None and (calibration := site.cameras[frame.camera_name].calibration) is not None:
         camera = calibration.camera()
     if camera is None:
-        raise RecordingError(
-            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} has no "
-            "calibration: record camera_info, too"
-        )
+        what = f"frame {frame.stamp_ns} of {frame.camera_name}: no camera_info, and no calibration in site {site.name}"
+        raise RecordingError(f"{what} has no camera_info and site {site.name} no calibration: record camera_info")
     return camera.height, camera.width
 
 
@@ -144,13 +104,10 @@ def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet)
 
 
 def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
-    """Return class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError if there is
-    no map."""
+    """Return class ids (255 unseen), geometry in the site's CRS, and labels. Raises RecordingError without a map."""
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)
-    last = None
-    for message in reader.messages([topic]):
-        last = message
+    last = next(iter(deque(reader.messages([topic]), 1)), None)
     if last is None:
         raise RecordingError(f"{bag} has no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
     classes, geometry = msg_to_classes(reader.decode(last))
@@ -163,18 +120,15 @@ PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
 
 def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
     """Return the photos of a folder by name, without label images. Raises RecordingError if there are none."""
-    found = sorted(
-        path
-        for path in folder.glob(pattern)
-        if path.suffix.lower() in PICTURES and path.is_file() and not path.stem.endswith(("_labels", "_mask"))
-    )
+    photos = (path for path in folder.glob(pattern) if path.suffix.lower() in PICTURES and path.is_file())
+    found = sorted(path for path in photos if not path.stem.endswith(("_labels", "_mask")))
     if not found:
         raise RecordingError(f"{folder}: no photos match {pattern!r}; supported: {', '.join(PICTURES)}")
     return found
 
 
 def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:
-    """Yield names and photos, at most `most`. Raises RecordingError and ImageError."""
+    """Return names and photos, at most `most`. Raises RecordingError and ImageError."""
     paths = evenly(pictures_in(folder, pattern), most)
     return [path.name for path in paths], [read_rgb(path) for path in paths]
 
@@ -185,24 +139,22 @@ def recorded_pictures(
     """Return names by stamps, and images of a camera in a recording, `most` of them at most.
 
     `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError."""
+
+    def looks_at(pose: Pose, view: ViewMask) -> bool:
+        azimuth, pitch, _ = pose.angles_deg
+        return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg
+
     site.camera(camera)
     stream = FrameStream(bag, site, [camera], {part: PARTS[part] for part in ("photo", "pose")})
     if not stream.has("photo"):
         raise RecordingError(f"{bag}: no image of {camera}; its topics are {stream.topics}")
     needed = ("photo",) if view is None else ("photo", "pose")
-    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or _looks_at(f.take("pose"), view)]
-    if not stamps:
-        raise RecordingError(
-            f"{bag}: no image of {camera} has a pose in the direction of view {view.name if view else ''}"
-        )
+    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or looks_at(f.take("pose"), view)]
+    if view is not None and not stamps:
+        raise RecordingError(f"{bag}: no image of {camera} has a pose in the direction of view {view.name}")
     wanted = set(evenly(stamps, most))
     frames = [(f.stamp_ns, f.take("photo")) for f in stream.frames(needed) if f.stamp_ns in wanted]
     return [f"{camera}_{stamp}" for stamp, _ in frames], [photo for _, photo in frames]
-
-
-def _looks_at(pose: Pose, view: ViewMask) -> bool:
-    azimuth, pitch, _ = pose.angles_deg
-    return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg
 
 
 _MOST = 12
@@ -211,8 +163,7 @@ _ALIKE_DEG = 2.0
 
 
 def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
-    """Return the different views of each camera of the site, in order of time, at most _MOST per camera; none of a
-    camera that is not in the recording.
+    """Return the different views of each recorded camera of the site, in order of time, at most _MOST per camera.
 
     Raises RecordingError if there are none at all."""
     reader = BagReader(bag)
@@ -229,7 +180,9 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
         with suppress(LtmError):  # a replay counts what is damaged
             content = decoded_input(topic, message.raw, message.type_name, message.encoding)
             if topic.counted_name == POSE.name:
-                _add(poses[camera], msg_to_pose(content, "map"))
+                pose = msg_to_pose(content, "map")
+                if len(poses[camera]) < _MOST and not any(_alike(pose, other) for other in poses[camera]):
+                    poses[camera].append(pose)
             elif camera not in cameras:
                 cameras[camera] = msg_to_camera(content)
     for name, config in site.cameras.items():
@@ -237,19 +190,12 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
             cameras[name] = config.calibration.camera()
     views = [PosedCamera(name, cameras[name], pose) for name in cameras for pose in poses[name]]
     if not views:
-        raise RecordingError(
-            f"{bag}: contains no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); "
-            f"{beside_expected(site, reader.topics())}"
-        )
+        what = f"{bag}: no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)})"
+        raise RecordingError(f"{what}; {beside_expected(site, reader.topics())}")
     return views
 
 
-def _add(poses: list[Pose], pose: Pose) -> None:
-    if len(poses) >= _MOST:
-        return
-    azimuth, pitch, _ = pose.angles_deg
-    for other in poses:
-        turned = abs((azimuth - other.angles_deg[0] + 180) % 360 - 180)
-        if turned < _ALIKE_DEG and abs(pitch - other.angles_deg[1]) < _ALIKE_DEG:
-            return
-    poses.append(pose)
+def _alike(pose: Pose, other: Pose) -> bool:
+    (azimuth, pitch, _), (azimuth_of_other, pitch_of_other, _) = pose.angles_deg, other.angles_deg
+    turned = abs((azimuth - azimuth_of_other + 180) % 360 - 180)
+    return turned < _ALIKE_DEG and abs(pitch - pitch_of_other) < _ALIKE_DEG

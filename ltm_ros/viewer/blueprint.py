@@ -5,7 +5,6 @@ It is always explicit: an automatic one would add map views, which fetch tiles f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import rerun.blueprint as rrb
 
@@ -14,49 +13,37 @@ from ltm_ros.viewer.scene_geometry import Eye
 TIMELINE = "stamp"
 
 
-@dataclass(frozen=True)
-class MapWindow:
-    """The part of the fuel grid that its view shows first, in cells: column and row ranges."""
-
-    columns: tuple[float, float]
-    rows: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Tabs:
-    """Optional tabs: with a depth network (`fusion`), with a label network that takes `prompts`, with an updated
-    surface (`terrain`)."""
-
-    fusion: bool = False
-    prompts: bool = False
-    terrain: bool = False
-
-
 def site_blueprint(
-    cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
+    cameras: Sequence[str], eye: Eye, window: rrb.VisualBounds2D, live: bool, fusion: bool, prompts: bool, terrain: bool
 ) -> rrb.Blueprint:
-    """Return the tabs: the site (terrain, fuel grid, a camera's images), all cameras, and `tabs`."""
-    tabs = tabs or Tabs()
+    """Return the tabs: the site (terrain, fuel grid, a camera's images) and all cameras; with a depth network
+    (`fusion`), with a label network that takes `prompts`, and with an updated surface (`terrain`) one more each.
+
+    `window`: part of the fuel grid that its view shows first, in cells."""
+    grid = rrb.Spatial2DView(origin="/fuel_map", name="Fuel map, north up", visual_bounds=window)
+    legend = rrb.Spatial2DView(origin="/legend", name="Legend")
     overview = rrb.Vertical(
-        rrb.Horizontal(
-            _terrain(cameras, eye),
-            rrb.Vertical(_fuel_grid(window), rrb.Spatial2DView(origin="/legend", name="Legend"), row_shares=[7, 1]),
-            column_shares=[5, 3],
-        ),
+        rrb.Horizontal(_terrain(cameras, eye), rrb.Vertical(grid, legend, row_shares=[7, 1]), column_shares=[5, 3]),
         rrb.Tabs(*(_camera_row(camera) for camera in cameras), active_tab=0),
         row_shares=[5, 3],
         name="Site",
     )
-    gallery = rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")
-    extra: list[rrb.Container] = []
-    if tabs.fusion:
-        extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
-    if tabs.prompts:
-        extra.append(rrb.Grid(*(_heat(camera) for camera in cameras), name="Prompt"))
-    if tabs.terrain:
-        extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
+    tabs: list[rrb.Container] = [overview, rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")]
+    if fusion:
+        tabs.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
+    if prompts:
+        tabs.append(rrb.Grid(*(_over_photo(camera, "heat", "prompt") for camera in cameras), name="Prompt"))
+    if terrain:
+        # Over the relief and the fuel map's cameras, in its cells, so that nothing moves as it grows.
+        changes = rrb.Spatial2DView(
+            origin="/terrain",
+            contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
+            name="Surface: red removed, green grown, violet lowered, yellow unchanged",
+            visual_bounds=window,
+        )
+        tabs.append(rrb.Horizontal(_terrain(cameras, eye), changes, name="Surface"))
     return rrb.Blueprint(
-        rrb.Tabs(overview, gallery, *extra, active_tab=0),
+        rrb.Tabs(*tabs, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
@@ -82,40 +69,16 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
     )
 
 
-def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(origin="/fuel_map", name="Fuel map, north up", visual_bounds=_bounds(window))
-
-
-def _bounds(window: MapWindow) -> rrb.VisualBounds2D:
-    return rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows)
-
-
-def _changes(window: MapWindow) -> rrb.Spatial2DView:
-    """Return the view of changes over the relief and the fuel map's cameras, in its cells, so that nothing moves as it
-    grows."""
-    return rrb.Spatial2DView(
-        origin="/terrain",
-        contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
-        name="Surface: red removed, green grown, violet lowered, yellow unchanged",
-        visual_bounds=_bounds(window),
-    )
+def _over_photo(camera: str, part: str, name: str) -> rrb.Spatial2DView:
+    contents = ["+ $origin/photo", f"+ $origin/{part}"] if part else ["+ $origin/photo"]
+    return rrb.Spatial2DView(origin=f"/map/cameras/{camera}", contents=contents, name=f"{camera}: {name}")
 
 
 def _camera_row(camera: str) -> rrb.Horizontal:
     """Return image, depth and labels side by side."""
-    origin = f"/map/cameras/{camera}"
-    views: list[rrb.View] = [
-        rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
-        rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
-        rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
-    ]
-    return rrb.Horizontal(*views, name=camera)
-
-
-def _heat(camera: str) -> rrb.Spatial2DView:
-    """Return the view of where a camera's images show the operator's prompt."""
-    origin = f"/map/cameras/{camera}"
-    return rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/heat"], name=f"{camera}: prompt")
+    depth = rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth")
+    labels = _over_photo(camera, "labels", "labels")
+    return rrb.Horizontal(_over_photo(camera, "", "image"), depth, labels, name=camera)
 
 
 def _depth_row(camera: str) -> rrb.Horizontal:

@@ -23,7 +23,7 @@ from ltm_ros.viewer.scene_geometry import TexturedMesh
 MAX_WIDTH = 960
 
 
-def shown_size(width: int, height: int) -> tuple[int, int]:
+def _shown_size(width: int, height: int) -> tuple[int, int]:
     """Return (width, height) at which an image of the given size is shown."""
     scale = min(1.0, MAX_WIDTH / width)
     return max(1, round(width * scale)), max(1, round(height * scale))
@@ -31,22 +31,24 @@ def shown_size(width: int, height: int) -> tuple[int, int]:
 
 def photo(rgb: RgbImage) -> rr.EncodedImage:
     """Return the camera's image (H, W, 3)."""
-    return rr.EncodedImage(contents=to_jpeg(_shrunk(rgb, cv2.INTER_AREA), 80), media_type="image/jpeg")
+    return _jpeg(_shrunk(rgb, cv2.INTER_AREA), 80)
 
 
 def depth_picture(depth: Float32Array, scale: RangeScale) -> rr.EncodedImage:
     """Draw depth (H, W), metres, in colours of `scale`, over its legend."""
     # Nearest neighbour: a mean over a ridge line would show a depth that does not exist.
     colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
-    picture = with_legend(colors, range_legend(colors.shape[1], scale))
-    return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
+    return _jpeg(with_legend(colors, range_legend(colors.shape[1], scale)), 85)
 
 
 def difference_picture(depth: Float32Array, other: Float32Array) -> rr.EncodedImage:
     """Draw the difference of two depths (H, W), metres, over the legend."""
     colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
-    picture = with_legend(colors, error_legend(colors.shape[1]))
-    return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
+    return _jpeg(with_legend(colors, error_legend(colors.shape[1])), 85)
+
+
+def _jpeg(picture: RgbImage, quality: int) -> rr.EncodedImage:
+    return rr.EncodedImage(contents=to_jpeg(picture, quality), media_type="image/jpeg")
 
 
 def label_image(labels: UInt8Array) -> rr.SegmentationImage:
@@ -65,7 +67,7 @@ def heat_image(heat: UInt8Array) -> rr.Image:
 
 def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
     """Return the camera for the 3D view, with its image `image_plane` metres ahead; distortion is not drawn."""
-    width, height = shown_size(camera.width, camera.height)
+    width, height = _shown_size(camera.width, camera.height)
     sx, sy = width / camera.width, height / camera.height
     # Rerun counts pixels from the image's corner, we from the first pixel's centre.
     centre = (camera.cx + 0.5) * sx, (camera.cy + 0.5) * sy
@@ -97,10 +99,7 @@ def mesh(textured: TexturedMesh) -> rr.Mesh3D:
 
 def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
     """Return names and colours of the classes; unlabelled is transparent."""
-    classes: list[tuple[int, str, tuple[int, ...]]] = [
-        (label, str(name), tuple(int(c) for c in np.asarray(palette.colors[label])))
-        for label, name in enumerate(palette.names)
-    ]
+    classes = [(i, str(name), tuple(map(int, palette.colors[i]))) for i, name in enumerate(palette.names)]
     return rr.AnnotationContext([*classes, (UNLABELLED, "unlabelled", (0, 0, 0, 0))])
 
 
@@ -113,7 +112,7 @@ def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
 
 def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
     height, width = values.shape[:2]
-    size = shown_size(width, height)
+    size = _shown_size(width, height)
     return values if size == (width, height) else np.asarray(cv2.resize(values, size, interpolation=method))
 
 
@@ -146,28 +145,17 @@ class ChangeLayer:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class ChangePicture:
-    """Kinds of change, thinned for the screen, and their place on the grid below."""
+def change_picture(
+    kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry
+) -> tuple[rr.Transform3D, rr.SegmentationImage]:
+    """Return kinds of change (H, W) of a window, 255 unseen, thinned for the screen, and their place on the grid below.
 
-    kinds: UInt8Array
-    """(h, w) ChangeKind, 255 without independent views."""
-    corner: tuple[float, float]
-    """x, y of its north-west corner, in cells of the grid below."""
-    pixel: float
-    """Side of a pixel in such cells."""
-
-    @classmethod
-    def over(cls, kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
-        """Thin `kinds` (H, W) of a window of the terrain's grid."""
-        step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
-        corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
-        return cls(_thinned(kinds, step), corner, geometry.resolution * step / under.resolution)
-
-    def archetypes(self) -> tuple[rr.Transform3D, rr.SegmentationImage]:
-        """Return class ids, not a JPEG: the viewer treats a series of JPEGs as a video, whose size is constant."""
-        place = rr.Transform3D(translation=(*self.corner, 0.0), scale=(self.pixel, self.pixel, 1.0))
-        return place, rr.SegmentationImage(self.kinds, opacity=1.0, draw_order=1.0)
+    They are class ids, not a JPEG: the viewer treats a series of JPEGs as a video, whose size is constant."""
+    step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
+    corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
+    pixel = geometry.resolution * step / under.resolution
+    place = rr.Transform3D(translation=(*corner, 0.0), scale=(pixel, pixel, 1.0))
+    return place, rr.SegmentationImage(_thinned(kinds, step), opacity=1.0, draw_order=1.0)
 
 
 def change_classes() -> rr.AnnotationContext:

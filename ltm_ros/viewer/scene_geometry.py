@@ -26,8 +26,7 @@ TILE = 32
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """`vertices` (N, 3) metres, map frame; `triangles` (M, 3) indices; `texcoords` (N, 2), (0, 0) the north-west corner
-    of `texture` (h, w, 3)."""
+    """`vertices` (N, 3), `triangles` (M, 3), and `texcoords` (N, 2) from the north-west of `texture` (h, w, 3)."""
 
     vertices: Float32Array
     triangles: UInt32Array
@@ -40,21 +39,16 @@ def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
     height, width = dem.elevation.shape
     step = max(1, math.ceil(math.sqrt(2 * height * width / max_triangles)))
     step = min(step, height - 1, width - 1)
-    g = dem.geometry
-    elevation = dem.elevation[::step, ::step]
+    g, elevation = dem.geometry, dem.elevation[::step, ::step]
     # The first sample keeps its place, half a fine cell inside the raster; it is now the centre of a coarse cell.
     inset = (step - 1) / 2 * g.resolution
-    return Dem(
-        elevation,
-        GridGeometry(
-            g.x_min - inset, g.y_max + inset, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs
-        ),
-    )
+    corner = g.x_min - inset, g.y_max + inset
+    return Dem(elevation, GridGeometry(*corner, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs))
 
 
-def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
+def terrain_mesh(dem: Dem) -> TexturedMesh:
     """Return the terrain with tinted relief as its texture; no triangle touches a cell without height."""
-    coarse = decimated(dem, max_triangles)
+    coarse = decimated(dem)
     rows, cols = coarse.elevation.shape
     row, col = np.mgrid[:rows, :cols]
     x, y = coarse.geometry.to_map(row, col)
@@ -85,8 +79,7 @@ def _texture(dem: Dem) -> RgbImage:
 
 @dataclass(frozen=True, eq=False)
 class FuelTile:
-    """The cells with evidence of one tile of the fuel layer: four `vertices` and two `triangles` per cell, a colour per
-    vertex."""
+    """The cells with evidence of one tile: four `vertices` and two `triangles` per cell, a colour per vertex."""
 
     name: str
     vertices: Float32Array
@@ -97,10 +90,8 @@ class FuelTile:
 class FuelLayer:
     """Fuel cells as flat coloured quads just above the drawn terrain; only changed tiles are returned."""
 
-    def __init__(
-        self, dem: Dem, geometry: GridGeometry, palette: ClassPalette, max_triangles: int = MAX_TRIANGLES
-    ) -> None:
-        self._surface = decimated(dem, max_triangles)
+    def __init__(self, dem: Dem, geometry: GridGeometry, palette: ClassPalette) -> None:
+        self._surface = decimated(dem)
         self._geometry = geometry
         self._palette = palette
         # Quads and mesh meet the surface at different points; the lift keeps the mesh from poking through.

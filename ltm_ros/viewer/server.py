@@ -19,7 +19,7 @@ import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from http import HTTPStatus
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,8 +32,8 @@ LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
 """Default ports of the page and of its data."""
 LIVE_MEMORY = "384MiB"
-"""Memory limit for the data that the server of a live view keeps for later viewers; the oldest goes first. While a
-viewer is open, the server uses up to twice that."""
+"""Memory limit for data that a live view's server keeps for later viewers; with an open viewer, it uses up to twice
+that."""
 OPEN_MEMORY = "1GiB"
 """Memory limit of the server of a recording."""
 _PR_SET_PDEATHSIG = 1
@@ -49,14 +49,12 @@ def rerun_binary() -> Path:
 
     Raises ConfigError if rerun-sdk is not installed."""
     spec = find_spec("rerun_cli")
-    for folder in (spec.submodule_search_locations or []) if spec else []:
-        binary = Path(folder) / "rerun"
-        if binary.is_file():
-            return binary
-    found = shutil.which("rerun")
-    if found is None:
+    folders = (spec.submodule_search_locations or []) if spec else []
+    found = [str(path) for folder in folders if (path := Path(folder) / "rerun").is_file()]
+    binary = found[0] if found else shutil.which("rerun")
+    if binary is None:
         raise ConfigError("the Rerun viewer is not installed: pip install 'ltm[view]'")
-    return Path(found)
+    return Path(binary)
 
 
 def grpc_url(port: int) -> str:
@@ -79,6 +77,7 @@ class RerunProcess:
         settings = {"analytics_enabled": False, "analytics_id": "", "metadata": {}}
         places = {"config_file_path": str(private), "data_dir_path": self._config.name}
         private.write_text(json.dumps(settings | places), encoding="utf-8")
+        libc = ctypes.CDLL(None, use_errno=True)
         self._process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [str(rerun_binary()), "--bind", LOOPBACK, "--hide-welcome-screen", *arguments],
             stdin=subprocess.DEVNULL,
@@ -86,7 +85,8 @@ class RerunProcess:
             stderr=subprocess.DEVNULL,
             env=os.environ | _NOWHERE | {"XDG_CONFIG_HOME": self._config.name},
             start_new_session=True,
-            preexec_fn=_end_with_parent(),
+            # The kernel ends it when this process dies, even by SIGKILL, so that its port becomes free.
+            preexec_fn=(lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)) if sys.platform == "linux" else None,
         )
 
     @classmethod
@@ -97,8 +97,11 @@ class RerunProcess:
 
         Raises ConfigError if a port is in use or the server does not start."""
         for port in (web_port, grpc_port):
-            _refuse_taken(port)
-        own_page = _free_port()
+            try:
+                _bound(port)
+            except OSError as error:
+                raise ConfigError(f"port {port} on {LOOPBACK} is in use ({error.strerror}): choose another") from error
+        own_page = _bound(0)
         ports = ["--web-viewer-port", str(own_page), "--port", str(grpc_port)]
         files = [str(recording)] if recording is not None else []
         process = cls([*files, "--serve-web", *ports, "--server-memory-limit", memory_limit])
@@ -171,24 +174,9 @@ def listens(port: int) -> bool:
     return False
 
 
-def _refuse_taken(port: int) -> None:
+def _bound(port: int) -> int:
+    """Return the port that can be bound now, 0: any. Raises OSError."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((LOOPBACK, port))
-        except OSError as error:
-            raise ConfigError(f"port {port} on {LOOPBACK} is in use ({error.strerror}): choose another one") from error
-
-
-def _end_with_parent() -> Callable[[], None] | None:
-    """Let the kernel (Linux) end the child when this process dies, even by SIGKILL, so that its port becomes free."""
-    if sys.platform != "linux":
-        return None
-    libc = ctypes.CDLL(None, use_errno=True)
-    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) and None
-
-
-def _free_port() -> int:
-    with contextlib.closing(socket.socket()) as probe:
-        probe.bind((LOOPBACK, 0))
+        probe.bind((LOOPBACK, port))
         return int(probe.getsockname()[1])

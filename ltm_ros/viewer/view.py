@@ -10,6 +10,7 @@ from threading import Lock
 import cv2
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError, PoseError
@@ -24,8 +25,8 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer import scene_geometry
-from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
-from ltm_ros.viewer.fuel_maps import ChangeLayer, ChangePicture, change_classes
+from ltm_ros.viewer.blueprint import TIMELINE, site_blueprint
+from ltm_ros.viewer.fuel_maps import ChangeLayer, change_classes
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -89,18 +90,15 @@ class RerunView:
 
     def log_image(self, camera: str, stamp_ns: int, rgb: RgbImage) -> None:
         """Log the camera's image, (H, W, 3) uint8."""
-        with self._at(stamp_ns):
-            self._recording.log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
+        with self._at(stamp_ns) as log:
+            log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
 
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
-        """Log depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError for
-        another size."""
+        """Log depth (H, W), metres; +inf sky, NaN unknown. Raises ImageError for another size."""
         if depth.shape != (model.height, model.width):
-            raise ImageError(
-                f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
-            )
-        with self._at(stamp_ns):
-            self._recording.log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
+            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration {model.height} x {model.width}")
+        with self._at(stamp_ns) as log:
+            log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
 
     def log_fusion(
         self, camera: str, stamp_ns: int, fused: Float32Array, traced: Float32Array, network: Float32Array | None = None
@@ -109,37 +107,38 @@ class RerunView:
         another size. Raises ImageError if fused and traced differ in size."""
         if fused.shape != traced.shape:
             raise ImageError(f"fused depth of {camera} is {fused.shape}, its traced depth {traced.shape}")
-        with self._at(stamp_ns):
-            entity = f"fusion/{camera}"
-            self._recording.log(f"{entity}/traced", archetypes.depth_picture(traced, self._scale))
-            self._recording.log(f"{entity}/fused", archetypes.depth_picture(fused, self._scale))
-            self._recording.log(f"{entity}/difference", archetypes.difference_picture(fused, traced))
+        with self._at(stamp_ns) as log:
+            log(f"fusion/{camera}/traced", archetypes.depth_picture(traced, self._scale))
+            log(f"fusion/{camera}/fused", archetypes.depth_picture(fused, self._scale))
+            log(f"fusion/{camera}/difference", archetypes.difference_picture(fused, traced))
             if network is not None:
                 # At the size of the others, so that all are side by side.
                 grown = np.asarray(cv2.resize(network, fused.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
-                self._recording.log(f"{entity}/network", archetypes.depth_picture(grown, self._scale))
+                log(f"fusion/{camera}/network", archetypes.depth_picture(grown, self._scale))
 
     def log_labels(self, camera: str, stamp_ns: int, labels: UInt8Array) -> None:
         """Log class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
-        with self._at(stamp_ns):
-            self._recording.log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
+        with self._at(stamp_ns) as log:
+            log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
 
     def log_heat(self, camera: str, stamp_ns: int, heat: UInt8Array) -> None:
         """Log the probability of a prompt (H, W) uint8, of the size of the image."""
-        with self._at(stamp_ns):
-            self._recording.log(f"map/cameras/{camera}/heat", archetypes.heat_image(heat))
+        with self._at(stamp_ns) as log:
+            log(f"map/cameras/{camera}/heat", archetypes.heat_image(heat))
 
     def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
         """Log the camera's pose. Without one in the site file, the first pose moves the view there."""
-        with self._at(stamp_ns):
-            entity = f"map/cameras/{camera}"
-            self._recording.log(entity, *archetypes.stand(pose), archetypes.pinhole(model, self._reach * 0.15))
+        with self._at(stamp_ns) as log:
+            log(f"map/cameras/{camera}", *archetypes.stand(pose), archetypes.pinhole(model, self._reach * 0.15))
             expected = self._poses.get(camera)
             if camera not in self._shown or expected != pose:
                 self._shown.add(camera)
                 self._place(camera, pose, model)
                 self._log_on_map(camera)
-                self._log_name(camera)
+                # The camera's own entity shows only the frustum.
+                radii = rr.Radius.ui_points(4.0)
+                name = rr.Points3D([pose.position], labels=[camera], colors=[NAME_COLOR], radii=radii)
+                log(f"map/names/{camera}", name)
             if expected is None:
                 self._recording.send_blueprint(self._blueprint())
 
@@ -148,15 +147,10 @@ class RerunView:
     ) -> None:
         """Log points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
         kept = scene_geometry.thinned(points, MAX_POINTS)
-        with self._at(stamp_ns):
-            self._recording.log(
-                f"map/points/{camera}",
-                rr.Points3D(
-                    points[kept].astype(np.float32),
-                    colors=None if colors is None else colors[kept],
-                    radii=rr.Radius.ui_points(1.5),
-                ),
-            )
+        shown = None if colors is None else colors[kept]
+        with self._at(stamp_ns) as log:
+            place = points[kept].astype(np.float32)
+            log(f"map/points/{camera}", rr.Points3D(place, colors=shown, radii=rr.Radius.ui_points(1.5)))
 
     def log_fuel_map(self, stamp_ns: int, classes: UInt8Array, geometry: GridGeometry) -> None:
         """Log the fuel map (H, W) of class ids, 255 not seen, map frame. Without evidence it has stamp 0, and is shown
@@ -164,31 +158,29 @@ class RerunView:
         if not stamp_ns:
             self._undated["map"] = lambda first_ns: self.log_fuel_map(first_ns, classes, geometry)
             return
-        with self._at(stamp_ns):
+        with self._at(stamp_ns) as log:
             if geometry != self._fuel_geometry:
                 self._fuel_geometry = geometry
                 self._fuel = scene_geometry.FuelLayer(self._dem, geometry, self._palette)
                 self._log_relief()
-                self._recording.log("map/fuel", rr.Clear(recursive=True))
+                log("map/fuel", rr.Clear(recursive=True))
                 for name in self._shown:
                     self._log_on_map(name)
             changed = list(self._fuel.changed(classes))
             for tile in changed:
                 self._log_tile(tile)
             if changed:
-                self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
+                log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
     def log_change(self, stamp_ns: int, kinds: UInt8Array, geometry: GridGeometry) -> None:
         """Log kinds of change (H, W) of a window of the terrain's grid, 255 not observed, map frame."""
-        with self._at(stamp_ns):
-            picture = ChangePicture.over(kinds, geometry, self._fuel_geometry)
-            self._recording.log("terrain/change", *picture.archetypes())
+        with self._at(stamp_ns) as log:
+            log("terrain/change", *archetypes.change_picture(kinds, geometry, self._fuel_geometry))
 
     def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
-        """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the
-        map."""
-        with self._at(stamp_ns):
-            self._recording.log("map/change", self._change.update(cells, points, kinds))
+        """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3)."""
+        with self._at(stamp_ns) as log:
+            log("map/change", self._change.update(cells, points, kinds))
 
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
@@ -202,13 +194,14 @@ class RerunView:
                 self._server.stop()
 
     @contextlib.contextmanager
-    def _at(self, stamp_ns: int) -> Iterator[None]:
+    def _at(self, stamp_ns: int) -> Iterator[Callable[..., None]]:
+        """Set the time of what is logged in the block."""
         undated, self._undated = self._undated, {}
         for log in undated.values():
             log(stamp_ns)
         with self._lock:
             self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-            yield
+            yield self._recording.log
 
     def _place(self, camera: str, pose: Pose, model: Camera) -> None:
         x, y, _ = pose.position
@@ -221,21 +214,19 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene_geometry.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
-        tabs = Tabs(fusion=fusion, prompts=bool(self._site.vocabulary), terrain=terrain)
-        return site_blueprint(names, eye, self._window(), self._live, tabs)
+        site = self._site
+        tabs = bool(site.depth_model), bool(site.vocabulary), site.terrain is not None
+        return site_blueprint(names, eye, self._window(), self._live, *tabs)
 
-    def _window(self) -> MapWindow:
+    def _window(self) -> rrb.VisualBounds2D:
         """Return a window around the cameras and the ground before them, within the fuel grid."""
         g = self._fuel_geometry
         outline = [camera.sector() for camera in self._cameras.values()]
         corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
         row, col = g.to_grid(corners[:, 0].clip(g.x_min, g.x_max), corners[:, 1].clip(g.y_min, g.y_max))
         margin = 0.06 * max(np.ptp(row), np.ptp(col))
-        return MapWindow(
-            (float(col.min() - margin), float(col.max() + margin)),
-            (float(row.min() - margin), float(row.max() + margin)),
-        )
+        columns, rows = ((float(part.min() - margin), float(part.max() + margin)) for part in (col, row))
+        return rrb.VisualBounds2D(x_range=columns, y_range=rows)
 
     def _log_scene(self) -> None:
         with self._lock:
@@ -254,12 +245,10 @@ class RerunView:
         finer = max(1, RELIEF_PIXELS // max(g.shape))
         view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
         picture = relief(self._dem, view)
-        longest = max(picture.shape[:2])
-        if longest > RELIEF_PIXELS:
-            shrink = RELIEF_PIXELS / longest
-            picture = np.asarray(
-                cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8
-            )
+        shrink = RELIEF_PIXELS / max(picture.shape[:2])
+        if shrink < 1:
+            size = round(picture.shape[1] * shrink), round(picture.shape[0] * shrink)
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
         self._recording.log(
             "fuel_map/relief",
             rr.Transform3D(scale=(g.width / picture.shape[1], g.height / picture.shape[0], 1.0)),
@@ -272,32 +261,14 @@ class RerunView:
         placed = self._cameras[camera]
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
-        entity = f"fuel_map/cameras/{camera}"
-        sector = rr.LineStrips2D([outline], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(1.0), draw_order=2.0)
-        self._recording.log(f"{entity}/sector", sector)
-        place = rr.Points2D(outline[:1], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(6.0), draw_order=3.0)
-        self._recording.log(entity, place)
-        name = rr.Points2D(
-            outline[:1], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(2.5), draw_order=4.0
-        )
-        self._recording.log(f"{entity}/name", name)
-
-    def _log_name(self, camera: str) -> None:
-        """Log the camera's name in the 3D view, where its own entity shows only the frustum."""
-        here = rr.Points3D(
-            [self._poses[camera].position], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(4.0)
-        )
-        self._recording.log(f"map/names/{camera}", here)
+        log, points, entity = self._recording.log, rr.Radius.ui_points, f"fuel_map/cameras/{camera}"
+        log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[CAMERA_COLOR], radii=points(1.0), draw_order=2.0))
+        place, name = {"positions": outline[:1], "draw_order": 3.0}, {"labels": [camera], "colors": [NAME_COLOR]}
+        log(entity, rr.Points2D(**place, colors=[CAMERA_COLOR], radii=points(6.0)))
+        log(f"{entity}/name", rr.Points2D(**place | name | {"draw_order": 4.0}, radii=points(2.5)))
 
     def _log_tile(self, tile: scene_geometry.FuelTile) -> None:
         entity = f"map/fuel/{tile.name}"
-        if len(tile.triangles) == 0:
-            self._recording.log(entity, rr.Clear(recursive=False))
-            return
-        mesh = rr.Mesh3D(
-            vertex_positions=tile.vertices,
-            triangle_indices=tile.triangles,
-            vertex_colors=tile.colors,
-            albedo_factor=(255, 255, 255, 200),
-        )
-        self._recording.log(entity, mesh)
+        parts = {"vertex_positions": tile.vertices, "triangle_indices": tile.triangles, "vertex_colors": tile.colors}
+        mesh = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
+        self._recording.log(entity, mesh if len(tile.triangles) else rr.Clear(recursive=False))

@@ -24,8 +24,7 @@ NODES = ("terrain", *(f"mast/{kind}" for kind in ("capture", "depth", "segmentat
 
 def replayed(small: SmallSite, state: Path) -> tuple[Path, dict[str, dict[str, str]]]:
     """The mast's photos of a block that stands in its view since, through the offline graph, with a state of its own;
-    the bag of the results and the nodes' summaries.
-    """
+    the bag of the results and the nodes' summaries."""
     whole = describe(small.site, small.path, parameters={"terrain": {"folder": str(state)}})
     writer = BagWriter(state.with_name(f"{state.name}_bag"))
     graph = OfflineGraph(Graph(NAME, tuple(whole.node(label) for label in NODES)), writer)

@@ -45,7 +45,7 @@ def test_takes_a_span(small_site: SmallSite) -> None:
 def test_empty_span_is_an_error_that_says_how_long_the_recording_is(
     small_site: SmallSite, start: float, duration: float | None
 ) -> None:
-    with pytest.raises(RecordingError, match=r"contains nothing between .* it is 1\.4 s long"):
+    with pytest.raises(RecordingError, match=r"has nothing between .* it is 1\.4 s long"):
         Selection.open(small_site.bag, small_site.site, start, duration)
 
 

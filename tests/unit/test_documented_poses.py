@@ -27,7 +27,7 @@ def test_the_examples_are_read(tmp_path: Path) -> None:
         elif content == {"refine_poses": {}}:
             read.append("section of a site")
         elif isinstance(content, dict):
-            assert load_picture_config(path).calibration.distortion == (-0.12, 0, 0, 0, 0)
+            assert load_picture_config(path).calibration.k1 == -0.12
             read.append("pose file")
         else:
             read.append(kind)

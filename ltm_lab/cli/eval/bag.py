@@ -35,13 +35,13 @@ def bag(
 
     from ltm_core.base.errors import RecordingError
     from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.evaluation.dated_run import DatedRun
     from ltm_lab.evaluation.run_score import score_bag
     from ltm_lab.evaluation.score_tables import as_json, shown, tables
     from ltm_ros.pages import write_figures
-    from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()
-    recorded = Recorded.find(bag, site, truth, date)
+    recorded = DatedRun.find(bag, site, truth, date)
     with console.status("scoring"):
         score = score_bag(recorded)
     parts = tables(score)

@@ -125,12 +125,12 @@ def _score_recording(
 
     from ltm_core.fuel.life_form import LifeForm
     from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.evaluation.dated_run import DatedRun
     from ltm_lab.evaluation.fuel_score import score_fuel_bag
     from ltm_ros.pages import write_figures
-    from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()
-    recorded = Recorded.find(bag, site, truth, date)
+    recorded = DatedRun.find(bag, site, truth, date)
     with console.status("counting"):
         score = score_fuel_bag(recorded, repeat_hours)
     rows: list[Sequence[str]] = []

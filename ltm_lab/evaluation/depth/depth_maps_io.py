@@ -17,8 +17,7 @@ def read_depth_map(folder: Path, camera_name: str, stamp_ns: int, image: tuple[i
     """Read `FOLDER/CAMERA/STAMP_NS.npy`: depth along the optical axis (h, w) or (1, ..., h, w), NaN unknown.
 
     `image`: rows and columns of the frame. Raises ImageError if there is no map, if it is not an image of one float
-    channel, or if it is rotated by 90 degrees.
-    """
+    channel, or if it is rotated by 90 degrees."""
     file = folder / camera_name / f"{stamp_ns}.npy"
     try:
         with file.open("rb") as stream:

@@ -42,8 +42,7 @@ class DepthEvaluationScore:
 
     `verdicts`: frames by verdict. `checked`: frames with enough far ridges to detect a wrong pose. `beyond`: share of
     the fused depths that are off by more than three of their standard deviations. `coverage`: share of the pixels of
-    finite true depth that each source covers.
-    """
+    finite true depth that each source covers."""
 
     pose_error_deg: float
     frames: int
@@ -81,8 +80,7 @@ class DepthEvaluation:
     """Scores frames whose poses are turned by `pose_error_deg` into a random direction.
 
     With a `surface` raster of earlier vegetation, its own traced depth is scored too, and fusion gets it. `possible`:
-    ground beyond the DEM; rendered worlds have none.
-    """
+    ground beyond the DEM; rendered worlds have none."""
 
     def __init__(
         self,
@@ -202,8 +200,7 @@ def fit_to_truth(values: Float32Array, truth: Float32Array, kind: DepthKind) -> 
 
     The protocol by which networks of relative depth are compared (Ranftl et al. 2020, "Towards robust monocular depth
     estimation", section 6): inverse depth is fitted in inverse depth, and the result is held below the largest true
-    depth. Raises ImageError on different shapes.
-    """
+    depth. Raises ImageError on different shapes."""
     if values.shape != truth.shape:
         raise ImageError(f"depth of {values.shape} cannot be fitted to truth of {truth.shape}")
     both = np.isfinite(values) & np.isfinite(truth) & (truth > 0)

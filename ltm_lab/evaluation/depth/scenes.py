@@ -53,10 +53,10 @@ def open_scene(place: Path, site: Path | None = None, date: str = "") -> Scene:
         return _engabreen(place)
     if (place / PHOTOS[min(PHOTOS)]).is_file():
         return _canyon(place)
+    from ltm_lab.evaluation.dated_run import DatedRun
     from ltm_lab.frames.truth_frames import recorded_truth_frames
-    from ltm_ros.recordings.recorded_run import Recorded
 
-    recorded = Recorded.find(place, site)
+    recorded = DatedRun.find(place, site)
     own = recorded.site
     frames = recorded_truth_frames(place, own)
     return Scene(own.open_dem(), frames, own.curvature, own.frame, own.possible_ground, own.model)

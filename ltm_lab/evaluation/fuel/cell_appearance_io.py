@@ -20,8 +20,7 @@ from ltm_lab.evaluation.fuel.simulated_votes import SimulatedVotes
 @dataclass(frozen=True, eq=False)
 class LearntLook:
     """`appearance`: of all sites. `correlation`: on each site, of looks learnt on the others. `right`: of each form,
-    its id, the share of its cells in frames told rightly so, and by most of their labels.
-    """
+    its id, the share of its cells in frames told rightly so, and by most of their labels."""
 
     appearance: CellAppearanceModel
     correlation: LabelCorrelation

@@ -1,8 +1,7 @@
 """Estimates how strongly a network's label errors correlate within a fuel cell, from votes of known truth.
 
 A look at a cell is a pixel's label, expected with the shares that are known of the network; or the appearance of the
-whole cell, where that is known (`ltm_core.fuel.label_measurement`).
-"""
+whole cell, where that is known (`ltm_core.fuel.label_measurement`)."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ def label_correlation(
     known of the network; that it errs otherwise here is error too, common to all views. `reach`: standard deviation in
     cells of the Gaussian that weighs pairs of cells. Cameras are taken as views.
 
-    A correlation for which too few cells are seen twice, from one camera or from two, is as high as possible.
-    """
+    A correlation for which too few cells are seen twice, from one camera or from two, is as high as possible."""
     cells = np.zeros((FORMS, FORMS), np.int64)
     labelled, spread = [], np.ones(FORMS)
     table = np.where(np.isnan(errors.shares), np.eye(FORMS), errors.shares)

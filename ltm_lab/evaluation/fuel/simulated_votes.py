@@ -28,8 +28,7 @@ class SimulatedVotes:
 
 def simulated_votes(folder: Path, segmenter: Segmenter, labels: LabelSet) -> SimulatedVotes:
     """Return the votes of all frames of a folder of `ltm-lab simulate` with one date: each photo is labelled by the
-    network and traced over the outdated DEM. Raises RecordingError for a folder of another kind.
-    """
+    network and traced over the outdated DEM. Raises RecordingError for a folder of another kind."""
     rasters = sorted((folder / "truth").glob("*/life_form.tif"))
     if len(rasters) != 1:
         raise RecordingError(f"{folder} must hold the truth of one date, found that of {len(rasters)}")

@@ -2,8 +2,7 @@
 
 Pixels are traced over the terrain with each frame's true pose to find what they show; the network's errors are drawn
 for them; and they are voted with the pose that is believed. Only that is simulated: votes, evidence and majority are
-the system's own. `ltm-lab eval fuel` runs the trials.
-"""
+the system's own. `ltm-lab eval fuel` runs the trials."""
 
 from __future__ import annotations
 
@@ -45,9 +44,8 @@ class Trial:
     same in all frames of a view. `clumping`: of the network's errors; None: as its known correlations say.
     `network_error`: relative difference of the network in the field from what is known of it. `prior_wrong`: share of
     wrong cells of the prior, in patches. `near`: one more camera, low among the plants, which takes each third pixel
-    for trees. `hours`: when each view is taken. `telling`: wrong labels are less confident. `measured`:
-    the network's errors are known; else they are measured on the trial's own votes, as `ltm models measure` does.
-    """
+    for trees. `hours`: when each view is taken. `telling`: wrong labels are less confident. `measured`: the network's
+    errors are known; else they are measured on the trial's own votes, as `ltm models measure` does."""
 
     name: str
     pose_deg: float = 0.0
@@ -118,9 +116,8 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
 
 
 class _Network:
-    """Draws a network's labels of pixels: a Gaussian copula, so that the shares of labels are those of its confusion
-    in the field, and stands, clumps and neighbours err together as the trial says.
-    """
+    """Draws a network's labels of pixels: a Gaussian copula, so that the shares of labels are those of its confusion in
+    the field, and stands, clumps and neighbours err together as the trial says."""
 
     def __init__(self, world: World, trial: Trial, errors: LabelErrors, rng: np.random.Generator) -> None:
         self._world, self._clumping, self._rng = world, trial.clumped(errors), rng

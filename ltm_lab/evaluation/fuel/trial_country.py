@@ -34,8 +34,7 @@ View = tuple[str, tuple[float, float, float], float, float]
 @dataclass(frozen=True, eq=False)
 class World:
     """`truth`: (H, W) uint8 life forms of the cells, by majority of `fine` (SUBCELLS H, SUBCELLS W). `patch`: (H, W)
-    bool, cells that were shrub, as the prior says too, and have become conifers.
-    """
+    bool, cells that were shrub, as the prior says too, and have become conifers."""
 
     dem: Dem
     geometry: GridGeometry
@@ -49,8 +48,7 @@ class World:
 def make_world(seed: int, prior_wrong: float, dem: Dem | None = None) -> World:
     """Terrain 6 km wide (or `dem`, in a map frame), its plants, a patch that the prior does not know, three towers.
 
-    `prior_wrong`: share of the prior's cells that are of another form than it says, in patches.
-    """
+    `prior_wrong`: share of the prior's cells that are of another form than it says, in patches."""
     rng = np.random.default_rng(seed)
     dem = _terrain(seed) if dem is None else dem
     x_min, y_min, x_max, y_max = dem.geometry.bounds

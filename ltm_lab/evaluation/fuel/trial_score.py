@@ -33,8 +33,7 @@ def users_accuracy(score: MapScore, prevalence: float | None = None) -> float:
     """Return the share of reported changes that are right if this share of cells has changed and changes are reported
     as often as here; None: as many as here. NaN without reports or truth.
 
-    Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change.
-    """
+    Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change."""
     changed = score.prevalence if prevalence is None else prevalence
     right = changed * score.found.value
     false = (1 - changed) * score.false_flips.value if changed < 1 else 0.0
@@ -61,8 +60,7 @@ class TrialScore:
     enough for a change. `false_flips`: of all other cells, those that changed to a wrong life form. `code_kept`: of
     unchanged and unseen cells, those with the prior's code. `ours`, `vote`, `prior`: cells of the right life form.
     `add_ms`: processor time of a frame. Of the reported changes (NaN without a prior): `changed`, the share of cells
-    that truly changed; `found`, the producer's accuracy; `users`, the user's accuracy, and that at a share of RARE.
-    """
+    that truly changed; `found`, the producer's accuracy; `users`, the user's accuracy, and that at a share of RARE."""
 
     trial: str
     seed: int

@@ -32,8 +32,7 @@ def share_called(labels: UInt8Array, where: BoolArray, classes: Sequence[int]) -
 def facts_of_areas(labels: UInt8Array, truth: UInt8Array, names: Sequence[str]) -> tuple[list[Fact], float]:
     """Facts of labels (H, W) against areas by hand (255: not named), and the share of the land in these that is wrong.
 
-    Sky counts apart: it is most of what people name, and easy.
-    """
+    Sky counts apart: it is most of what people name, and easy."""
     score = SegmentationScore.empty(len(names)).plus(truth, labels)
     facts = facts_of_score(score, names)
     facts += [

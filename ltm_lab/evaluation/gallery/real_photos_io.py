@@ -33,8 +33,7 @@ _NAMED = 6
 class NamedPhoto:
     """A photo with the class ids that a person gave to parts of it, 255 elsewhere; None where nobody has.
 
-    `mountain`: where a person saw a mountain, which is never sky; None where nobody said.
-    """
+    `mountain`: where a person saw a mountain, which is never sky; None where nobody said."""
 
     name: str
     photo: RgbImage

@@ -34,8 +34,7 @@ class PlaceScore:
 
     `error`, `likeliest_error`: metres from the true place to the posterior's mean and to its likeliest place.
     `densest`: share of the densest region at whose edge the true place lies. `in_50`, `in_95`: the ellipse holds it.
-    `major`, `minor`: half axes of the 95 % ellipse, metres. `unlocated`: why there is no answer.
-    """
+    `major`, `minor`: half axes of the 95 % ellipse, metres. `unlocated`: why there is no answer."""
 
     error: float = math.nan
     likeliest_error: float = math.nan
@@ -74,8 +73,7 @@ def located_points(
     points: ControlPoints, camera: Camera, position: Float64Array, dem: Dem, bend: float, config: LocatingConfig
 ) -> list[LocatedPoint]:
     """Leave out each point, fit angles, focal length and k1 to the others, and locate the point with the sigmas of the
-    pixel and of the focal length that the fit gives.
-    """
+    pixel and of the focal length that the fit gives."""
     tracer = TerrainTracer(dem, bend > 0)
     found = []
     for k, name in enumerate(points.names):

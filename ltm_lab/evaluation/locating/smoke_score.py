@@ -46,8 +46,7 @@ class Case(StrEnum):
 class SmokeJob:
     """Smoke trials on one site: a raster, a folder of `ltm-lab simulate` with its cameras, or (None) mountains drawn by
     the seed. `dem_error`: sigma of the heights in metres, None for a tenth of a cell. `boxed`: a box is marked, or a
-    pixel is clicked on.
-    """
+    pixel is clicked on."""
 
     place: Path | None
     seed: int
@@ -61,9 +60,8 @@ class SmokeJob:
 @dataclass(frozen=True)
 class SmokeTrial:
     """One trial. `range`: mean of the cameras', metres. `hidden`: metres of the plume that the camera that sees it best
-    does not see. `agreed`: the cameras were taken to agree. `wrong`: the turned camera.
-    `suspect`: the camera that is most probably wrong, if they disagree.
-    """
+    does not see. `agreed`: the cameras were taken to agree. `wrong`: the turned camera. `suspect`: the camera that is
+    most probably wrong, if they disagree."""
 
     site: str
     case: str
@@ -202,9 +200,8 @@ def _scored(
 @dataclass(frozen=True)
 class SmokeSummary:
     """Smoke trials of one kind. Shares are of all trials, those without an answer count as misses; errors are medians
-    of those with one, and `error_p90` the 90th percentile. `suspected`: share of the turned cameras that were
-    the most suspicious one. NaN of none.
-    """
+    of those with one, and `error_p90` the 90th percentile. `suspected`: share of the turned cameras that were the most
+    suspicious one. NaN of none."""
 
     count: int
     unlocated: int

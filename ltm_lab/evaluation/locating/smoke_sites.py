@@ -25,8 +25,7 @@ _AROUND = 1_000.0  # metres: a summit stands above the mean of what is so near
 @dataclass(frozen=True, eq=False)
 class SmokeSite:
     """`truth`: the ground, in a map frame of small coordinates. `model`: what is known of it. `towers`: (T, 3) true
-    positions of cameras.
-    """
+    positions of cameras."""
 
     name: str
     truth: Dem
@@ -38,8 +37,7 @@ def smoke_site(name: str, dem: Dem, error: float, seed: int, towers: Float64Arra
     """Return a site whose model is the DEM, and whose truth differs by correlated errors of `error` metres (sigma).
 
     `towers` are (T, 3) places of cameras; by default they are found on summits. Raises ConfigError if there is no room
-    for three.
-    """
+    for three."""
     rng = np.random.default_rng([seed, 1])
     x, y = round(dem.geometry.x_min / 1000) * 1000.0, round(dem.geometry.y_min / 1000) * 1000.0
     g = dem.geometry.translated(-x, -y)

@@ -1,6 +1,5 @@
 """Geometric smoke as cameras see it: a leaning plume over a place of the true ground, its lowest visible part by lines
-of sight against that ground, and what a detector or a person marks of it. No picture is rendered.
-"""
+of sight against that ground, and what a detector or a person marks of it. No picture is rendered."""
 
 from __future__ import annotations
 
@@ -120,8 +119,7 @@ def sighting(
     a pose that is wrong by `errors` and, unknown to all, turned by `turned_deg`. `offsets`: (6,) sigmas by which the
     pose is wrong, position and angles, where a camera has the same ones each time; else they are drawn.
 
-    None where it does not fit the picture.
-    """
+    None where it does not fit the picture."""
     azimuth = math.degrees(seen.bearing) + rng.uniform(-24, 24)
     true = Pose.from_angles(seen.tower, azimuth, rng.uniform(-5, 0), 0.5 * rng.standard_normal())
     pixels = project(CAMERA, true, seen.seen, bend)

@@ -47,8 +47,7 @@ def cell_means(values: Float32Array, geometry: GridGeometry, onto: GridGeometry)
     """Means of a raster over the cells of another that is as coarse or coarser, (H, W); NaN where none is known.
 
     Both in one frame. A cell is the mean of the raster at n x n places spread evenly in it, n so that no cell of the
-    raster is left out. Raises RasterError where the raster is coarser than the cells.
-    """
+    raster is left out. Raises RasterError where the raster is coarser than the cells."""
     ratio = onto.resolution / geometry.resolution
     if ratio < 1 - 1e-6:
         raise RasterError(f"a raster of {geometry.resolution} m gives no means over cells of {onto.resolution} m")

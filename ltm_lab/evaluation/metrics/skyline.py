@@ -15,8 +15,7 @@ class SkylineScore:
     """Errors in rows of the image, positive where the estimate lies lower (sees more sky); NaN without a column.
 
     `columns`: those that were compared. `missed`: columns with a true skyline for which the estimate has none.
-    `resolution`: rows between the truth's samples; each error is known to half of that.
-    """
+    `resolution`: rows between the truth's samples; each error is known to half of that."""
 
     columns: int
     missed: int
@@ -31,8 +30,7 @@ class SkylineScore:
 def skyline(sky: BoolArray, unknown: BoolArray | None = None) -> Float32Array:
     """The first row below the sky in each column of a mask (H, W), (W,) float32.
 
-    NaN in columns that do not begin with sky, are sky throughout, or whose sky ends at a pixel that is `unknown`.
-    """
+    NaN in columns that do not begin with sky, are sky throughout, or whose sky ends at a pixel that is `unknown`."""
     height = sky.shape[0]
     row = np.where(sky.all(axis=0), height, np.argmin(sky, axis=0))
     usable = (row > 0) & (row < height)
@@ -57,9 +55,8 @@ class SkylineTally:
     def add(self, estimate: Float32Array, truth: Float32Array, step: int = 1) -> None:
         """Count one pair of skylines (W,): the estimate of every column, truth of every `step`-th, in its own rows.
 
-        The truth says that the skyline lies between two of its rows; the middle is taken. Raises ImageError where
-        the widths do not fit.
-        """
+        The truth says that the skyline lies between two of its rows; the middle is taken. Raises ImageError where the
+        widths do not fit."""
         sampled = estimate[::step]
         if sampled.shape != truth.shape:
             raise ImageError(

@@ -53,8 +53,7 @@ def surface_figure(
 ) -> Figure:
     """Four maps: shift of the surface, sigma, kinds of change, and the change against the truth where that is known.
 
-    All (H, W) of `geometry`, lengths in metres. Raises RasterError on other shapes.
-    """
+    All (H, W) of `geometry`, lengths in metres. Raises RasterError on other shapes."""
     from matplotlib.figure import Figure
 
     for name, array in (("sigma", sigma), ("shift", shift), ("change", change), ("seen", seen), ("truth", truth)):

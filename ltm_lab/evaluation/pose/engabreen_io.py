@@ -118,8 +118,7 @@ def run_real_trials(
     """Search the pose from 12 starts, with the calibration of the control points.
 
     `focal_free`: with the stated focal length, which is fitted. `position_off`: metres by which the start's place is
-    off, in as many directions; it is then fitted.
-    """
+    off, in as many directions; it is then fitted."""
     true, camera, config = real.points.pose, real.points.camera, PicturePoseConfig()
     if focal_free:
         camera = replace(camera, fx=real.stated.fx, fy=real.stated.fy)

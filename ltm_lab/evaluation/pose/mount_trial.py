@@ -28,8 +28,7 @@ _ROUNDS = 2
 @dataclass(frozen=True)
 class MountTrial:
     """One PTZ head. Of each image the errors of the angles, degrees, and these over their sigmas (`z`); `focal`: found
-    focal length over the true one.
-    """
+    focal length over the true one."""
 
     head: str
     verdict: str
@@ -45,8 +44,7 @@ class WatchTrial:
     `pictures`, `clear`: images shown, and those with enough evidence. `held`: the mount was found. `alarms`: times that
     it was said to have slipped, or to contradict its poses. `error`: largest errors of the corrected angles before the
     turn, degrees. `noticed`: clear images until the turn was reported; None if it was not. `refitted`: the mount was
-    found again; `error_after`: the errors then. `tracked_seconds`: processor time of each image of a held mount.
-    """
+    found again; `error_after`: the errors then. `tracked_seconds`: processor time of each image of a held mount."""
 
     camera: str
     pictures: int

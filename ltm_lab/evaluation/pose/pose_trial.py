@@ -69,8 +69,7 @@ class PoseTrial:
     `before`, `after`: errors of the disturbed and the found angles, degrees; `z`: the latter over their sigmas.
     `open_share`: share of the horizon in view beyond which land outside the DEM may stand. `traced_before`, `traced`:
     median distance in metres between the places at about 1 km to which true and disturbed or found pose trace a pixel,
-    NaN if no pixel sees any. `focal`: found focal length over the true one. `seconds`: processor time.
-    """
+    NaN if no pixel sees any. `focal`: found focal length over the true one. `seconds`: processor time."""
 
     frame: str
     sensor: Sensor
@@ -233,8 +232,7 @@ class Spread:
 class PoseScore:
     """Errors of the accepted poses, in degrees and metres. `angles`: of azimuth, pitch and roll. `z`: 1.48 median
     |error / sigma| of each, which is 1 if sigmas are right. `wrong_by_1`, `wrong_by_2`: accepted poses whose azimuth is
-    off by more degrees.
-    """
+    off by more degrees."""
 
     trials: int
     accepted: int

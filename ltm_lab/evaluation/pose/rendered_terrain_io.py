@@ -57,8 +57,7 @@ class RenderedSite:
     """A folder of `ltm-lab simulate` and what the search for poses gets of it.
 
     `model` names the segmentation network; if it is empty, labels are the true ones. `alone` leaves out the DEM of the
-    surroundings. `canopy` adds the true surface raster. Of the frames each `every`-th is used.
-    """
+    surroundings. `canopy` adds the true surface raster. Of the frames each `every`-th is used."""
 
     folder: Path
     model: str
@@ -73,8 +72,7 @@ class RenderedSite:
     def terrain(self) -> SearchTerrain:
         """Return the DEM of the site within those of its surroundings, at whose end the world ends.
 
-        If the site is `alone`, nothing is known of the land beyond. Raises RecordingError if a raster is missing.
-        """
+        If the site is `alone`, nothing is known of the land beyond. Raises RecordingError if a raster is missing."""
         frame, dem = site_frame(self.folder), open_dem(self.folder)
         if not self.alone:
             levels = [dem]

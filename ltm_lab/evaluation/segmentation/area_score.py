@@ -1,8 +1,7 @@
 """Scores label networks on areas that a person named in photos of many places.
 
 `ltm_lab/config/training/landscape_photos.csv` lists the photos, `landscape_areas.json` their areas, in shares of the
-photo's sides. Class `land` is ground of unknown cover: of it only being called sky or water is counted.
-"""
+photo's sides. Class `land` is ground of unknown cover: of it only being called sky or water is counted."""
 
 from __future__ import annotations
 

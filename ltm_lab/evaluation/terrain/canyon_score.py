@@ -37,10 +37,9 @@ _SECOND = 1_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class CanyonScore:
-    """`change`: of the cells that three dates have seen, against the last survey. `before`, `after`: heights against
-    it there. `measured`: depth against that traced on each date's own survey, median absolute share; `verdicts`: of
-    the fusion.
-    """
+    """`change`: of the cells that three dates have seen, against the last survey. `before`, `after`: heights against it
+    there. `measured`: depth against that traced on each date's own survey, median absolute share; `verdicts`: of the
+    fusion."""
 
     name: str
     change: ChangeScore
@@ -58,8 +57,7 @@ def score_canyon(canyon: Canyon, network: DepthNetwork | None) -> CanyonScore:
 
     `network`: its depth of the photos, fitted to BEFORE's terrain, with the resected pose and its covariance; None:
     depth that is traced on each date's own survey, 0.3 m + 0.5 % of noise, with the pose as if it were exact: what the
-    geometry would allow.
-    """
+    geometry would allow."""
     bar = canyon.surveys[BEFORE]
     # Sand carries no canopy: the survey is the surface.
     reference = Reference.of(bar, Dem(bar.elevation.copy(), bar.geometry))

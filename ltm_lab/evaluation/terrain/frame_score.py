@@ -1,7 +1,6 @@
 """Score the surface map on simulated frames: it starts from the surface of one date and gets frames of another.
 
-Its depth is the frames' true depth with noise, or the depth that a network measures in their photos.
-"""
+Its depth is the frames' true depth with noise, or the depth that a network measures in their photos."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ class FrameScore:
 
     `change` counts the cells that independent views have seen; a cell has changed if it moved by the map's threshold
     (`truth`). `before` and `after` are the heights of the changed cells as given and as updated. `tails` are the shares
-    of the other cells whose estimate is off by more than 3 and 5 of its sigmas. `verdicts` are those of the fusion.
-    """
+    of the other cells whose estimate is off by more than 3 and 5 of its sigmas. `verdicts` are those of the fusion."""
 
     frames: int
     change: ChangeScore
@@ -126,8 +124,7 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
 def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter) -> Measure:
     """Return the depth of a network, fused with the terrain and surface of before as in the graph.
 
-    A frame whose pose the fusion suspects has no depth.
-    """
+    A frame whose pose the fusion suspects has no depth."""
     to_ground, to_surface = (TerrainTracer(dem, possible=NOTHING_BEYOND) for dem in (ground, before))
     settings = FusionSettings()
     classes = ClassPriors.of(segmenter.labels, network.fusion)

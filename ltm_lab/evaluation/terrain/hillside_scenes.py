@@ -1,8 +1,7 @@
 """Exact hillside scenes for the surface map: the true surface before and after is known for each cell.
 
-No renderer is needed: what two towers measure is traced on the true surface, with the noise of a fused depth image;
-the map is given the surface of before.
-"""
+No renderer is needed: what two towers measure is traced on the true surface, with the noise of a fused depth image; the
+map is given the surface of before."""
 
 from __future__ import annotations
 
@@ -49,8 +48,7 @@ SCENES = (
 @dataclass(frozen=True)
 class Noise:
     """Of one depth image: sigma = `constant` + `share` x range, half of its variance with a length of `correlation`
-    pixels, the rest by pixel; `lasting`: the part of the correlated noise that all images of one camera have alike.
-    """
+    pixels, the rest by pixel; `lasting`: the part of the correlated noise that all images of one camera have alike."""
 
     constant: float = 0.3
     share: float = 0.01
@@ -68,8 +66,7 @@ class SceneConditions:
     """`pose_error_deg`: sigma of each of a frame's three angles, which the frame's covariance states. `occluded`: share
     of the image that something nearer hides, elsewhere in every frame. `looks`: images of each tower, two hours apart.
     `width`, `height`: of the camera; only every `pixel_step`-th row and column is made, since the map takes no others.
-    `seed`: of the ground, what stands on it, the poses' errors and the noise.
-    """
+    `seed`: of the ground, what stands on it, the poses' errors and the noise."""
 
     pose_error_deg: float = 0.0
     occluded: float = 0.0
@@ -85,8 +82,7 @@ class SceneConditions:
 @dataclass(frozen=True, eq=False)
 class HillsideScene:
     """`bare`, `given`: bare earth and surface as the map gets them. `true_before`, `true_now`: the real surface. Change
-    is what `true_now` differs from `given`.
-    """
+    is what `true_now` differs from `given`."""
 
     name: str
     bare: Dem

@@ -24,8 +24,7 @@ class HillsideScore:
     """The score of one run.
 
     `change` counts the cells that independent views have seen; a cell has changed if its true surface differs from the
-    given one by the map's threshold or more (`truth`). The RMSE is that of the surface on the changed cells, metres.
-    """
+    given one by the map's threshold or more (`truth`). The RMSE is that of the surface on the changed cells, metres."""
 
     change: ChangeScore
     rmse_before: float

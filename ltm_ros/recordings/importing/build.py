@@ -26,12 +26,13 @@ from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_t
 
 _APART_NS = 1_000_000
 """Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
+_Placed = tuple[str, ImportedImage, PhotoPose, int]
+"""A photo that can be placed: its camera, file, row in the pose file, and stamp."""
 
 
 @dataclass
 class ImportReport:
-    """Result of an import. `rejected`: (photo, why). `skipped`: other files of the folders. `cameras`: number of photos
-    per camera."""
+    """Result of an import. `rejected`: (photo, why). `skipped`: other files. `cameras`: photos per camera."""
 
     bag: Path
     site: str
@@ -71,20 +72,19 @@ def import_photos(
     if site is not None:
         around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
     files, skipped = find_pictures(images, assumed)
-    rows = read_pose_file(poses) if poses is not None else None
-    if rows is not None:
-        listed = _named_in(files, rows, poses)
-        skipped += [SkippedFile(file.path, f"not listed in {poses}") for file in files if file not in listed]
-        files = listed
-    frame = site.frame if site is not None else _frame_of(files, rows)
+    listed = [(file, PhotoPose(name=file.name)) for file in files]
+    if poses is not None:
+        listed = _listed(files, poses)
+        chosen = {file.name for file, _ in listed}
+        skipped += [SkippedFile(file.path, f"not listed in {poses}") for file in files if file.name not in chosen]
     if site is None:
-        around = Surroundings(frame)
+        around = Surroundings(_frame_of(listed))
+    frame = around.frame
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
     report.skipped = skipped
 
-    placed: list[tuple[str, ImportedImage, PhotoPose, int]] = []
-    for done, file in enumerate(files):
-        row = _row_of(file, rows)
+    placed: list[_Placed] = []
+    for done, (file, row) in enumerate(listed):
         try:
             name = _camera_name(row, camera, site)
             item = place(file.read(), row, name, around, assumed)
@@ -101,9 +101,9 @@ def import_photos(
             # Only the order of the photos is kept: a season's photos do not fit in memory.
             placed.append((name, file, row, item.stamp_ns))
             report.notes += [(file.name, note) for note in item.notes]
-        progress(done + 1, 2 * len(files))
+        progress(done + 1, 2 * len(listed))
     if not placed:
-        raise RecordingError(f"none of {len(files)} photos could be imported; the first: {report.rejected[0][1]}")
+        raise RecordingError(f"none of {len(listed)} photos could be imported; the first: {report.rejected[0][1]}")
     placed = _apart(placed, report)
     doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
     if doubt is not None:
@@ -120,7 +120,7 @@ def import_photos(
                 report.refined.append((file.name, found))
             _write(writer, report.site, name, item, stamp_ns, frames)
             report.cameras[name] = report.cameras.get(name, 0) + 1
-            progress(len(files) + done + 1, len(files) + len(placed))
+            progress(len(listed) + done + 1, len(listed) + len(placed))
     return report
 
 
@@ -138,23 +138,15 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
             writer.write_raw(transforms, TF_TYPE, raw, stamp_ns)
 
 
-def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:
-    missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
+def _listed(files: list[ImportedImage], poses: Path) -> list[tuple[ImportedImage, PhotoPose]]:
+    """Return the photos that a pose file lists, by their names with or without suffix, each with its row."""
+    rows = read_pose_file(poses)
+    named = [(file, name) for file in files for name in (file.name, Path(file.name).with_suffix("").as_posix())]
+    missing = sorted(rows.keys() - {name for _, name in named})
     if missing:
         raise RecordingError(f"pose file {poses} lists {len(missing)} missing photos: {', '.join(missing[:5])}")
-    return [file for file in files if any(name in rows for name in _names_of(file))]
-
-
-def _names_of(file: ImportedImage) -> tuple[str, str]:
-    """Return the names that a pose file may use: the photo's, and that without the suffix."""
-    return file.name, Path(file.name).with_suffix("").as_posix()
-
-
-def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
-    """Return its own row."""
-    if rows is None:
-        return PhotoPose(name=file.name)
-    return next(rows[name] for name in _names_of(file) if name in rows)
+    found = {file.name: (file, rows[name]) for file, name in reversed(named) if name in rows}
+    return [found[file.name] for file in files if file.name in found]
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
@@ -163,21 +155,19 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
         return checked(PhotoPose, {"name": "-", "camera": name or "camera"}, "--camera").camera or ""
     if name is None:
         if len(site.cameras) > 1:
-            raise ConfigError(
-                f"site {site.name} has the cameras {', '.join(site.cameras)}: name the photos' camera with "
-                "--camera or a column `camera` in the pose file"
-            )
+            what = f"site {site.name} has the cameras {', '.join(site.cameras)}"
+            raise ConfigError(f"{what}: name the photos' with --camera or a column `camera` in the pose file")
         (name,) = site.cameras
     site.camera(name)
     return name
 
 
 def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
-    """Raise ImageError for a photo that the graph would drop, because it is too large, or of another size than the
-    site's calibration."""
-    calibration = site.camera(name).calibration if site is not None else None
-    photo = item.photo
-    if site is not None and photo.width * photo.height > site.limits.pixels:
+    """Raise ImageError for a photo that is too large for the graph, or of another size than the site's calibration."""
+    if site is None:
+        return
+    calibration, photo = site.camera(name).calibration, item.photo
+    if photo.width * photo.height > site.limits.pixels:
         raise ImageError(
             f"{photo.path} has {photo.width} x {photo.height} pixels, but the site's limit is {site.limits.pixels}: "
             "reduce the photo, or raise pixels under `expert.limits`"
@@ -187,22 +177,16 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     why = f"has {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
     remedy = "use a photo of that size, or give the site this photo's calibration"
     if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
-        remedy = (
-            "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
-            "(exiftool -Orientation= photo.jpg)"
-        )
-    raise ImageError(
-        f"{photo.path} {why} but camera {name} of the site is calibrated for {calibration.width} x "
-        f"{calibration.height}: {remedy}"
-    )
+        remedy = "give the site the upright image's calibration, pitch and roll, or remove the photo's orientation tag"
+    size = f"{calibration.width} x {calibration.height}"
+    raise ImageError(f"{photo.path} {why} but the site's camera {name} is calibrated for {size}: {remedy}")
 
 
-def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
+def _frame_of(listed: list[tuple[ImportedImage, PhotoPose]]) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
     why = ""
     unreadable: LtmError | None = None
-    for file in files:
-        row = _row_of(file, rows)
+    for file, row in listed:
         if row.pose.x is not None and row.pose.crs is None:
             raise ConfigError(f"{file.name} has x, y in the pose file: give their site with --site")
         lon, lat = row.pose.lonlat()
@@ -224,14 +208,11 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
     raise RecordingError(f"no photo has a position{reason}: give them x, y or lon, lat in a pose file (--poses)")
 
 
-def _apart(
-    placed: list[tuple[str, ImportedImage, PhotoPose, int]], report: ImportReport
-) -> list[tuple[str, ImportedImage, PhotoPose, int]]:
+def _apart(placed: list[_Placed], report: ImportReport) -> list[_Placed]:
     """Sort by stamp, and make the stamps of each camera unique."""
-    ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
     last: dict[str, int] = {}
     result = []
-    for name, file, row, stamp_ns in ordered:
+    for name, file, row, stamp_ns in sorted(placed, key=lambda item: (item[3], item[1].name)):
         if name in last and stamp_ns <= last[name]:
             stamp_ns = last[name] + _APART_NS
             report.notes.append((file.name, "has the same stamp as the previous photo: moved by 1 ms"))

@@ -1,5 +1,5 @@
-"""Read the files of a capture: members of a zip, or a folder. Sizes are limited, and members of a zip are only read
-into memory, so that no name from a zip becomes a path."""
+"""Read the files of a capture: members of a zip, or a folder. Sizes are limited, and no name in a zip becomes a
+path."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from ltm_core.base.errors import RecordingError
@@ -31,11 +32,13 @@ class CaptureFiles:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._archive = None if path.is_dir() else self._opened()
-        self.names: tuple[str, ...] = tuple(self._below() if self._archive is None else self._members(self._archive))
+        names = self._below() if self._archive is None else self._archive.namelist()
+        self.names = [name for name in islice(names, MOST_MEMBERS + 1) if name and not name.endswith("/")]
+        if len(self.names) > MOST_MEMBERS:
+            raise RecordingError(f"{path}: the number of its files is more than {MOST_MEMBERS}: split the recording")
 
     def find(self, name: str) -> str | None:
-        """Return the member of this name, in any case: in a zip the one nearest to the top, in a folder directly in it,
-        because subfolders are searched for captures of their own."""
+        """Return the member of this name, in any case: the one nearest to a zip's top, or directly in a folder."""
         names = self.names if self._archive is not None else (n for n in self.names if "/" not in n)
         found = [n for n in names if PurePosixPath(n).name.lower() == name.lower()]
         return min(found, key=lambda n: (n.count("/"), n)) if found else None
@@ -56,10 +59,8 @@ class CaptureFiles:
             with opened as member:
                 data = member.read(most + 1)
         except _BROKEN as error:
-            raise RecordingError(
-                f"{place}: cannot be read ({type(error).__name__}: {error}); export the recording again, without a "
-                "password"
-            ) from error
+            what = f"{place}: cannot be read ({type(error).__name__}: {error})"
+            raise RecordingError(f"{what}; export the recording again, without a password") from error
         if len(data) > most:
             raise RecordingError(f"{place}: has more than {most >> 20} MiB unpacked: split the recording")
         return data
@@ -68,24 +69,13 @@ class CaptureFiles:
         try:
             return zipfile.ZipFile(self.path)
         except _BROKEN as error:
-            raise RecordingError(
-                f"{self.path}: is not a complete zip ({type(error).__name__}: {error}); export or copy it again"
-            ) from error
-
-    def _members(self, archive: zipfile.ZipFile) -> list[str]:
-        infos = archive.infolist()
-        if len(infos) > MOST_MEMBERS:
-            raise RecordingError(f"{self.path}: has {len(infos)} files, more than {MOST_MEMBERS}: split the recording")
-        return [info.filename for info in infos if info.filename and not info.filename.endswith("/")]
+            what = f"{self.path}: is not a complete zip ({type(error).__name__}: {error})"
+            raise RecordingError(f"{what}; export or copy it again") from error
 
     def _below(self) -> Iterator[str]:
         """Return the files in the folder and one level below."""
         for pattern in ("*", "*/*"):
-            for count, path in enumerate(self.path.glob(pattern)):
-                if count >= MOST_MEMBERS:
-                    raise RecordingError(f"{self.path}: has more than {MOST_MEMBERS} files: split the recording")
-                if path.is_file():
-                    yield path.relative_to(self.path).as_posix()
+            yield from (path.relative_to(self.path).as_posix() for path in self.path.glob(pattern) if path.is_file())
 
 
 def is_zip(path: Path) -> bool:
@@ -100,8 +90,7 @@ def is_zip(path: Path) -> bool:
 def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, list[str]]:
     """Return the available wanted columns of a CSV with a header; blanks beside commas are removed.
 
-    Raises RecordingError for an invalid CSV, or rows of another length (except an incomplete last row, if a phone
-    died)."""
+    Raises RecordingError for an invalid CSV, or rows that are too short, except the last one, if a phone died."""
     place = f"{files.path}: {name!r}"
     lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
     rows = csv.reader(lines, skipinitialspace=True)
@@ -110,18 +99,17 @@ def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, 
         if not header or len(set(header)) < len(header):
             raise RecordingError(f"{place}: its first line is not a header of different columns, got {header[:8]}")
         columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
-        kept = [(header.index(column), values) for column, values in columns.items()]
-        short = 0
-        for number, row in enumerate(rows, start=2):
-            if short:
-                raise RecordingError(f"{place}, line {short}: has fewer values than the {len(header)} columns")
-            if number > MOST_ROWS:
+        places = {column: header.index(column) for column in columns}
+        for row in filter(None, rows):
+            if rows.line_num > MOST_ROWS:
                 raise RecordingError(f"{place}: has more than {MOST_ROWS} rows: split the recording")
-            if row and len(row) < len(header):
-                short = number
-            elif row:
-                for i, values in kept:
-                    values.append(row[i].strip())
+            if len(row) < len(header):
+                number = rows.line_num
+                if next(rows, None):
+                    raise RecordingError(f"{place}, line {number}: has fewer values than the {len(header)} columns")
+                break
+            for column, values in columns.items():
+                values.append(row[places[column]].strip())
     except (csv.Error, UnicodeDecodeError) as error:
         what = "not text in UTF-8" if isinstance(error, UnicodeDecodeError) else "no CSV"
         raise RecordingError(f"{place} is {what} ({error}); export the recording again") from error

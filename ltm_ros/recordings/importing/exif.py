@@ -1,17 +1,21 @@
-"""Read a photo's EXIF: position, time and direction; and the values of its XMP."""
+"""Read a photo's position, time and direction from EXIF and XMP.
+
+DJI's gimbal angles are of the camera: yaw clockwise from true north, pitch up from the horizon, roll clockwise. Its
+`AbsoluteAltitude` is above sea level (above the ellipsoid with RTK), `RelativeAltitude` above the take-off place."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import MAXYEAR, UTC, datetime, timedelta
 from typing import Any, Literal
 
 from PIL.Image import Exif
 
 from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float64Array
 
 # Tag numbers: CIPA DC-008 (Exif 2.32), sections 4.6.4 to 4.6.6.
 ORIENTATION, EXIF_IFD, _GPS_IFD = 0x0112, 0x8769, 0x8825
@@ -25,31 +29,70 @@ _ROLLOVER = timedelta(weeks=1024)
 """Interval after which a GPS receiver's week number starts again from 0."""
 _FIRST_GPS_YEAR = 1999
 """EXIF has GPS tags since 1998; receivers without a fix count from 1980, or from 1970."""
+_GIMBAL_SIGMA_DEG = 0.5
+"""Standard deviation of the pitch and roll of a drone's gimbal in degrees."""
 _XMP_VALUE = re.compile(r"""([\w-]+:\w+)\s*=\s*["']([^"']*)["']|<([\w-]+:\w+)>([^<]*)</""")
+
+
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
+
+    `source`: of the values, for the user. `stamp`: exact; None: by EXIF.
+    `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
+    sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
+    (N, 3), longitude, latitude and climb along the way, if the device was carried on foot. `azimuth_deg`, from true
+    ("T") or magnetic ("M") north, `pitch_deg` and `roll_deg` are of the upright image. Sigmas are standard deviations.
+    `missing`: reason why there is no position, if known."""
+
+    source: str = "EXIF"
+    stamp: datetime | None = None
+    lon: float | None = None
+    lat: float | None = None
+    position_sigma: float | None = None
+    altitude: float | None = None
+    altitude_sigma: float | None = None
+    ellipsoidal: bool | None = None
+    in_flight: bool = False
+    climb: float | None = None
+    walk: Float64Array | None = None
+    azimuth_deg: float | None = None
+    azimuth_ref: Literal["T", "M"] | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    tilt_sigma_deg: float | None = None
+    missing: str = ""
+
+    def over(self, own: Sensed) -> Sensed:
+        """Return this, completed from another: position with height, direction, and tilt, each as a whole."""
+        taken: dict[str, Any] = {}
+        for names in _PARTS:
+            if getattr(self, names[0]) is None:
+                taken |= {name: getattr(own, name) for name in names}
+        return replace(self, **taken, stamp=own.stamp or self.stamp)
+
+
+_PARTS = (
+    ("lon", "lat", "position_sigma", "altitude", "altitude_sigma", "ellipsoidal"),
+    ("azimuth_deg", "azimuth_ref"),
+    ("pitch_deg", "roll_deg", "tilt_sigma_deg"),
+)
+"""Values that belong together, by the one that shows whether they are known."""
 
 
 @dataclass(frozen=True)
 class ExifFacts:
     """EXIF of one photo, each value None if missing or invalid.
 
-    `no_position`: reason why a stated position is not used. `altitude`: metres above sea level, negative below (tag 5);
-    as most cameras mean sea level even if the standard says ellipsoid (Exif 3.0), it is only certain if `above_sea`.
-    `direction_deg`: of the optical axis, clockwise from true ("T") or magnetic ("M") north by `direction_ref`.
     `taken`: by the camera's clock, with its time zone if stated; `changed`: whether it may be the date of an edit.
-    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31)."""
+    `gps_time`: of the GPS fix, UTC. `sensed`: position and direction; EXIF has no pitch and no roll. Most cameras mean
+    altitudes above sea level even if the standard says ellipsoid (Exif 3.0), so that is only certain if stated."""
 
     orientation: int = 1
     taken: datetime | None = None
     changed: bool = False
     gps_time: datetime | None = None
-    lat: float | None = None
-    lon: float | None = None
-    no_position: str = ""
-    altitude: float | None = None
-    above_sea: bool = False
-    position_error: float | None = None
-    direction_deg: float | None = None
-    direction_ref: Literal["T", "M"] | None = None
+    sensed: Sensed = field(default_factory=Sensed)
 
 
 def exif_facts(exif: Exif, what: str) -> ExifFacts:
@@ -74,20 +117,41 @@ def exif_facts(exif: Exif, what: str) -> ExifFacts:
     direction = number(gps.get(_DIRECTION))
     north = text_of(gps.get(_DIRECTION_REF))
     taken, changed = _taken(photo)
-    return ExifFacts(
-        orientation=orientation if orientation in range(1, 9) else 1,
-        taken=taken,
-        changed=changed,
-        gps_time=_gps_time(gps, taken),
-        lat=lat,
+    sensed = Sensed(
         lon=lon,
-        no_position=no_position,
+        lat=lat,
+        missing=no_position,
+        position_sigma=positive(gps.get(_POSITION_ERROR)),
         altitude=altitude,
-        above_sea=reference in (2, 3),
-        position_error=positive(gps.get(_POSITION_ERROR)),
-        direction_deg=direction % 360.0 if direction is not None and -180 <= direction <= 360 else None,
-        direction_ref="M" if north == "M" else "T" if north == "T" else None,
+        ellipsoidal=False if reference in (2, 3) else None,
+        azimuth_deg=direction % 360.0 if direction is not None and -180 <= direction <= 360 else None,
+        azimuth_ref="M" if north == "M" else "T" if north == "T" else None,
     )
+    known = orientation if orientation in range(1, 9) else 1
+    return ExifFacts(known, taken, changed, _gps_time(gps, taken), sensed)
+
+
+def sensed_by_xmp(xmp: Mapping[str, str], by_exif: Sensed) -> Sensed:
+    """Return the sensor data of a photo's XMP (`xmp_values`) over its EXIF; unchanged if it is not from DJI."""
+    found = {key.removeprefix("drone-dji:"): value for key, value in xmp.items() if key.startswith("drone-dji:")}
+    yaw, pitch, roll = (number(found.get(f"Gimbal{axis}Degree")) for axis in ("Yaw", "Pitch", "Roll"))
+    if yaw is pitch is roll is None:
+        return by_exif
+    facts: dict[str, Any] = {"source": "DJI", "in_flight": True, "pitch_deg": pitch, "roll_deg": roll}
+    facts["tilt_sigma_deg"] = _GIMBAL_SIGMA_DEG
+    if yaw is not None:
+        facts |= {"azimuth_deg": yaw % 360.0, "azimuth_ref": "T"}
+    lat, lon = number(found.get("GpsLatitude")), number(found.get("GpsLongitude", found.get("GpsLongtitude")))
+    if lat is not None and lon is not None and abs(lat) <= 90 and abs(lon) <= 180 and (lat, lon) != (0.0, 0.0):
+        facts |= {"lat": lat, "lon": lon}
+    east, north, up = (positive(found.get(f"RtkStd{axis}")) for axis in ("Lon", "Lat", "Hgt"))
+    if east and north:
+        facts |= {"position_sigma": math.hypot(east, north) / math.sqrt(2), "altitude_sigma": up}
+    if (altitude := number(found.get("AbsoluteAltitude"))) is not None:
+        facts |= {"altitude": altitude, "ellipsoidal": "rtk" in found.get("AltitudeType", "").lower() or None}
+    if (climb := number(found.get("RelativeAltitude"))) is not None:
+        facts["climb"] = climb
+    return replace(by_exif, **facts)
 
 
 def xmp_values(xmp: bytes | str | None) -> dict[str, str]:

@@ -41,9 +41,8 @@ class LensFacts:
     """What metadata states about a lens; None or empty if it states nothing. Lengths in mm.
 
     `zoom`: digital zoom ratio; `zoom_included`: whether the 35 mm equivalent certainly includes it. `plane`: sensor
-    pixels per mm along x and y. `size`: width and height in pixels that the camera recorded. `untouched`: whether the
-    camera itself wrote the file. `not_pinhole`: why the image is not of a pinhole camera. `calibration`: in pixels of
-    `size`."""
+    pixels per mm. `size`: width and height as recorded. `untouched`: whether the camera wrote the file. `not_pinhole`:
+    why it is no pinhole camera's image. `calibration`: in pixels of `size`."""
 
     focal_mm: float | None = None
     focal_35mm: float | None = None
@@ -72,10 +71,8 @@ def intrinsics(
     if lens.size is not None:
         scale = long / max(lens.size)
         if abs(short / min(lens.size) / scale - 1) > _SAME_ASPECT + 1 / short:
-            raise CameraError(
-                f"{what}: the camera recorded {lens.size[0]:g} x {lens.size[1]:g} pixels, but the image has {width} x "
-                f"{height}, so that it is cropped: use the original, or {remedy} with cx and cy"
-            )
+            sizes = f"of {lens.size[0]:g} x {lens.size[1]:g} pixels to {width} x {height}"
+            raise CameraError(f"{what}: the image is cropped, {sizes}: use the original, or {remedy} with cx and cy")
     sources = _sources(lens, long, math.hypot(width, height), scale)
     if not sources and focal_35mm is not None:
         sources = {"--focal-35mm": [focal_35mm / FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)]}
@@ -94,10 +91,8 @@ def intrinsics(
     sensor_mm = (lens.focal_mm or 0.0) * long / agreed[0] * lens.zoom
     exists = sensor_mm >= _LEAST_SENSOR_MM and not _NO_SENSOR_MM[0] < sensor_mm < _NO_SENSOR_MM[1]
     if all(name.startswith("FocalPlane") for name in sources) and not (lens.untouched and exists):
-        raise CameraError(
-            f"{what}: only the focal plane resolution gives the field of view ({values}), and software that resizes an "
-            f"image leaves it unchanged: {remedy}"
-        )
+        why = f"only the focal plane resolution gives the field of view ({values})"
+        raise CameraError(f"{what}: {why}, and software that resizes an image leaves it unchanged: {remedy}")
     stated = lens.calibration
     if stated.fx is None or agreed[0] != stated.fx * scale:
         return PartialCalibration(fx=agreed[0])
@@ -107,8 +102,7 @@ def intrinsics(
 
 
 def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[str, list[float]]:
-    """Return possible focal lengths in pixels by source, the most accurate first. There are two if it is unknown
-    whether a source includes the digital zoom."""
+    """Return possible focal lengths in pixels by source, the most accurate first; two with a doubtful zoom."""
     stated: dict[str, float] = {}
     if lens.calibration.fx is not None:
         stated["calibration in XMP"] = lens.calibration.fx * scale

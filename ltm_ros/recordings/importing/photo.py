@@ -21,21 +21,11 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import UInt8Array
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose
 from ltm_core.site.site import RosName
+from ltm_core.storage import image_io
 from ltm_core.storage.config_io import LARGEST_TABLE, checked, read_text, read_yaml
-from ltm_core.storage.image_io import (
-    decode_rgb,
-    image_format,
-    opened_picture,
-    orientation,
-    read_picture,
-    upright,
-    without_tail,
-)
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.recordings.importing.dji import sensed_by_xmp
-from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
+from ltm_ros.recordings.importing.exif import ExifFacts, Sensed, exif_facts, sensed_by_xmp, xmp_values
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
-from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
@@ -54,8 +44,7 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
-    known position and direction."""
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels."""
 
     path: Path
     data: bytes
@@ -79,8 +68,7 @@ class Photo:
 class ImportedImage:
     """A photo to import, whatever file contains it.
 
-    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
-    each time, because a season's photos do not fit in memory."""
+    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads it each time."""
 
     name: str
     path: Path
@@ -92,36 +80,34 @@ def read_photo(path: Path) -> Photo:
 
     JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for other formats, the upright image is
     compressed again: a JPEG with its own quantisation, others with JPEG quality 95. What follows a JPEG's image, such
-    as a motion photo's video, is cut off. Raises
-    ImageError for other files, and for corrupt or incomplete ones."""
-    return photo_of(read_picture(path), path)
+    as a motion photo's video, is cut off. Raises ImageError for other files, and for corrupt or incomplete ones."""
+    return photo_of(image_io.read_picture(path), path)
 
 
 def photo_of(data: bytes, path: Path) -> Photo:
     """Return the photo of a file's bytes; `path`: its name in errors. Raises as `read_photo`."""
-    with opened_picture(data, path) as image:
+    with image_io.opened_picture(data, path) as image:
         if image.format not in _FORMATS:
             raise ImageError(f"{path} is {image.format}; photos must be JPEG, PNG, HEIC, WebP, TIFF or AVIF")
         exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
         facts = exif_facts(exif, str(path))
-        turn, encoding = orientation(data, path), image_format(data)
-        pixels = upright(decode_rgb(data, str(path)), turn)
+        turn, encoding = image_io.orientation(data, path), image_io.image_format(data)
+        pixels = image_io.upright(image_io.decode_rgb(data, str(path)), turn)
         height, width = pixels.shape[:2]
         lens = lens_of_photo(exif, xmp, width, height)
         if turn == 1 and encoding:
-            stored = without_tail(data)
+            stored = image_io.without_tail(data)
         elif isinstance(image, JpegImageFile):
             stored = _turned_jpeg(image, pixels, turn)
         else:
             stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
-    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
+    sensed = sensed_by_xmp(xmp, facts.sensed)
     return Photo(path, stored, encoding, width, height, facts, sensed, lens)
 
 
 def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
-    """Return turned pixels as a JPEG with the quantisation of the stored image: its blocks change hardly, and its size
-    stays."""
+    """Return turned pixels as a JPEG with the quantisation of the stored image, so that they change hardly."""
     tables = {number: np.reshape(table, (8, 8)) for number, table in stored.quantization.items()}
     tables = {number: table.T if turn > 4 else table for number, table in tables.items()}  # a quarter turn
     written = BytesIO()
@@ -132,20 +118,6 @@ def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:
         subsampling=get_sampling(stored) if stored.layers == 3 else -1,
     )
     return written.getvalue()
-
-
-def sensed_by_exif(facts: ExifFacts) -> Sensed:
-    """Return position and direction from EXIF, which has no pitch and no roll."""
-    return Sensed(
-        lon=facts.lon,
-        lat=facts.lat,
-        position_sigma=facts.position_error,
-        altitude=facts.altitude,
-        ellipsoidal=False if facts.above_sea else None,
-        missing=facts.no_position,
-        azimuth_deg=facts.direction_deg,
-        azimuth_ref=facts.direction_ref,
-    )
 
 
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
@@ -172,21 +144,37 @@ def columns() -> list[str]:
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Return rows by photo name, from a CSV with a header line; or by the photos' names without suffix, from a folder
-    of pose files, as `ltm pose photo` writes it.
+    """Return rows by photo name, from a CSV with a header; or by names without suffix, from a folder of pose files.
 
-    Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
-    line), or a photo listed twice."""
+    Raises ConfigError for another file, unknown columns, invalid values (with the line), or a photo listed twice."""
     if path.is_dir():
         return _pose_files(path)
     if path.suffix.lower() != ".csv":
         raise ConfigError(f"pose file {path} must be a CSV file (.csv), or a folder of pose files")
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
     poses: dict[str, PhotoPose] = {}
-    for place, row in _csv_rows(path):
-        pose = checked(PhotoPose, row, place, unnamed=_SECTIONS)
-        if pose.name in poses:
-            raise ConfigError(f"{place}: {pose.name} is listed twice")
-        poses[pose.name] = pose
+    try:
+        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
+        header = reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
+        unknown = sorted(set(header) - set(columns()))
+        if unknown or len(set(header)) < len(header):
+            named = ", ".join(unknown) or "(duplicates)"
+            raise ConfigError(f"pose file {path}: unknown columns {named}; known: {', '.join(columns())}")
+        for number, row in enumerate(reader, start=1):
+            place = f"{path}, row {number}"
+            if None in row or None in row.values():
+                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
+            stated = {name: value.strip() for name, value in row.items() if value.strip()}
+            content: dict[str, Any] = {name: v for name, v in stated.items() if name in PhotoPose.model_fields}
+            for section, model in _SECTIONS.items():
+                if values := {name: v for name, v in stated.items() if name in model.model_fields}:
+                    content[section] = values
+            pose = checked(PhotoPose, content, place, unnamed=_SECTIONS)
+            if pose.name in poses:
+                raise ConfigError(f"{place}: {pose.name} is listed twice")
+            poses[pose.name] = pose
+    except csv.Error as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
     if not poses:
         raise ConfigError(f"pose file {path} has no rows")
     return poses
@@ -203,35 +191,3 @@ def _pose_files(folder: Path) -> dict[str, PhotoPose]:
     if not poses:
         raise ConfigError(f"{folder} contains no pose files (NAME.yaml for the photo NAME)")
     return poses
-
-
-def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
-    try:
-        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
-        header = [name.strip() for name in reader.fieldnames or []]
-        unknown = sorted(set(header) - set(columns()))
-        if unknown or len(set(header)) < len(header):
-            raise ConfigError(
-                f"pose file {path}: unknown columns {', '.join(unknown) or '(duplicates)'}; known: "
-                f"{', '.join(columns())}"
-            )
-        reader.fieldnames = header
-        rows = []
-        for number, row in enumerate(reader, start=1):
-            place = f"{path}, row {number}"
-            if None in row or None in row.values():
-                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
-            rows.append((place, _sectioned({name: value.strip() for name, value in row.items() if value.strip()})))
-        return rows
-    except csv.Error as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
-
-
-def _sectioned(row: dict[str, str]) -> dict[str, Any]:
-    """Group the columns of a row by section."""
-    content: dict[str, Any] = {name: value for name, value in row.items() if name in PhotoPose.model_fields}
-    for section, model in _SECTIONS.items():
-        if values := {name: value for name, value in row.items() if name in model.model_fields}:
-            content[section] = values
-    return content

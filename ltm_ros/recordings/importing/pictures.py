@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,8 +15,7 @@ from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
-from ltm_ros.recordings.importing.sensor_logger import camera_frames, is_sensor_logger, read_sensor_logger
-from ltm_ros.recordings.importing.sensor_track import SensorTrack
+from ltm_ros.recordings.importing.sensor_logger import SensorTrack, camera_frames, is_sensor_logger, read_sensor_logger
 
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 _NO_PHOTO = {
@@ -41,8 +40,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     """Return the photos of files, folders with their subfolders, and zips, and the files that are not imported.
     A sensor recording without photos of its own applies to all photos beside it, by their time.
 
-    Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
-    unknown."""
+    Raises RecordingError for a missing path, two photos of a name, none at all, or an unknown file type."""
     paths = list(paths)
     found: list[ImportedImage] = []
     skipped: list[SkippedFile] = []
@@ -50,16 +48,10 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     for path in paths:
         if not path.exists():
             raise RecordingError(f"no photo, folder or recording at {path}")
-        inside: list[ImportedImage] = []
-        for part in _found_in(path):
-            match part:
-                case SensorTrack():
-                    tracks.append(part)
-                case SkippedFile():
-                    skipped.append(part)
-                case _:
-                    inside.append(part)
-        found += _apart(inside, path)
+        parts = list(_found_in(path))
+        tracks += [part for part in parts if isinstance(part, SensorTrack)]
+        skipped += [part for part in parts if isinstance(part, SkippedFile)]
+        found += _apart([part for part in parts if isinstance(part, ImportedImage)], path)
     if tracks:
         found = [_beside(picture, tracks, assumed) for picture in found]
     names: dict[str, Path] = {}
@@ -68,22 +60,16 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
             raise RecordingError(f"two photos have the name {picture.name}: {names[picture.name]} and {picture.path}")
         names[picture.name] = picture.path
     if not found and tracks:
-        raise RecordingError(
-            f"{paths[0]}: a sensor recording without photos: record the app's sensor `Camera`, too, or add the "
-            "photos taken meanwhile"
-        )
+        raise RecordingError(f"{paths[0]}: a sensor recording without photos: record `Camera`, too, or add photos")
     if not found:
         others = f" ({skipped[0].path.name}: {skipped[0].why})" if skipped else ""
-        raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}{others}; supported: "
-            f"{', '.join(SUFFIXES)} and recordings of phones"
-        )
+        what = f"no photos in {', '.join(map(str, paths))}{others}"
+        raise RecordingError(f"{what}; supported: {', '.join(SUFFIXES)} and recordings of phones")
     return found, skipped
 
 
 def _apart(found: list[ImportedImage], folder: Path) -> list[ImportedImage]:
-    """Return the photos of a folder with their subfolders in the names that would occur twice: phones count anew in
-    each of their folders."""
+    """Put subfolders into the names of photos that would occur twice, because phones count anew in each folder."""
     count = Counter(picture.name for picture in found)
     return [
         replace(picture, name=picture.path.relative_to(folder).as_posix())
@@ -101,10 +87,8 @@ def _found_in(path: Path) -> Iterator[ImportedImage | SensorTrack | SkippedFile]
         elif path.is_dir():
             yield from _in_folder(path)
         else:
-            raise RecordingError(
-                f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
-                "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
-            )
+            what = f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'})"
+            raise RecordingError(f"{what} without a Location table; unpack it and give its folder of photos")
     elif (why := _NO_PHOTO.get(path.suffix.lower())) is not None:
         raise RecordingError(f"{path}: {why}")
     else:
@@ -136,19 +120,17 @@ def _photo_file(path: Path) -> ImportedImage:
     return ImportedImage(path.name, path, lambda: read_photo(path))
 
 
-def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]:
-    track = read_sensor_logger(files)
-    frames = camera_frames(files)
+def _sensor_logger(files: CaptureFiles) -> Iterator[ImportedImage | SensorTrack]:
+    track, frames = read_sensor_logger(files), camera_frames(files)
     if not frames:
-        return [track]
-
-    def picture(member: str, stamp_ns: int) -> ImportedImage:
+        yield track
+    for member, stamp_ns in frames.items():
         path = files.path / Path(member).name
-        return ImportedImage(
-            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
-        )
 
-    return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
+        def read(member: str = member, path: Path = path, stamp_ns: int = stamp_ns) -> Photo:
+            return _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
+
+        yield ImportedImage(path.name, path, read)
 
 
 def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumptions) -> ImportedImage:
@@ -156,27 +138,23 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
 
     def read() -> Photo:
         photo = picture.read()
-        taken = photo_time(photo, None, assumed.time_zone, [])
-        stamp_ns = stamp_of_moment(taken)
-        for track in tracks:
-            told = _told(photo, track, stamp_ns)
-            if told.sensed.lon is not None:
-                return told
-        return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
+        stamp_ns = stamp_of_moment(photo_time(photo, None, assumed.time_zone, []))
+        told = [_told(photo, track, stamp_ns) for track in tracks]
+        placed = [one for one in (*told, photo) if one.sensed.lon is not None]
+        return placed[0] if placed else told[0]
 
     return replace(picture, read=read)
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
     """Return the photo with the track's values at its time, completed by its EXIF."""
-    return replace(photo, sensed=track.at(stamp_ns, held(photo, track, stamp_ns)).over(photo.sensed))
+    return replace(photo, sensed=track.at(stamp_ns, _held(photo, track, stamp_ns)).over(photo.sensed))
 
 
-def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
+def _held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     """Return (3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
 
-    EXIF's orientation decides; without one a portrait was held upright, and a landscape on the side on which it is
-    upright."""
+    EXIF's orientation decides; else a portrait was held upright, and a landscape on the side that makes it so."""
     stated = photo.exif.orientation
     turned = (_TURNED_DEG[stated],) if stated != 1 and stated in _TURNED_DEG else ()
     rotation = track.rotation_at(stamp_ns)

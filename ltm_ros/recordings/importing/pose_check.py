@@ -22,7 +22,6 @@ from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
 from ltm_core.raster.dem import Dem
-from ltm_ros.recordings.importing.foreign_poses import aimed
 
 STATED = "as stated"
 _LEAST_GAP = 4.0
@@ -73,29 +72,26 @@ class Placement:
         if foreign.camera is None:
             raise PoseError(f"{foreign.place}: no focal length is known; give --focal and --size or --photos")
         pose = foreign.pose(self.frame, self.ground, self.undulation)
-        pose = aimed(foreign, pose, self.ground, (self.frame.x_origin, self.frame.y_origin))
         return PlacedPhoto(foreign.name, pose, foreign.camera, self._problem(pose, foreign.camera))
 
     def _problem(self, pose: Pose, camera: Camera) -> str | None:
         _, pitch, roll = pose.angles_deg
         if pitch > -45 and abs(roll) > _TILTED_DEG:
             return f"the camera is rolled by {roll:.0f} deg; a pose file needs the upright photo"
-        down = math.degrees(math.atan((camera.height - 1 - camera.cy) / camera.fy))
+        lowest = pitch - math.degrees(math.atan((camera.height - 1 - camera.cy) / camera.fy))
         if self.dem is None:
-            return f"it looks {pitch:.0f} deg up, only at the sky" if pitch - down > 45 else None
+            return f"it looks {pitch:.0f} deg up, only at the sky" if lowest > 45 else None
         x, y, z = (float(v) for v in pose.position)
         ground = float(self.dem.elevation_at(x, y))
         if math.isnan(ground):
-            x, y = x + self.frame.x_origin, y + self.frame.y_origin
-            return (
-                f"the camera at ({x:.0f}, {y:.0f}) is outside the DEM; check the order of its coordinates and its CRS"
-            )
+            place = f"({x + self.frame.x_origin:.0f}, {y + self.frame.y_origin:.0f})"
+            return f"the camera at {place} is outside the DEM; check the order of its coordinates and its CRS"
         if z <= ground:
-            return doubt_of_height(z, ground) or f"the camera is {ground - z:.1f} m below the ground"
-        if pitch - down > 0:
+            return doubt_of_height(z, ground)
+        if lowest > 0:
             horizon = SearchTerrain(self.dem, self.bend).horizon_for(camera, PosePrior(pose, 1.0), PicturePoseConfig())
             known = horizon.tangent[horizon.range > 0]
-            if known.size and math.degrees(math.atan(float(known.max()))) < pitch - down:
+            if known.size and math.degrees(math.atan(float(known.max()))) < lowest:
                 return f"it looks {pitch:.0f} deg up, above all terrain, only at the sky"
         return None
 
@@ -119,11 +115,10 @@ def readings(
     found: list[Reading] = []
     sample = [pose for pose in poses if pose.name in photos] or list(poses[:3])
     for how in alternatives(sample[0]):
-        problem, costs, shares = None, [], []
+        problem, fits = None, list[SkylineFit]()
         for foreign in sample:
             try:
-                other = alternatives(foreign)[how]
-                placed = placement.placed(other)
+                placed = placement.placed(alternatives(foreign)[how])
             except (LtmError, KeyError) as error:
                 if how == STATED:
                     raise
@@ -132,14 +127,11 @@ def readings(
             problem = placed.problem and f"{foreign.name}: {placed.problem}"
             if problem is not None:
                 break
-            fit = placement.fit(placed, *photos[foreign.name]) if foreign.name in photos else None
-            if fit is not None:
-                costs.append(fit.cost)
-                shares.append(fit.support)
-        known = bool(costs) and problem is None
-        found.append(
-            Reading(how, problem, float(np.mean(costs)) if known else None, float(np.mean(shares)) if known else None)
-        )
+            if foreign.name in photos and (fit := placement.fit(placed, *photos[foreign.name])) is not None:
+                fits.append(fit)
+        means = [float(np.mean(values)) for values in zip(*((fit.cost, fit.support) for fit in fits), strict=True)]
+        cost, share = means if means and problem is None else (None, None)
+        found.append(Reading(how, problem, cost, share))
     return found
 
 
@@ -147,17 +139,12 @@ def chosen_reading(found: Sequence[Reading]) -> Reading:
     """Return the reading to use: the stated one, unless photos fit another one clearly better. Raises PoseError if the
     stated one is impossible and photos do not show which is right."""
     stated = found[0]
-    measured = [reading for reading in found if reading.cost is not None]
-    best = min(measured, key=lambda reading: reading.cost or 0.0, default=None)
-    if best is not None and (
-        stated.problem is not None
-        or (stated.cost is not None and best.cost is not None and best.cost < stated.cost - _LEAST_GAP)
-    ):
-        return best
+    costs = {reading.cost: reading for reading in reversed(found) if reading.cost is not None}
+    limit = math.inf if stated.problem is not None else -math.inf if stated.cost is None else stated.cost - _LEAST_GAP
+    if costs and min(costs) < limit:
+        return costs[min(costs)]
     if stated.problem is not None:
         others = [reading.how for reading in found[1:] if reading.problem is None]
         possible = f"; possible {', or '.join(others)}" if others else ""
-        raise PoseError(
-            f"{stated.problem}{possible}. Check axes, units and heights; give --dem and --photos to test them"
-        )
+        raise PoseError(f"{stated.problem}{possible}. Check axes, units, heights; give --dem and --photos as a test")
     return stated

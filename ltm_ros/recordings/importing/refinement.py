@@ -29,7 +29,6 @@ from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
 LEAST_AGREEING = 4
@@ -75,14 +74,6 @@ class CompassError:
 
 
 @dataclass(frozen=True, eq=False)
-class _CameraView:
-    """How a camera's photos are labelled, and its mask."""
-
-    segment: Callable[[UInt8Array], UInt8Array]
-    scene: SceneFilter
-
-
-@dataclass(frozen=True, eq=False)
 class _Looked:
     """Result of one photo by itself, from its own prior."""
 
@@ -94,25 +85,31 @@ class _Looked:
 class PoseRefinement:
     """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose.
 
-    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network and label head of each camera.
-    Raises DemError at creation."""
+    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network. Raises DemError at creation."""
 
     def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
         self._site = site
         self._terrain, self._config = site_terrain(site)
         self._assumed = site.assumed_pose_error.covariance()
         self._segment = segment
-        self._views: dict[str, _CameraView] = {}
+        self._views: dict[str, tuple[Callable[[UInt8Array], UInt8Array], SceneFilter]] = {}
+        """How each camera's photos are labelled, and its mask."""
         self._looked: dict[tuple[str, str], _Looked | str] = {}
         """Results by camera and photo; the reason for a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
-        """Search one photo by itself; all are searched before the first is refined. Raises ModelError for the camera's
-        network, and ConfigError for its mask."""
-        view = self._view(camera)
+        """Search one photo by itself, before the first one is refined. Raises ModelError, ConfigError."""
+        if camera not in self._views:
+            network = None if self._segment is not None else site_segmenter(self._site, camera)
+            segment = self._segment if network is None else lambda photo: network.segment(photo).labels
+            assert segment is not None  # nosec B101 # tells the type checker what holds
+            self._views[camera] = segment, site_scene_filter(self._site, camera)
         try:
-            prior = self._prior(item)
-            self._looked[camera, name] = _Looked(prior, *self._search(item, prior, view))
+            stated = self._stated(item)
+            # A photo without a measured tilt was still held roughly level.
+            pitch, roll = (min(s, UNSTATED_TILT_SIGMA_DEG) for s in (stated.pitch_sigma_deg, stated.roll_sigma_deg))
+            prior = replace(stated, pitch_sigma_deg=pitch, roll_sigma_deg=roll)
+            self._looked[camera, name] = _Looked(prior, *self._search(camera, item, prior))
         except LtmError as error:
             self._looked[camera, name] = str(error)
 
@@ -123,39 +120,22 @@ class PoseRefinement:
             return item, Refinement("not_searched", looked)
         if looked.result.accepted:
             return _with_pose(item, looked.result), looked.refinement
-        others = self._compass_errors(camera)
+        others = [
+            other.refinement.turned_deg[0]
+            for (of, _), other in self._looked.items()
+            if of == camera and isinstance(other, _Looked) and other.result.accepted and other.prior.heading_known
+        ]
         compass = CompassError.of(others) if looked.prior.heading_known else None
         if compass is None:
             return item, looked.refinement
-        result, refinement = self._search(item, compass.corrected(looked.prior), self._view(camera))
+        result, refinement = self._search(camera, item, compass.corrected(looked.prior))
         if result.accepted:
             return _with_pose(item, result), refinement
-        return self._as_others(item, compass, len(others), refinement)
-
-    def _compass_errors(self, camera: str) -> list[float]:
-        """Return the compass errors in degrees of the camera's photos with a found pose and a compass direction."""
-        return [
-            looked.refinement.turned_deg[0]
-            for (of, _), looked in self._looked.items()
-            if of == camera and isinstance(looked, _Looked) and looked.result.accepted and looked.prior.heading_known
-        ]
-
-    def _view(self, camera: str) -> _CameraView:
-        if camera not in self._views:
-            segment = self._segment
-            if segment is None:
-                segment = _labels_of(site_segmenter(self._site, camera))
-            self._views[camera] = _CameraView(segment, site_scene_filter(self._site, camera))
-        return self._views[camera]
-
-    def _as_others(
-        self, item: PlacedPhoto, compass: CompassError, others: int, refinement: Refinement
-    ) -> tuple[PlacedPhoto, Refinement]:
         stated = compass.corrected(self._stated(item))
         sigmas = stated.azimuth_sigma_deg, stated.pitch_sigma_deg, stated.roll_sigma_deg
         covariance = pose_covariance(stated.pose, stated.position_sigma, stated.height_sigma, *sigmas)
         reason = (
-            f"{refinement.verdict}, {refinement.reason}; the compass error of {others} other photos is "
+            f"{refinement.verdict}, {refinement.reason}; the compass error of {len(others)} other photos is "
             f"{-compass.offset_deg:+.1f} +- {compass.spread_deg:.1f} deg"
         )
         told = Refinement("as_others", reason, (compass.offset_deg, 0.0, 0.0))
@@ -164,31 +144,21 @@ class PoseRefinement:
     def _stated(self, item: PlacedPhoto) -> PosePrior:
         return PosePrior.of_covariance(item.pose, self._assumed if item.covariance is None else item.covariance)
 
-    def _prior(self, item: PlacedPhoto) -> PosePrior:
-        """Return the prior; a photo without a measured tilt was still held roughly level."""
-        stated = self._stated(item)
-        pitch, roll = (min(s, UNSTATED_TILT_SIGMA_DEG) for s in (stated.pitch_sigma_deg, stated.roll_sigma_deg))
-        return replace(stated, pitch_sigma_deg=pitch, roll_sigma_deg=roll)
-
-    def _search(self, item: PlacedPhoto, prior: PosePrior, view: _CameraView) -> tuple[PoseResult, Refinement]:
+    def _search(self, camera: str, item: PlacedPhoto, prior: PosePrior) -> tuple[PoseResult, Refinement]:
+        segment, scene = self._views[camera]
         photo = decode_rgb(item.photo.data)
-        seen = view.scene.look(photo, Looking.of(item.camera, item.pose))
-        labels = view.segment(seen.scene(photo))
+        seen = scene.look(photo, Looking.of(item.camera, item.pose))
+        labels = segment(seen.scene(photo))
         doubt = doubt_of_sky(labels, seen.hidden)
         if doubt is not None:
             raise ImageError(doubt)
         evidence = picture_evidence(photo, labels, item.camera, self._config, seen.hidden)
         search = find_pose(evidence, self._terrain, prior, self._config)
-        result = result_of(search, prior, item.camera)
-        verdict = search.verdict
+        result, found = result_of(search, prior, item.camera), Refinement(search.verdict.word, search.verdict.reason)
         if not result.accepted:
-            return result, Refinement(verdict.word, verdict.reason)
+            return result, found
         azimuth, pitch, roll = (math.degrees(a) for a in angles_between(item.pose, result.pose))
-        return result, Refinement(verdict.word, verdict.reason, (azimuth, pitch, roll))
-
-
-def _labels_of(segmenter: Segmenter) -> Callable[[UInt8Array], UInt8Array]:
-    return lambda photo: segmenter.segment(photo).labels
+        return result, replace(found, turned_deg=(azimuth, pitch, roll))
 
 
 def _with_pose(item: PlacedPhoto, result: PoseResult) -> PlacedPhoto:

@@ -6,7 +6,6 @@ import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,10 @@ from ltm_ros.runtime.topics import CAMERA_TRUTH, POSED_POSE, camera_topic
 
 RECORDING = "recording"
 """Name of the recording in the summaries of a replay, beside those of the nodes."""
+
+
+Summaries = dict[str, dict[str, str]]
+"""Health summary of each node by its full name."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +60,18 @@ class Selection:
         truth: bool = True,
         names: Mapping[str, str] | None = None,
     ) -> Selection:
-        """Open a bag; `names`: other names of its topics. Raises RecordingError if it has no image of a camera of the
-        site, or nothing in the span."""
+        """Open a bag; `names`: other names of its topics. Raises RecordingError without images in the span."""
         reader = BagReader(bag, names=names)
         recorded = reader.topics()
         inputs = InputReader(reader, site)
         topics = inputs.topics
         images = [name for name, topic in topics.items() if is_image(topic)]
-        more = ((camera, topic) for camera in site.cameras for topic in CAMERA_TRUTH if truth)
-        named = {camera_topic(site.name, camera, topic): topic for camera, topic in more}
-        topics |= {name: topic for name, topic in named.items() if name in recorded}
+        for camera in site.cameras if truth else ():
+            named = {camera_topic(site.name, camera, topic): topic for topic in CAMERA_TRUTH}
+            topics |= {name: topic for name, topic in named.items() if name in recorded}
         if not images or reader.start_ns is None or reader.end_ns is None:
-            raise RecordingError(
-                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); "
-                f"{'; '.join((beside_expected(site, recorded), *reader.damage))}"
-            )
+            beside = "; ".join((beside_expected(site, recorded), *reader.damage))
+            raise RecordingError(f"{bag} has no images of site {site.name} ({', '.join(site.cameras)}); {beside}")
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
         whole = start == 0 and duration is None and not reader.damage and not inputs.converts
@@ -81,10 +81,8 @@ class Selection:
             else Counter(message.topic for message in inputs.messages(topics, begin, end))
         )
         if not counts.total():
-            raise RecordingError(
-                f"{bag} contains nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; it is "
-                f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
-            )
+            last, long = ((at - reader.start_ns) / 1e9 for at in (end, reader.end_ns))
+            raise RecordingError(f"{bag} has nothing between {start} s and {last:.1f} s; it is {long:.1f} s long")
         frames = sum(counts[topic] for topic in images)
         selection = cls(inputs, topics, begin, end, counts.total(), frames)
         warn_of_ignored(site, selection.first)
@@ -94,8 +92,7 @@ class Selection:
         return self.inputs.messages(self.topics, self.begin_ns, self.end_ns)
 
     def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
-        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
-        end, those that are lost."""
+        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid or lost."""
         for message in self:
             counted = self.topics[message.topic].counted
             if counted:
@@ -125,34 +122,29 @@ class Selection:
         return None if message is None else self.content(message)
 
 
-def require_frames(
-    bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]], names: Mapping[str, str] | None = None
-) -> None:
-    """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
-    topics of the bag beside the expected ones."""
-    if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
-        said = [(key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]
-        reasons = {text for (kind, _), text in said if kind == "reason"}
-        reasons |= {
-            f"{text} x {what}" for (kind, what), text in said if kind == "noted" and what.startswith("unusable")
-        }
-        if any(int(s["frames_out"]) for name, s in summaries.items() if name.endswith("/fuel_votes")):
-            why = "; ".join(sorted(reasons)) or "no frame shows a cell of it; check the poses and the DEM's extent"
-            raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
-        why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
-        beside = beside_expected(site, BagReader(bag, names=names).topics())
-        raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
+def require_frames(bag: Path, site: Site, summaries: Summaries, names: Mapping[str, str] | None = None) -> None:
+    """Raise RecordingError with the reasons if no frame reached the fuel map; with the topics if none was complete."""
+    if int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
+        return
+    said = [(*key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]
+    reasons = {text for kind, _, text in said if kind == "reason"}
+    reasons |= {f"{text} x {what}" for kind, what, text in said if kind == "noted" and what.startswith("unusable")}
+    why = "; ".join(sorted(reasons))
+    if any(int(s["frames_out"]) for name, s in summaries.items() if name.endswith("/fuel_votes")):
+        why = why or "no frame shows a cell of it; check the poses and the DEM's extent"
+        raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
+    beside = beside_expected(site, BagReader(bag, names=names).topics())
+    why = why or "no image met a pose and a calibration"
+    raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
 
 
-def require_whole(bag: Path, summaries: Mapping[str, Mapping[str, str]]) -> None:
+def require_whole(bag: Path, summaries: Summaries) -> None:
     """Raise RecordingError if messages of the bag were lost or invalid, with the reasons."""
     recorded = summaries.get(RECORDING, {})
     causes = {key.removeprefix("reason."): why for key, why in recorded.items() if key.startswith("reason.")}
     if causes:
         counts = ", ".join(f"{recorded[f'dropped.{cause}']} by {cause} ({why})" for cause, why in causes.items())
-        raise RecordingError(
-            f"{bag}: {recorded['dropped']} messages are lost or invalid: {counts}. The results are those of the rest"
-        )
+        raise RecordingError(f"{bag}: {recorded['dropped']} messages are lost or invalid: {counts}. The rest was used")
 
 
 class OfflineGraph:
@@ -210,12 +202,12 @@ class OfflineGraph:
         self._pipeline.add(Job(spec.full_name, spec.namespace, health, node.handler(config, outlet, health)))
 
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
-        _guarded(job.health, work, partial(self._place, topic, message) if topic else None)
-
-    def _place(self, topic: str, message: Any) -> str:
-        """Return the origin of a message, for errors: its topic with the camera, its stamp, and the recording."""
-        parts = [topic, *([f"stamp {stamp_text(message)}"] if hasattr(message, "header") else []), self._source]
-        return ", ".join(filter(None, parts))
+        try:
+            work()
+        except LtmError as error:
+            stamp = f"stamp {stamp_text(message)}" if hasattr(message, "header") else ""
+            place = ", ".join(filter(None, (topic, stamp, self._source))) if topic else ""
+            job.health.drop(cause_of(error), f"{error} ({place})" if place else str(error))
 
 
 class _Outlet:
@@ -246,7 +238,7 @@ class _Outlet:
 
 def replay_offline(
     selection: Selection, graph: Graph, record: Path | None = None, progress: Callable[[int], None] = lambda done: None
-) -> dict[str, dict[str, str]]:
+) -> Summaries:
     """Run a recording through a graph; return each node's health summary by its full name.
 
     `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`."""
@@ -255,17 +247,13 @@ def replay_offline(
         offline = OfflineGraph(graph, writer, str(selection.inputs.reader.path))
         offline.healths[RECORDING] = selection.health
         for done, (message, content) in enumerate(selection.decoded(), start=1):
-            _guarded(selection.health, partial(offline.feed, message.topic, content, message.log_time_ns))
+            try:
+                offline.feed(message.topic, content, message.log_time_ns)
+            except LtmError as error:
+                selection.health.drop(cause_of(error), str(error))
             progress(done)
         offline.finish()
     finally:
         if writer is not None:
             writer.close()
     return {name: health.summary() for name, health in offline.healths.items()}
-
-
-def _guarded(health: Health, work: Callable[[], None], place: Callable[[], str] | None = None) -> None:
-    try:
-        work()
-    except LtmError as error:
-        health.drop(cause_of(error), str(error) if place is None else f"{error} ({place()})")

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import rclpy
@@ -30,7 +29,7 @@ from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
 from ltm_ros.recordings.inputs import is_image
 from ltm_ros.recordings.replay import LONGEST_PAUSE
-from ltm_ros.recordings.replay.offline import RECORDING, Selection, replay_offline
+from ltm_ros.recordings.replay.offline import RECORDING, Selection, Summaries, replay_offline
 from ltm_ros.runtime.delivery_checks import unmatched
 from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
 from ltm_ros.runtime.topics import CAMERA_TRUTH
@@ -47,19 +46,20 @@ QUIET = 2.5
 """Seconds without any change in the graph's diagnostics after which it is idle."""
 
 
+Progress = Callable[[int, int], None]
+"""Gets the number of messages done, and of all."""
+
+
 class LivePlayer:
     """Publishes a selection and watches the diagnostics of the graph. A context manager."""
 
     def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
-        """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of real time; in longer recorded pauses
-        the clock continues for that long and until the graph is idle, and skips the rest. Raises RecordingError unless
-        both are positive."""
+        """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of a recorded pause, after which the
+        clock skips the rest if the graph is idle. Raises RecordingError unless both are positive."""
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
         if not longest_pause > 0:
-            raise RecordingError(
-                f"the longest pause of a replay must be more than 0 s, such as 10, got {longest_pause}"
-            )
+            raise RecordingError(f"the longest pause of a replay must exceed 0 s, such as 10, got {longest_pause}")
         self._selection, self._rate, self._longest_pause = selection, rate, longest_pause
         self._context = Context()
         rclpy.init(context=self._context)
@@ -72,7 +72,7 @@ class LivePlayer:
         }
         self._clock = self._node.create_publisher(Clock, "/clock", 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
-        self.summaries: dict[str, dict[str, str]] = {}
+        self.summaries: Summaries = {}
         """The last diagnostics of every node, by full name."""
         self._heard: dict[str, float] = {}
         self._changed = time.monotonic()
@@ -85,9 +85,7 @@ class LivePlayer:
             thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stopping.set()
         for thread in self._threads:
             thread.join()
@@ -97,46 +95,42 @@ class LivePlayer:
         rclpy.try_shutdown(context=self._context)
 
     def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
-        """Wait until the images have subscribers, at least `nodes` nodes have reported and subscribed to the clock, all
-        are matched, and nothing of that has changed for a second.
+        """Wait until images have subscribers, `nodes` nodes have reported and take the clock, and all match for a
+        second.
 
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain."""
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
         known, loose = 0, list[str]()
-        truth = tuple(f"/{topic.name}" for topic in CAMERA_TRUTH)  # only a recorder takes it
-        wanted = [
-            name for name, topic in self._selection.topics.items() if is_image(topic) and not name.endswith(truth)
+        images = [
+            name for name, topic in self._selection.topics.items() if is_image(topic) and topic not in CAMERA_TRUTH
         ]
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
-            images = [counts[name] for name in wanted]
             summaries = dict(self.summaries)
             known = min(self._clock.get_subscription_count(), len(summaries))
             loose = unmatched(self._node, summaries)
             if (now := sum(counts.values()) + known) != last or loose:
                 last, since = now, time.monotonic()
-            if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
+            if min(counts[name] for name in images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
-        topics = ", ".join(wanted)
         raise RecordingError(
-            f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
-            f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
-            "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
+            f"no subscribers of {', '.join(images)} after {timeout:.0f} s; {known} of {nodes} nodes were ready, and "
+            f"{', '.join(loose) or 'no topic'} not matched. Start the site's graph in the same ROS_DOMAIN_ID and with "
+            "sim time, or let `ltm replay` start it"
         )
 
     def play(
-        self,
-        loop: bool = False,
-        progress: Callable[[int], None] = lambda done: None,
-        stopped: Callable[[], bool] = bool,
+        self, loop: bool = False, progress: Callable[[int], None] = lambda _: None, stopped: Callable[[], bool] = bool
     ) -> int:
         """Publish every message at its time; return the number published. `stopped` ends it early.
 
         The recording's time is paused while the graph is behind, and before the second frame of a camera until the
         first ones are finished, because those wait for networks and code that are used for the first time. With `loop`,
         stamps of later rounds are moved on with the clock, so that each stays unique."""
-        round_ns = _round_ns(self._selection)
+        span = self._selection.end_ns - self._selection.begin_ns
+        # With the pause between two frames, and at least a second, for recordings of one photo.
+        round_ns = max(span + span // max(self._selection.frame_count - 1, 1), 1_000_000_000)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift, begun, warm = 0, 0, set[str](), False
         while True:
@@ -182,8 +176,7 @@ class LivePlayer:
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
 
     def _first_frames_done(self) -> Callable[[], bool]:
-        """Return a check whether the graph has finished what it can, because a frame may wait for a later message. It
-        ends after `WARM_UP` seconds."""
+        """Return a check, for `WARM_UP` seconds, whether the graph has finished all that waits for no later message."""
         self._changed = time.monotonic()
         deadline = self._changed + WARM_UP
         return lambda: time.monotonic() > deadline or self._idle(self.summaries.values(), ("queue",))
@@ -231,23 +224,13 @@ class LivePlayer:
             self.summaries[status.name] = summary
 
 
-def _round_ns(selection: Selection) -> int:
-    """Return the duration of one round of a loop: the selection and the pause between two frames, at least a second,
-    for recordings of one photo."""
-    span = selection.end_ns - selection.begin_ns
-    return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
-
-
-NodeParameters = dict[str, ParameterValue]
-
-
 @dataclass(frozen=True)
 class ReplayOptions:
     """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
 
-    `state`: an existing folder in which the fuel map, the terrain and the nodes `pose` keep what they know; None: it
-    ends with the replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live
-    replay only. `names`: other names of recorded topics."""
+    `state`: an existing folder for what nodes keep; None: it ends with the replay. `rrd`: Rerun recording. `rate`,
+    `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live replay only. `names`: other names of recorded
+    topics."""
 
     start: float = 0.0
     duration: float | None = None
@@ -268,8 +251,10 @@ class ReplayOptions:
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     """Return the site's graph with the given options."""
-    fuel_map: NodeParameters = {} if options.export is None else {"export_path": str(options.export.resolve())}
-    kept: NodeParameters = {} if options.state is None else {"folder": str(options.state.resolve())}
+    fuel_map: dict[str, ParameterValue] = {}
+    if options.export is not None:
+        fuel_map["export_path"] = str(options.export.resolve())
+    kept: dict[str, ParameterValue] = {} if options.state is None else {"folder": str(options.state.resolve())}
     return describe(
         load_site(site_path),
         site_path,
@@ -281,9 +266,7 @@ def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     )
 
 
-def run_offline(
-    bag: Path, site_path: Path, options: ReplayOptions, progress: Callable[[int, int], None]
-) -> dict[str, dict[str, str]]:
+def run_offline(bag: Path, site_path: Path, options: ReplayOptions, progress: Progress) -> Summaries:
     """Without DDS; each node's health summary. Raises LtmError on bad input."""
     selection = options.selection(bag, load_site(site_path))
     graph = graph_of(site_path, options, sim_time=False)
@@ -292,12 +275,8 @@ def run_offline(
 
 
 def publish(
-    bag: Path,
-    site_path: Path,
-    options: ReplayOptions,
-    progress: Callable[[int, int], None],
-    stopped: Callable[[], bool],
-) -> dict[str, dict[str, str]]:
+    bag: Path, site_path: Path, options: ReplayOptions, progress: Progress, stopped: Callable[[], bool]
+) -> Summaries:
     """Play into a graph that runs already; return the summary of the recording. Raises LtmError."""
     apply_to_process(options.domain_id)
     selection = options.selection(bag, load_site(site_path))
@@ -311,10 +290,10 @@ def run_live(
     bag: Path,
     site_path: Path,
     options: ReplayOptions,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     console: Callable[[str], None],
     stopped: Callable[[], bool] = bool,
-) -> dict[str, dict[str, str]]:
+) -> Summaries:
     """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
     Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work."""
@@ -324,7 +303,6 @@ def run_live(
     graph = graph_of(site_path, options, sim_time=True)
     if options.rrd is not None:
         options.rrd.unlink(missing_ok=True)  # else the viewer would write another beside that of the last replay
-    names = [node.full_name for node in graph]
     total = selection.message_count
     compile_ahead(graph, site_path, console)
     with Runner(graph, domain_id=options.domain_id, console=console) as runner:
@@ -332,9 +310,9 @@ def run_live(
         with LivePlayer(selection, options.rate, options.longest_pause) as player:
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
-            if not player.drain(names):
+            if not player.drain([node.full_name for node in graph]):
                 raise LtmError(
-                    "the graph is still processing two minutes after the recording's end; its messages are above"
+                    "the graph is still working two minutes after the recording's end; see its messages above"
                 )
             runner.stop()
             return {**player.summaries, RECORDING: selection.health.summary()}

@@ -10,9 +10,9 @@ from ltm_core.cameras.plausibility import doubt_of_height, doubt_of_radians
 @pytest.mark.parametrize(
     ("azimuths", "part"),
     [
-        ([3.7], "azimuth 3.7 lies within 2 pi"),
+        ([3.7], "azimuths from 3.7 to 3.7 lie within 2 pi"),
         ([3.7, 3.7], "(3.7 rad is 212.0 deg)"),
-        ([0.31, 6.1, 2.0], "all azimuths, 0.31 to 6.1, lie"),
+        ([0.31, 6.1, 2.0], "azimuths from 0.31 to 6.1 lie"),
         ([1.5, 3], "(1.5 rad is 85.9 deg)"),
         ([-2.5, 1], "(-2.5 rad is 216.8 deg)"),
     ],

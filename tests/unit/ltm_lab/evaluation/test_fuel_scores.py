@@ -16,11 +16,11 @@ from ltm_core.scoring.fuel import score_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
 from ltm_lab.cli.main import cli
+from ltm_lab.evaluation.dated_run import DatedRun
 from ltm_lab.evaluation.fuel.trial_score import users_accuracy
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.recordings.recorded_run import Recorded
 
 
 def test_what_a_map_found_and_what_it_invented() -> None:
@@ -69,7 +69,7 @@ def test_odds_that_a_label_shows_open_ground() -> None:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Recorded:
+def recorded(tmp_path: Path) -> DatedRun:
     """Two towers that see the same slope twice: trees where there is no prior, a third of it grass in truth."""
     site = write_site(tmp_path)
     grid = grid_of(site)
@@ -85,10 +85,10 @@ def recorded(tmp_path: Path) -> Recorded:
                 stamp = BEGIN_NS + second * 10**9
                 votes = CellVotes(grid, rows, cols, counts, np.zeros(len(rows), np.float32), stamp, camera)
                 bag.write(f"/{NAME}/{camera}/fuel/votes", votes_to_msg(votes, LABELS.names), stamp)
-    return Recorded.find(tmp_path / "recording", site)
+    return DatedRun.find(tmp_path / "recording", site)
 
 
-def test_a_recording_scored(recorded: Recorded, tmp_path: Path) -> None:
+def test_a_recording_scored(recorded: DatedRun, tmp_path: Path) -> None:
     score = score_fuel_bag(recorded, 0.1)
     assert score.frames == 4
     assert [found.name for found in score.maps] == [

@@ -15,6 +15,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.evaluation.dated_run import DatedRun
 from ltm_lab.evaluation.run_score import score_bag
 from ltm_lab.evaluation.score_tables import as_json, tables
 from ltm_msgs_py.bag.writer import BagWriter
@@ -24,7 +25,6 @@ from ltm_msgs_py.pointcloud import columns_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.demo.score import SHARED, TRUTHS
-from ltm_ros.recordings.recorded_run import Recorded
 
 CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)
 STEP = 2
@@ -47,7 +47,7 @@ def labels_image() -> np.ndarray:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Recorded:
+def recorded(tmp_path: Path) -> DatedRun:
     """One camera with traced and fused depth, labels and truth; another whose frame has truth alone."""
     truth = depth_image()[::STEP, ::STEP]
     true_labels = labels_image()[::STEP, ::STEP].copy()
@@ -83,10 +83,10 @@ def recorded(tmp_path: Path) -> Recorded:
     write_fuel_map(
         tmp_path / "run/fuel_truth.tif", true_classes, GRID.translated(501_000, 2000, "EPSG:32611"), LabelSet.load()
     )
-    return Recorded.find(tmp_path / "run/recording")
+    return DatedRun.find(tmp_path / "run/recording")
 
 
-def test_every_part(recorded: Recorded) -> None:
+def test_every_part(recorded: DatedRun) -> None:
     score = score_bag(recorded)
     assert score.frames == 4
     rows = {(row.source, row.against): row for row in score.depth}
@@ -109,7 +109,7 @@ def test_every_part(recorded: Recorded) -> None:
     assert [reason.split(":")[0] for reason in score.lacking] == ["depth, network", "terrain"]
 
 
-def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded) -> None:
+def test_sources_compare_on_the_pixels_that_all_have(recorded: DatedRun) -> None:
     rows = {row.source: row for row in score_bag(recorded).depth if row.against == SHARED}
     assert set(rows) == {"traced", "fused"}
     for source, bias in (("traced", 3), ("fused", -1)):
@@ -117,7 +117,7 @@ def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded) -> None
         assert (whole.pixels, whole.bias) == (2 * 4 * 9, pytest.approx(bias, abs=1e-4))
 
 
-def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
+def test_terrain_and_dates(recorded: DatedRun, tmp_path: Path) -> None:
     grid = GridGeometry(0.0, 20.0, 2.0, 12, 10)
     folder = recorded.truth / "truth"
     before = np.full((20, 24), 100.0, np.float32)
@@ -146,10 +146,10 @@ def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
         bag.write("/ridge/terrain/change", classes_to_msg(kinds, grid, 8), 8)
         bag.write("/ridge/terrain/info", String(data=json.dumps({"threshold": 1.5})), 8)
     with pytest.raises(RecordingError, match="after, before: give the bag's date with --date"):
-        Recorded.find(tmp_path / "dated", recorded.site_path)
+        DatedRun.find(tmp_path / "dated", recorded.site_path)
     with pytest.raises(RecordingError, match="no truth of 'later'"):
-        Recorded.find(tmp_path / "dated", recorded.site_path, date="later")
-    score = score_bag(Recorded.find(tmp_path / "dated", recorded.site_path, date="after"))
+        DatedRun.find(tmp_path / "dated", recorded.site_path, date="later")
+    score = score_bag(DatedRun.find(tmp_path / "dated", recorded.site_path, date="after"))
     assert score.terrain is not None
     change = score.terrain.change
     assert change is not None

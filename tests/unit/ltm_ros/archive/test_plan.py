@@ -16,6 +16,8 @@ from scenes.masked_site import hidden_of_view, write_turning_site
 from scenes.small_site import write_small_site
 
 import ltm_ros.archive
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
@@ -34,6 +36,8 @@ from ltm_core.site.site_io import load_site
 from ltm_ros.archive.plan import site_digest
 print(site_digest(load_site(sys.argv[1]), "mast", TracingConfig(), LabellingConfig()))
 """
+
+CAMERA, POSE = Camera.from_fov(6, 4, 60.0), Pose.from_angles((0, 0, 0), 0.0)
 
 
 def test_digests_are_the_same_in_every_process(tmp_path: Path) -> None:
@@ -116,5 +120,5 @@ def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Pat
             bag.write_raw("/a/east/image_raw", RAW_TYPE, content, 50)
     (file,) = (tmp_path / "bag").glob("*.mcap")
     wanted = picture_digest(picture_of(raw, RAW_TYPE))
-    frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
+    frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, CAMERA, POSE, np.eye(6))
     assert ArchiveImageReader().read(frame).size == (6, 4)

@@ -12,6 +12,8 @@ from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.base.number_text import DAY_NS
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.site.site_io import load_site
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.sampling import Sample, sampled, spans
@@ -19,9 +21,11 @@ from ltm_ros.archive.sampling import Sample, sampled, spans
 HOUR_NS = DAY_NS // 24
 FOUR = Sample.parsed("4/day")
 
+CAMERA, POSE = Camera.from_fov(6, 4, 60.0), Pose.from_angles((0, 0, 0), 0.0)
+
 
 def frame(camera: str, stamp_ns: int, content: str = "") -> ArchiveFrame:
-    return ArchiveFrame(camera, stamp_ns, "a.mcap", "/ridge/image", stamp_ns, 5, content, (), (), (), ())
+    return ArchiveFrame(camera, stamp_ns, "a.mcap", "/ridge/image", stamp_ns, 5, content, CAMERA, POSE, np.eye(6))
 
 
 def hourly(day: int, begin: int = 0, end: int = 24) -> list[ArchiveFrame]:

@@ -7,10 +7,13 @@ import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 from scenes.archive_jobs import full_disk_at_3, thread_count
 
 from ltm_core.base.kernels import kernel_threads
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
@@ -19,9 +22,11 @@ from ltm_ros.runtime.ros_environment import available_cores
 
 SETTINGS = TaskSettings("site.yaml", Path("out"), "code", TracingConfig(), LabellingConfig())
 
+CAMERA, POSE = Camera.from_fov(6, 4, 60.0), Pose.from_angles((0, 0, 0), 0.0)
+
 
 def task(number: int) -> Task:
-    frame = ArchiveFrame("east", number, "a.mcap", "/ridge/image", number, 5, "", (), (), (), ())
+    frame = ArchiveFrame("east", number, "a.mcap", "/ridge/image", number, 5, "", CAMERA, POSE, np.eye(6))
     return Task((frame,), "", f"{number}")
 
 

@@ -12,13 +12,7 @@ from scenes.depth_score import score_depth
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.report import (
-    CameraPictures,
-    ReportData,
-    Table,
-    render_report,
-    write_report,
-)
+from ltm_ros.demo.report import CameraPictures, ReportData, Table, render_report, write_report
 from ltm_ros.runtime.health import NodeRow
 
 LABELS = LabelSet.load()
@@ -83,7 +77,7 @@ def full() -> ReportData:
             ),
             NodeRow.of("/ridge/fuel_map", {"frames_in": "40", "frames_out": "12345", "dropped": "0"}),
         ],
-        cameras=[CameraPictures.of("north", photo, truth, labels, LABELS, "frame 1")],
+        cameras=[CameraPictures("north", photo, photo, photo, "frame 1")],
         fuel_map=np.full((60, 80, 3), 200, np.uint8),
         depth=score_depth([truth + 2.0], [truth]),
         labels=pixels,

@@ -16,7 +16,7 @@ from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import image_to_msg
-from ltm_msgs_py.pose import correction_to_msg, msg_to_correction, msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, msg_to_pose, msgs_to_correction, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values
@@ -136,8 +136,8 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["mount_mast.json"]
 
     _, kept, health = started(calibration=calibration)
-    (correction,) = kept.on(POSE_CORRECTION)
-    pose, known = msg_to_correction(correction).applied(STATED, COVARIANCE)
+    (correction,), info = kept.on(POSE_CORRECTION), kept.on(POSE_INFO)[-1]
+    pose, known = msgs_to_correction(correction, info).applied(STATED, COVARIANCE)
     assert np.degrees(np.abs(angles_between(pose, TRUE))).max() < 0.12
     assert known[5, 5] < COVARIANCE[5, 5]
     assert health.summary()["mount"].startswith("held")

@@ -35,17 +35,17 @@ def test_a_phone_photo_tells_where_and_when() -> None:
         photo={0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00", 0x9291: "250"},
         gps={1: "N", 2: (34.0, 13.0, 30.0), 3: "W", 4: (118.0, 3.0, 36.0), 5: b"\0", 6: 1742.5, 16: "T", 17: 231.25},
     )
-    assert found.lat == pytest.approx(34 + 13 / 60 + 30 / 3600, abs=1e-9)
-    assert found.lon == pytest.approx(-(118 + 3 / 60 + 36 / 3600), abs=1e-9)
-    assert (found.altitude, found.direction_deg, found.direction_ref) == (1742.5, 231.25, "T")
+    assert found.sensed.lat == pytest.approx(34 + 13 / 60 + 30 / 3600, abs=1e-9)
+    assert found.sensed.lon == pytest.approx(-(118 + 3 / 60 + 36 / 3600), abs=1e-9)
+    assert (found.sensed.altitude, found.sensed.azimuth_deg, found.sensed.azimuth_ref) == (1742.5, 231.25, "T")
     assert found.orientation == 1
     assert found.taken == datetime(2024, 7, 4, 18, 30, 15, 250_000, timezone(timedelta(hours=-7)))
 
 
 def test_south_west_below_the_sea_and_magnetic() -> None:
     found = facts(gps={1: "S", 2: (33.5, 0, 0), 3: "W", 4: (70.25, 0, 0), 5: b"\1", 6: 12.0, 16: "M", 17: 359.5})
-    assert (found.lat, found.lon, found.altitude) == (-33.5, -70.25, -12.0)
-    assert (found.direction_deg, found.direction_ref) == (359.5, "M")
+    assert (found.sensed.lat, found.sensed.lon, found.sensed.altitude) == (-33.5, -70.25, -12.0)
+    assert (found.sensed.azimuth_deg, found.sensed.azimuth_ref) == (359.5, "M")
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_south_west_below_the_sea_and_magnetic() -> None:
     ],
 )
 def test_a_fix_that_is_none_is_left_out(gps: dict[int, Any], known: float | None) -> None:
-    assert facts(gps=gps).lat == known
+    assert facts(gps=gps).sensed.lat == known
 
 
 def test_the_camera_clock_and_the_gps_stamp_are_two_things() -> None:
@@ -112,12 +112,12 @@ def test_the_date_of_the_exposure_precedes_those_of_later_steps(
 )
 def test_altitude_references(version: bytes, reference: Any, altitude: float, above_sea: bool) -> None:
     found = facts(photo={0x9000: version}, gps={5: reference, 6: 250.0})
-    assert (found.altitude, found.above_sea) == (altitude, above_sea)
+    assert (found.sensed.altitude, found.sensed.ellipsoidal is False) == (altitude, above_sea)
 
 
 @pytest.mark.parametrize(("value", "known"), [(360.0, 0.0), (359.99, 359.99), (655.35, None)])
 def test_directions(value: float, known: float | None) -> None:
-    assert facts(gps={16: "M", 17: value}).direction_deg == known
+    assert facts(gps={16: "M", 17: value}).sensed.azimuth_deg == known
 
 
 @pytest.mark.parametrize(
@@ -148,12 +148,12 @@ def test_positions_that_are_not_certain_are_left_out(
     changes: dict[int, Any], position: tuple[float, float] | None
 ) -> None:
     found = facts(gps={tag: value for tag, value in (NORTH_WEST | changes).items() if value is not None})
-    assert (found.lat, found.lon) == (position or (found.lat, None))
-    assert position is not None or found.lat is None or found.lon is None
+    assert (found.sensed.lat, found.sensed.lon) == (position or (found.sensed.lat, None))
+    assert position is not None or found.sensed.lat is None or found.sensed.lon is None
 
 
 @pytest.mark.parametrize(("letter", "lon"), [("W", -118.25), ("E", None), ("", None)])
 def test_a_longitude_with_a_sign_and_a_letter(letter: str, lon: float | None) -> None:
     written = Exif()
     written.get_ifd(GPS).update(NORTH_WEST | {3: letter, 4: (-118.25, 0, 0)})
-    assert exif_facts(written, "a.jpg").lon == lon
+    assert exif_facts(written, "a.jpg").sensed.lon == lon

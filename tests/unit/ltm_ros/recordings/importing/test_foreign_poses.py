@@ -3,8 +3,7 @@
 The examples are small files of our own in the formats of real ones: Metashape camera exports (as EasyIDP reads them),
 COLMAP's cameras.txt and images.txt, OpenSfM's `data/berlin/reconstruction_example.json`, parameters of `alproj` 1.2
 (`alproj/optimize.py`), ImGRAFT's `camera.m` (fullmodel), PRACTISE's `PRACTISE_Input_base.m` (georef_webcam), and the
-report of Pic2Map (`reportDialog.py`, `posedialog.py`).
-"""
+report of Pic2Map (`reportDialog.py`, `posedialog.py`)."""
 
 from __future__ import annotations
 
@@ -28,9 +27,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_ros.cli.main import cli
-from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses
+from ltm_ros.recordings.importing.foreign_poses import _ALPROJ_TERMS, read_foreign_poses, read_transform
 from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
-from ltm_ros.recordings.importing.reconstructed_poses import read_transform
 
 FRAME = SiteFrame("EPSG:32632", 419_000.0, 6_718_000.0)
 AT = np.array([419_169.8, 6_718_421.5, 1215.3])

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from scenes.phone_site import GROUND, picture
 from typer.testing import CliRunner
-from unit.ltm_ros.recordings.importing.test_photos import GROUND, LEVEL, contents, phone, picture, save, site
+from unit.ltm_ros.recordings.importing.test_photos import LEVEL, contents, phone, save, site
 
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from ltm_ros.recordings.importing.assumptions import photo_time, time_zone
-from ltm_ros.recordings.importing.exif import ExifFacts
+from ltm_ros.recordings.importing.exif import ExifFacts, Sensed
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUMMER = datetime(2024, 7, 4, 18, 30, 15)
 WEST = timezone(timedelta(hours=-7))

@@ -10,20 +10,18 @@ import pillow_heif
 import pytest
 import yaml
 from PIL import Image
-from scenes.phone_site import FX
+from scenes.phone_site import FX, GROUND, LAT, LON, LONG, ORIGIN, SHORT, imported, phone_site, picture
 
 from ltm_core.base.errors import CameraError, ImageError, LtmError, PoseError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.recordings.importing.assumptions import Assumptions
@@ -31,15 +29,8 @@ from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.photo import read_photo
 
 LEVEL = Assumptions(pitch_deg=0.0)
-W, H = 64, 40
-LON, LAT = -118.06, 34.225
-X0, Y0 = 402_000.0, 3_787_000.0
-GROUND = 1500.0
-
-
-def picture() -> UInt8Array:
-    v, u = np.mgrid[0:H, 0:W]
-    return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
+W, H = LONG, SHORT
+X0, Y0 = ORIGIN
 
 
 def phone(**changes: Any) -> dict[str, dict[int, Any]]:
@@ -74,20 +65,7 @@ def save(path: Path, facts: dict[str, dict[int, Any]] | None = None, pixels: UIn
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    """A slope that falls eastward around the photos' position, GROUND metres under it."""
-    x, y = SiteFrame("EPSG:32611").from_lonlat(LON, LAT)
-    grid = GridGeometry(float(x) - 300.0, float(y) + 240.0, 10.0, 60, 48, "EPSG:32611")
-    centres, _ = grid.to_map(0, np.arange(60))
-    Dem(np.tile(GROUND - 0.1 * (centres - float(x)), (48, 1)).astype(np.float32), grid).save(tmp_path / "dem.tif")
-    document = {
-        "name": "ridge",
-        "crs": "EPSG:32611",
-        "origin": [X0, Y0],
-        "dem": {"path": "dem.tif"},
-        "cameras": {"phone": {}},
-    }
-    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
-    return load_site(tmp_path / "site.yaml")
+    return phone_site(tmp_path)
 
 
 def contents(bag: Path, prefix: str = "/ridge/phone/") -> list[tuple[int, Camera, Pose, Any]]:
@@ -277,8 +255,8 @@ def test_files_that_are_no_whole_photo_are_refused(
 
 
 def covariance_of(bag: Path) -> Float64Array | None:
-    (message,) = BagReader(bag).messages(topics=["/ridge/phone/pose"])
-    return msg_to_covariance(BagReader(bag).decode(message))
+    ((_, _, _, covariance),) = imported(bag)
+    return covariance  # type: ignore[no-any-return]
 
 
 def test_an_unknown_pitch_is_refused_and_never_taken_as_level(tmp_path: Path, site: Site) -> None:
