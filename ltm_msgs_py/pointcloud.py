@@ -125,7 +125,7 @@ def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], s
 
     Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
     message is refused unread."""
-    names = checked_names(class_names)
+    names = checked_names(tuple(class_names))
     cells = geometry.width * geometry.height
     most = most_bytes(cells, names)
     if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
