@@ -64,10 +64,11 @@ def open_pair(source: Path, site: Path | None, before: Path | None, since: str |
             landscape, made, _ = map_.landscape(system_of(map_.prior))
             earlier = with_fuel(landscape, map_.empty if since is None else map_.at(since), map_.prior, map_.climate)
             return MapPair(map_.site.name, "prior map" if since is None else since, earlier, landscape, made)
-    if since is not None or before is None:
+    if since is not None:
+        raise ConfigError("--since needs a store (.ltm), which keeps its history; for files, give --before")
+    if before is None:
         raise ConfigError(
-            f"{source} is a single landscape: give the earlier one with --before, or the store (.ltm) with --site, "
-            "which keeps its history for --since"
+            f"{source} is a single landscape: give the earlier one with --before, or the store (.ltm) with --site"
         )
     now, was = read_landscape(source), read_landscape(before)
     require_same_grid(was, now, (before.name, source.name))
