@@ -65,10 +65,8 @@ class VoteTransfer:
         moved = votes.only(taken[order])
         rows, cols = (index.astype(np.int32) for index in np.divmod(cells[order], self._in_map.width))
         if moved.visibility is not None and not self._same_crs and len(moved):
-            bearing = np.mod(moved.visibility.bearing.astype(np.float64) + self._turn(moved), 2 * math.pi).astype(
-                np.float32
-            )
-            moved = replace(moved, visibility=replace(moved.visibility, bearing=bearing))
+            bearing = np.mod(moved.visibility.bearing.astype(np.float64) + self._turn(moved), 2 * math.pi)
+            moved = replace(moved, visibility=replace(moved.visibility, bearing=bearing.astype(np.float32)))
         return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
 
     def _turn(self, votes: CellVotes) -> float:
