@@ -7,8 +7,8 @@ western North America, of the basal area B (m2/ha), the number of stems N (1/ha)
     ln density = a + b ln B + c ln N,    base = d + e H + f B
 
 B and N follow from cover and height: crowns stand at random, so that N pi r^2 = -ln(1 - cover), their radius r is
-0.15 H, and stems are H / 70 thick. These two shares are assumed; what is used is only how both change from one stand to
-another, in which the shares all but cancel. Of broadleaved stands it says nothing."""
+0.15 H, and stems are H / 70 thick. These shares are assumed; only changes of a stand are used, in which they all but
+cancel. Of broadleaved stands it says nothing."""
 
 from __future__ import annotations
 

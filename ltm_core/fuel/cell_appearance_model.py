@@ -1,11 +1,10 @@
 """Likelihood of the labels that a frame shows in a fuel cell, for each life form that the cell may have.
 
-Labels are of pixels, and a pixel shows the first plant on its ray, which is counted where the ray meets bare terrain
-behind it. Seen from low above the ground, tall plants therefore fill a larger share of a cell's pixels than of its
-ground, and of the pixels of cells behind it too. How large depends on the angle at which the ground is seen and on what
-stands next to the cell along the line of sight. `CellAppearanceModel` knows this from cells of known form: a logistic
-regression with as many cells of each form gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85,
-1998), without a model of the plants. `ltm-lab train appearance` fits it."""
+A pixel shows the first plant on its ray, which is counted where the ray meets bare terrain behind it. Tall plants
+therefore fill a larger share of a cell's pixels than of its ground, and of the pixels of cells behind it too. How large
+depends on the angle of sight and on the neighbours along it. `CellAppearanceModel` is a logistic regression with as
+many cells of each form, which gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998).
+`ltm-lab train appearance` fits it."""
 
 from __future__ import annotations
 

@@ -2,9 +2,8 @@
 
 A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus evidence.
 What a frame shows (`frame_evidence`) is kept by view, the direction from the camera to the cell, and by epoch; of each
-view the newest epochs are kept. The joint weight of all observations is a function of that state and of the time of the
-query, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
-any order. docs/how/fuel.md has the mathematics."""
+view the newest epochs are kept. Weight and fuel code (`decision`) are functions of that state and of the time of the
+query, so that frames may come late and in any order. docs/how/fuel.md has the mathematics."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """Watch whether labels of unchanged cells still agree with earlier ones, by a control chart of weekly shares.
 
 A week's share is the mean, over the frames of a camera, of the share of pixels in unchanged cells whose label is the
-cell's life form. Season, light and views move it, so its variance is that between all weeks until now, far above a
-binomial one. The chart is an EWMA (Roberts, Technometrics 1, 1959) whose limits keep the full standard deviation of a
-week, because neighbouring weeks are alike; the centre and the deviation of all weeks grow with a slow seasonal cycle,
-which therefore stays within three deviations."""
+cell's life form. Season, light and views move it, so its variance is that between all weeks until now. The chart is an
+EWMA (Roberts, Technometrics 1, 1959) whose limits keep the full standard deviation of a week, because neighbouring
+weeks are alike. Centre and deviation follow a slow seasonal cycle, which therefore stays within the limits."""
 
 from __future__ import annotations
 

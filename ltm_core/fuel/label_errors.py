@@ -1,8 +1,7 @@
 """Label errors of a network and the reliability records that they come from.
 
 A record belongs to labels, not to a name. Its digest covers the network's file, everything in the manifest that turns
-its output into labels, and the label head. A renamed network keeps its record; another file, mapping or head has none.
-"""
+its output into labels, and the label head. A renamed network keeps its record; another file or head has none."""
 
 from __future__ import annotations
 

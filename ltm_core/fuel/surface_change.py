@@ -95,9 +95,8 @@ def news_of(
     """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 
     Args:
-        kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
+        kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked; `window`: geometry in the map frame.
         shift: (h, w) metres from the reference surface, NaN where it is not known.
-        window: their geometry, in the map frame.
         recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
     x, y = window.to_map(0, np.arange(window.width))[0], window.to_map(np.arange(window.height), 0)[1]
     row_at, first_row = np.unique(fuel.cell_of(0.0, y)[0], return_index=True)

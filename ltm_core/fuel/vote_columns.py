@@ -2,8 +2,8 @@
 
 One value a cell: x, y, z float32 (its centre on the terrain), and one uint16 column of pixels for each class that the
 frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
-`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse and
-name the classes that they count. Maps count what comes out of these columns, whichever way it came."""
+`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. Maps count what these
+columns hold."""
 
 from __future__ import annotations
 

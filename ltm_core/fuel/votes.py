@@ -177,11 +177,9 @@ class CellVotes:
 
 
 class VoteCaster:
-    """Compute the votes of frames over one fuel grid.
+    """Compute the votes of frames over the fuel grid `geometry`, in the map frame, on the terrain `dem`.
 
     Args:
-        geometry: the fuel grid, in the map frame.
-        dem: the terrain, for the cells' heights and slopes.
         votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
         max_range: slant metres beyond which pixels are too coarse to vote.
         bend: of sight by curvature and refraction (`geodesy.ray_bend`).
@@ -213,16 +211,14 @@ class VoteCaster:
         covariance: ArrayLike | None = None,
         along_axis: bool = True,
     ) -> CellVotes:
-        """Count each pixel's label in the fuel cell that it sees.
+        """Count each pixel's label in the fuel cell that it sees. Raises ImageError if the images differ in shape,
+        PoseError for an invalid covariance.
 
         Args:
             distance: (H, W) metres along the optical axis (a REP-118 depth image), or along the rays where not
                 `along_axis`; +inf sky, NaN unknown.
-            labels: (H, W) uint8 class ids.
-            confidence: (H, W) uint8, of the labels, x 255.
-            covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact.
-
-        Raises ImageError when the images differ in shape, PoseError for a covariance that is none."""
+            labels, confidence: (H, W) uint8 class ids, and their confidence x 255.
+            covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact."""
         shape = (camera.height, camera.width)
         images: dict[str, NDArray[Any] | None] = {"labels": labels, "distances": distance, "confidence": confidence}
         for name, image in images.items():
