@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ltm_core.fuel.band_values_io import in_landfire_units, read_quantity
 from ltm_core.fuel.codes import system_of_codes
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
-from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands
+from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, file_bands
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
 from ltm_core.geometry.geodesy import MOST_EXPORTED, map_problem, read_crs, same_crs, scale_problem
 from ltm_core.geometry.grid import GridGeometry
@@ -45,15 +45,11 @@ class FireRun:
     def burned(self) -> BoolArray:
         return np.isfinite(self.arrival)
 
-    def burned_by(self, hours: float) -> BoolArray:
-        return np.nan_to_num(self.arrival, nan=np.inf) <= hours
-
     def reaches_edge(self) -> float | None:
         """Return the hours until the fire reaches the landscape's edge; None: never."""
-        edge = np.ones(self.arrival.shape, np.bool_)
-        edge[1:-1, 1:-1] = False
-        there = self.arrival[edge & self.burned]
-        return float(there.min()) if there.size else None
+        inner = np.full_like(self.arrival, np.nan)
+        inner[1:-1, 1:-1] = 0
+        return _first(self.arrival[np.isnan(inner)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +72,19 @@ class FireEffect:
         return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
 
     def areas(self) -> list[Area]:
+        hectares, runs = self.cell**2 / 1e4, (self.before, self.after)
         hours = sorted({h for h in USUAL_HOURS if h < self.hours} | {self.hours})
-        return [Area(h, self._hectares(self.before, h), self._hectares(self.after, h)) for h in hours]
+        return [Area(h, *(float((run.arrival <= h).sum() * hectares) for run in runs)) for h in hours]
 
     def first_contact(self) -> float | None:
         """Return hours until a fire, on the previous or the updated map, reaches a changed cell; None: never. Cells
         that no longer burn count by the previous map."""
-        there = np.concatenate([run.arrival[self.changed & run.burned] for run in (self.before, self.after)])
-        return float(there.min()) if there.size else None
+        return _first(np.concatenate([run.arrival[self.changed] for run in (self.before, self.after)]))
 
-    def _hectares(self, run: FireRun, hours: float) -> float:
-        return float(run.burned_by(hours).sum() * self.cell**2 / 1e4)
+
+def _first(arrivals: Float32Array) -> float | None:
+    known = arrivals[np.isfinite(arrivals)]
+    return float(known.min()) if known.size else None
 
 
 def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
@@ -99,7 +97,8 @@ def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
 def read_landscape(path: Path) -> Landscape:
     """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS or square cells."""
     with open_raster(path) as source:
-        bands = {"codes" if band.quantity in CODES else band.quantity: band for band in _without_fbfm13(source, path)}
+        found = sorted(file_bands(source, path), key=lambda band: band.quantity == "fbfm40")  # before FBFM13
+        bands = {"codes" if band.quantity in CODES else band.quantity: band for band in found}
         missing = [name for name in POSITIONS if name not in bands]
         if missing:
             raise RasterError(
@@ -113,9 +112,8 @@ def read_landscape(path: Path) -> Landscape:
             raise RasterError(f"{path}: a landscape is north-up with square cells, this has {tuple(t)[:6]}")
         if source.crs is None or not source.crs.is_projected:
             raise RasterError(
-                f"{path}: the CRS is {source.crs or 'missing'}; a fire needs a projected CRS in metres: export "
-                "it again with "
-                "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
+                f"{path}: the CRS is {source.crs or 'missing'}; a fire needs a projected CRS in metres: export it "
+                "again with `ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
         geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
         problem = map_problem(read_crs(source.crs)) or scale_problem(source.crs, geometry, MOST_EXPORTED)
@@ -125,13 +123,6 @@ def read_landscape(path: Path) -> Landscape:
     codes = read.pop(bands["codes"].quantity)
     stack = np.stack([codes if name == "codes" else read[name] for name in POSITIONS])
     return Landscape(stack, geometry, system_of_codes(codes))
-
-
-def _without_fbfm13(source: Any, path: Path) -> list[FuelBand]:
-    """Return the bands of a landscape, of two fuel maps that of FBFM40."""
-    bands = file_bands(source, path)
-    both = {"fbfm40", "fbfm13"} <= {band.quantity for band in bands}
-    return [band for band in bands if not (both and band.quantity == "fbfm13")]
 
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
@@ -165,15 +156,9 @@ BANDS: Mapping[str, str] = {
 def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Mapping[str, str]) -> None:
     """Write one GeoTIFF of float32 bands, NaN where the fire does not arrive. Raises ConfigError if it cannot be
     written."""
-    layers = [
-        effect.before.arrival,
-        effect.after.arrival,
-        effect.difference(),
-        np.where(effect.before.burned, effect.before.flame, np.nan),
-        np.where(effect.after.burned, effect.after.flame, np.nan),
-        effect.flame_difference(),
-        effect.changed,
-    ]
+    runs = effect.before, effect.after
+    arrivals, flames = [run.arrival for run in runs], [np.where(run.burned, run.flame, np.nan) for run in runs]
+    layers = *arrivals, effect.difference(), *flames, effect.flame_difference(), effect.changed
     array = np.stack([np.asarray(layer, np.float32) for layer in layers])
     write_raster(path, array, geometry, float("nan"), tuple(BANDS), tuple(BANDS.values()), tags=tags)
 
@@ -268,53 +253,35 @@ class FireScenario:
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
     """Return row and column of "x,y" in `crs`, by default the landscape's own. Raises ConfigError for an invalid place,
     one outside, and one where nothing burns."""
-    from pyproj import Transformer
+    from pyproj import CRS, Transformer
     from pyproj.exceptions import CRSError
 
     g = landscape.geometry
+    x_min, y_min, x_max, y_max = g.bounds
+    named, middle = CRS(g.crs).name, f"such as {(x_min + x_max) / 2:.0f},{(y_min + y_max) / 2:.0f}"
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigError(
-            f"--ignition {text}: give x,y in metres of {_named(landscape)}, such as {_middle(g)}"
-        ) from None
+        raise ConfigError(f"--ignition {text}: give x,y in metres of {named}, {middle}") from None
     if crs is not None:
         try:
             x, y = Transformer.from_crs(crs, g.crs, always_xy=True).transform(x, y)
         except CRSError as error:
             raise ConfigError(f"--ignition-crs {crs}: not a CRS ({error})") from error
-    known = bool(np.isfinite([x, y]).all())
-    row, col = (int(v) for v in g.cell_of(x, y)) if known else (-1, -1)
+    row, col = (int(v) for v in g.cell_of(x, y)) if np.isfinite([x, y]).all() else (-1, -1)
     if not g.contains(np.array(row), np.array(col)):
         degrees = crs is None and abs(x) <= 180 and abs(y) <= 90
-        remedy = "it looks like degrees: add --ignition-crs EPSG:4326" if degrees else f"such as {_middle(g)}"
-        raise ConfigError(
-            f"--ignition {text}: is outside the landscape, {g.described()} in {_named(landscape)}; {remedy}"
-        )
-    code = int(landscape.band("fuel")[row, col])
-    if code == NODATA or code in NONBURNABLE:
-        what = {NODATA: "nothing is known", _WATER: "there is water"}.get(code, f"nothing burns (code {code})")
-        raise ConfigError(f"--ignition {text}: {what} there; {_nearest(landscape, row, col)}")
-    return row, col
-
-
-def _nearest(landscape: Landscape, row: int, col: int) -> str:
+        remedy = "it looks like degrees: add --ignition-crs EPSG:4326" if degrees else middle
+        raise ConfigError(f"--ignition {text}: is outside the landscape, {g.described()} in {named}; {remedy}")
     fuel = landscape.band("fuel")
-    burns = ~np.isin(fuel, [NODATA, *NONBURNABLE])
-    if not burns.any():
-        return "nothing burns anywhere on this landscape"
-    rows, cols = np.nonzero(burns)
-    k = int(np.argmin((rows - row) ** 2 + (cols - col) ** 2))
-    x, y = landscape.geometry.to_map(rows[k], cols[k])
-    return f"the nearest cell that burns is at {float(x):.0f},{float(y):.0f}"
-
-
-def _middle(g: GridGeometry) -> str:
-    x_min, y_min, x_max, y_max = g.bounds
-    return f"{(x_min + x_max) / 2:.0f},{(y_min + y_max) / 2:.0f}"
-
-
-def _named(landscape: Landscape) -> str:
-    from pyproj import CRS
-
-    return str(CRS(landscape.geometry.crs).name)
+    burns, code = ~np.isin(fuel, [NODATA, *NONBURNABLE]), int(fuel[row, col])
+    if not burns[row, col]:
+        what = {NODATA: "nothing is known", _WATER: "there is water"}.get(code, f"nothing burns (code {code})")
+        near = "nothing burns anywhere on this landscape"
+        if burns.any():
+            rows, cols = np.nonzero(burns)
+            k = int(np.argmin((rows - row) ** 2 + (cols - col) ** 2))
+            east, north = (float(v) for v in g.to_map(rows[k], cols[k]))
+            near = f"the nearest cell that burns is at {east:.0f},{north:.0f}"
+        raise ConfigError(f"--ignition {text}: {what} there; {near}")
+    return row, col

@@ -1,8 +1,7 @@
 """Compute fires with Pyretechnics. This program runs in its own interpreter and does not import the project.
 
 Pyretechnics pins a NumPy that excludes ours, so `ltm_core.fire.pyretechnics` starts this file with the Python of
-another environment, and asks by lines of JSON: {"given": "in.npz", "result": "out.npz"} for a fire, {"rates": {...}}
-for the head fire over one cell. Each answer is a line of JSON."""
+another environment. Its argument is JSON; it writes a file, and prints the version of the model."""
 
 import json
 import sys
@@ -10,7 +9,6 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from pyretechnics.burn_cells import burn_cell_as_head_fire
 from pyretechnics.eulerian_level_set import SpreadState, spread_fire_with_phi_field
 from pyretechnics.fuel_models import fuel_model_exists
 from pyretechnics.space_time_cube import SpaceTimeCube
@@ -60,7 +58,7 @@ def weather_of(asked: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def spread(asked: dict[str, Any]) -> dict[str, Any]:
+def spread(asked: dict[str, Any]) -> None:
     """Write arrival (H, W) in minutes, NaN where it does not burn, and flame length (H, W) in metres."""
     with np.load(asked["given"]) as given:
         bands = given["bands"]
@@ -77,27 +75,8 @@ def spread(asked: dict[str, Any]) -> dict[str, Any]:
     flame = np.where(burned, found["flame_length"], 0.0)[::-1].astype(np.float32)
     arrival[asked["row"], asked["col"]] = 0.0
     np.savez(asked["result"], arrival=arrival, flame=flame)
-    return {"stopped": result["stop_condition"]}
-
-
-def rates(asked: dict[str, Any]) -> dict[str, list[float]]:
-    """Return rates of spread in m/min and flame lengths in metres of head fires on flat ground without trees, for each
-    code."""
-    answer = {}
-    for code in asked["codes"]:
-        bands = np.zeros((7, 1, 1), np.int16)
-        bands[2] = code
-        found = burn_cell_as_head_fire(cubes(bands, weather_of(asked), (1, 1, 1)), (0, 0, 0))
-        answer[str(code)] = [float(found["spread_rate"]), float(found["flame_length"])]
-    return answer
-
-
-def main() -> None:
-    print(json.dumps({"version": version("pyretechnics")}), flush=True)
-    for line in sys.stdin:
-        asked = json.loads(line)
-        print(json.dumps(rates(asked["rates"]) if "rates" in asked else spread(asked)), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    spread(json.loads(sys.argv[1]))
+    print(version("pyretechnics"))

@@ -29,10 +29,9 @@ _STATE_UNIT: Final = "state its unit in the file, such as `rio edit-info --bidx 
 
 def read_quantity(band: FuelBand, geometry: GridGeometry | None = None, crs: str | None = None) -> Float64Array:
     """Return a band's values (H, W) in its own unit, scaled, NaN for nodata, on its own grid or by nearest cell on
-    `geometry`. `crs`: of a file that states none.
-
-    Nodata is what the file declares or masks, and what common programs write without declaring it: values of -1000 and
-    below, 32767, 65535 and 1e9 and above, and but for elevation and aspect, negative values and 255 of uint8."""
+    `geometry`. `crs`: of a file that states none. Nodata is what the file declares or masks, and what common programs
+    write without declaring it: values of -1000 and below, 32767, 65535 and 1e9 and above, and but for elevation and
+    aspect, negative values and 255 of uint8."""
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
 
@@ -48,19 +47,10 @@ def read_quantity(band: FuelBand, geometry: GridGeometry | None = None, crs: str
             if source.crs is None and crs is None:
                 raise RasterError(f"{band.path}: the raster has no CRS; give it with `fuel: {{prior: {{crs: ...}}}}`")
             options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
-            with WarpedVRT(
-                source,
-                crs=geometry.crs,
-                transform=geometry.transform(),
-                width=geometry.width,
-                height=geometry.height,
-                resampling=Resampling.nearest,
-                nodata=np.nan,
-                src_nodata=None,  # with it, GDAL ignores a mask; declared values are removed below
-                tolerance=0.001,
-                dtype="float64",
-                **options,
-            ) as warped:
+            options |= {"width": geometry.width, "height": geometry.height, "tolerance": 0.001, "dtype": "float64"}
+            # With src_nodata, GDAL ignores a mask; declared values are removed below.
+            options |= {"nodata": np.nan, "src_nodata": None, "resampling": Resampling.nearest}
+            with WarpedVRT(source, crs=geometry.crs, transform=geometry.transform(), **options) as warped:
                 values = warped.read(band.index)
         scale, offset = source.scales[band.index - 1], source.offsets[band.index - 1]
         declared = np.nan if (nodata := source.nodatavals[band.index - 1]) is None else nodata
@@ -99,7 +89,15 @@ def in_landfire_units(read: Iterable[tuple[FuelBand, Float64Array]]) -> tuple[di
             remarks.append(f"{band.place}: {strange}; they are unknown")
         keep = np.isfinite(turned) & ~out
         found[band.quantity] = np.where(keep, np.round(np.where(keep, turned, 0)), NODATA).astype(np.int16)
-    _check_crown_base(found)
+    if {"height", "base_height"} <= found.keys():
+        top, base = found["height"], found["base_height"]
+        both = (top > 0) & (base > 0)
+        above = int((both & (base > top)).sum())
+        if 2 * above > both.sum():
+            raise RasterError(
+                f"canopy base height is above canopy height in {above} of {int(both.sum())} cells: bands or units are "
+                f"mixed up; name the bands CH and CBH, and {_STATE_UNIT}"
+            )
     return found, remarks
 
 
@@ -135,31 +133,14 @@ def _converted(band: FuelBand, values: Float64Array, unit: str) -> Float64Array:
         classes = _CLASSES[plain.astype(np.int64)] if plain.max() < len(_CLASSES) else plain
         return np.where(np.isnan(values), np.nan, classes)
     if unit == "evc":
-        return _tree_cover(band, values)
+        # LANDFIRE's existing vegetation cover: 101 to 199 are trees with 1 to 99 %, and until 2016 101 to 109 trees
+        # with 10 to 99 % in tenths. Other cover has no trees.
+        most = float(np.nanmax(values))
+        if most > 399:
+            raise RasterError(f"{band.place}: holds values up to {most:g}; a canopy cover is 0 to 100 %")
+        cover, trees = (values - 100, 200) if most > 129 else (10 * (values - 100) + 5, 110)
+        shown = np.where((values > 100) & (values < trees), np.minimum(cover, 100), 0.0)
+        return np.where(np.isnan(values), np.nan, shown)
     if unit == "percent" and band.quantity == "slope":
         return np.asarray(np.degrees(np.arctan(values / 100)))
     return values * FACTORS.get(band.quantity, {}).get(unit, 1.0)
-
-
-def _tree_cover(band: FuelBand, values: Float64Array) -> Float64Array:
-    """Return the tree cover in % of LANDFIRE's existing vegetation cover: 101 to 199 are trees with 1 to 99 %, and
-    until 2016 101 to 109 trees with 10 to 99 % in tenths. Other cover has no trees."""
-    most = float(np.nanmax(values))
-    if most > 399:
-        raise RasterError(f"{band.place}: holds values up to {most:g}; a canopy cover is 0 to 100 %")
-    trees = (values > 100) & (values < (200 if most > 129 else 110))
-    cover = values - 100 if most > 129 else 10 * (values - 100) + 5
-    return np.where(np.isnan(values), np.nan, np.where(trees, np.minimum(cover, 100), 0.0))
-
-
-def _check_crown_base(bands: Mapping[str, Int16Array]) -> None:
-    """Raise RasterError if the crown bases of most stands are above their tops: units or bands are mixed up."""
-    if {"height", "base_height"} <= bands.keys():
-        top, base = bands["height"], bands["base_height"]
-        both = (top > 0) & (base > 0)
-        above = int((both & (base > top)).sum())
-        if 2 * above > both.sum():
-            raise RasterError(
-                f"canopy base height is above canopy height in {above} of {int(both.sum())} cells: bands or units are "
-                f"mixed up; name the bands CH and CBH, and {_STATE_UNIT}"
-            )

@@ -1,34 +1,51 @@
-"""Estimate the canopy of fuel cells: cover and height by what cameras have seen, then crown base and density.
+"""Update the canopy of cells whose surface has changed: cover and height as views have confirmed them over bare earth,
+crown base and bulk density by published allometry. Other cells keep the canopy of the prior or the climate.
 
-A confirmed change of the surface gives both from heights over bare earth (if a raster of tree tops says what stood
-there before) and from labels (`label_cover`). New trees, and trees without canopy in the prior, get cover from labels
-and height from depth against bare earth (`stand_heights`). Other cells keep the canopy of the prior or the climate.
+Cruz, Alexander and Wakimoto (2003, Int. J. Wildland Fire 12(1), 39-50) give base and density for four forest types of
+western North America, of the basal area B (m2/ha), the number of stems N (1/ha) and the height H (m):
 
-Heights of stands are means weighted by height (Lorey's mean): a terrain cell that shows crowns and gaps has a height
-between both, which counts less so."""
+    ln density = a + b ln B + c ln N,    base = d + e H + f B
+
+B and N follow from cover and height: crowns stand at random, so that N pi r^2 = -ln(1 - cover), their radius r is
+0.15 H, and stems are H / 70 thick. These shares are assumed; only changes of a stand are used, in which they all but
+cancel. Of broadleaved stands it says nothing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
-from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
+from ltm_core.base.types import Float32Array, Float64Array, IndexArray, Int16Array
+from ltm_core.fuel.codes import ForestType
 from ltm_core.fuel.surface_change import LEAST_SHARE
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.dem import Dem
-from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
 TALL = 2.0
 """Height in metres above which plants are canopy, the height break of airborne surveys of tree cover."""
-_ALIKE = 5.0
-"""Distance in metres within which heights of a stand are correlated, as smoothed by the surface map."""
 _MOST_SAMPLES = 30
 """Maximum number of surface samples per side of a fuel cell."""
 _CELLS = 1000
 """Number of fuel cells processed at a time."""
+BROADLEAVED: Final = (9, 182, 186, 189)
+"""Codes of broadleaf litter in both systems (Scott and Burgan 2005: TL2, TL6, TL9)."""
+MOST_DENSITY: Final = 0.45
+"""Maximum bulk density in kg/m3 of the allometry, unless the map stated more; assumed. Low stands are outside the range
+of the data: a stand of 15 m that is now 3 m high would get 8 kg/m3."""
+_CROWN_RADIUS: Final = 0.15
+_SLENDERNESS: Final = 70.0
+_MOST_COVER: Final = 0.95
+_LEAST_BASE: Final = 0.05
+"""Minimum crown base as a share of the height; below the range of the data, the line would be negative."""
+_ALLOMETRY: Final = {
+    ForestType.DOUGLAS_FIR: ((-7.380, 0.479, 0.625), (-1.771, 0.554, 0.045)),
+    ForestType.PONDEROSA_PINE: ((-6.649, 0.435, 0.579), (0.134, 0.393, 0.049)),
+    ForestType.LODGEPOLE_PINE: ((-7.852, 0.349, 0.711), (-1.475, 0.613, 0.043)),
+    ForestType.MIXED_CONIFER: ((-8.445, 0.319, 0.859), (-1.463, 0.578, 0.026)),
+}
+"""(a, b, c) and (d, e, f)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,57 +72,17 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
     side = int(np.clip(round(ratio), 1, _MOST_SAMPLES))
     for start in range(0, len(chosen), _CELLS):
         part = chosen[start : start + _CELLS]
-        found[:, part] = _measured(terrain.top, terrain.ground, grid, part, side)
+        found[:, part] = _measured(terrain, grid, part, side)
     return SeenCanopy(*found.reshape(2, *grid.shape))
 
 
-def measured_canopy(
-    trees: BoolArray,
-    new: BoolArray,
-    changed: SeenCanopy | None,
-    cover: Float64Array | None,
-    height: Float32Array | None,
-) -> SeenCanopy:
-    """Return the measured canopy of the cells with `trees` (H, W): that of the confirmed surface (`changed`); where it
-    has not changed, `cover` by labels, % (`EvidenceMap.label_cover`), and `height` of stands, metres (`stand_heights`),
-    in cells whose trees are `new` (H, W), or of whose trees the prior has no canopy."""
-    unknown = np.full(trees.shape, np.nan, np.float32)
-    found = SeenCanopy(unknown, unknown) if changed is None else changed
-    use = trees & new & np.isnan(found.cover)
-    return SeenCanopy(
-        found.cover if cover is None else np.where(use, cover, found.cover).astype(np.float32),
-        found.height if height is None else np.where(use, height, found.height),
-    )
-
-
-def with_seen_canopy(
-    bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
-) -> Int16Array:
-    """Return canopy bands (4, H, W) of cells with trees, updated by observations: cover and height as measured; crown
-    base and bulk density change in proportion to the allometry of such stands (`stand_allometry`). Broadleaved `codes`
-    (H, W) and cells without trees do not change."""
-    cover, height, base, density = (band.astype(np.float64) for band in bands)
-    now = (np.isfinite(seen.cover) | np.isfinite(seen.height)) & (cover > 0) & (height > 0)
-    share = np.where(np.isfinite(seen.cover), seen.cover, cover).astype(np.float64)
-    tops = np.where(np.isfinite(seen.height), 10.0 * seen.height, height).astype(np.float64)
-    was, is_ = (crown_fuel(c, h / 10, forest) for c, h in ((cover, height), (share, tops)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.stack([share, tops, base * is_.base / was.base, density * is_.density / was.density])
-    stays = broadleaved(codes)
-    left = (share > 0) & (tops > 0)
-    moved[2:] = np.where(stays, np.where(left, bands[2:], 0), moved[2:])
-    moved[2] = np.minimum(moved[2], tops)
-    moved[3] = np.minimum(moved[3], np.maximum(density, 100 * MOST_DENSITY))
-    return np.where(now & np.isfinite(moved).all(axis=0), np.round(moved), bands).astype(np.int16)
-
-
-def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
+def _measured(terrain: ConfirmedTerrain, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
     """Return the cover and height (2, N) of cells by their flat places, from side x side points each."""
     rows, cols = np.divmod(cells, grid.width)
     offsets = (np.arange(side) + 0.5) / side - 0.5
     x, y = grid.to_map(rows[:, None, None] + offsets[:, None], cols[:, None, None] + offsets)
     x, y = (points.reshape(len(cells), -1) for points in np.broadcast_arrays(x, y))
-    above = top.elevation_at(x, y) - ground.elevation_at(x, y)
+    above = terrain.top.elevation_at(x, y) - terrain.ground.elevation_at(x, y)
     known = np.isfinite(above)
     canopy = known & (above >= TALL)
     stands, points = canopy.sum(axis=1), np.maximum(known.sum(axis=1), 1)
@@ -114,46 +91,34 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
     return np.where(known.any(axis=1), found, np.nan).astype(np.float32)
 
 
-_STRIP = 256
-"""Number of terrain rows processed at a time."""
-_LEAST_SHARE = 0.1
-"""Minimum share of a fuel cell that must have been seen as standing."""
-_SEEN_ABOVE = 0.8
-"""Ratio of a canopy's mean height from above to its mean height from the side, weighted by height. This and the
-following constants were chosen on rendered sites (docs/maps.md)."""
-_SAID = 1 / 3
-"""Standard error of a height from a prior map, as a share of the height."""
-
-
-def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> Float32Array:
-    """Return, for the cells of a fuel grid (in the map frame), the mean height of objects of 2 m and more over bare
-    earth where independent views have measured it, metres; NaN where hardly anything was seen to stand. `before`
-    (H, W): heights of an earlier map, metres, combined with the measurement by their standard errors; NaN or too low:
-    not used."""
-    size = fuel.width * fuel.height
-    count, total, squares, cubes, noise = (np.zeros(size) for _ in range(5))
-    top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
-    for row in range(top, top + height, _STRIP):
-        layers = surface.layers((row, left, min(_STRIP, top + height - row), width))
-        above = layers.height - layers.bare
-        rows, cols = np.nonzero(layers.observed & (above >= TALL))
-        to_row, to_col = fuel.cell_of(*layers.geometry.to_map(rows, cols))
-        inside = fuel.contains(to_row, to_col)
-        place, value = (to_row * fuel.width + to_col)[inside], above[rows, cols][inside].astype(np.float64)
-        sigma = layers.sigma[rows, cols][inside].astype(np.float64)
-        parts = (count, None), (total, value), (squares, value**2), (cubes, value**3), (noise, value * sigma)
-        for sums, part in parts:
-            sums += np.bincount(place, part, size)
-    ratio = (fuel.resolution / surface.reference.geometry.resolution) ** 2
+def with_seen_canopy(
+    bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
+) -> Int16Array:
+    """Return canopy bands (4, H, W) of cells with trees, updated by observations: cover and height as measured; crown
+    base and bulk density change in proportion to the allometry of such stands. Base and density of broadleaved `codes`
+    (H, W), and cells without trees, do not change."""
+    cover, height, base, density = (band.astype(np.float64) for band in bands)
+    share, tops = seen.cover.astype(np.float64), 10.0 * seen.height.astype(np.float64)
+    now = np.isfinite(share) & np.isfinite(tops) & (cover > 0) & (height > 0)
+    was, is_ = (crown_fuel(c, h / 10, forest) for c, h in ((cover, height), (share, tops)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = squares / total
-        spread = np.maximum(cubes / total - mean**2, 0.0)
-        independent = np.maximum(count / ratio * (fuel.resolution / _ALIKE) ** 2, 1.0)
-        # What cameras measure errs alike over a stand.
-        variance = _SEEN_ABOVE**2 * (spread / independent + (noise / total) ** 2)
-        said = np.where(before >= TALL, before, np.nan).ravel()
-        trust = 1 / variance, np.nan_to_num(1 / (_SAID * said) ** 2)
-        height = (trust[0] * _SEEN_ABOVE * mean + trust[1] * np.nan_to_num(said)) / sum(trust)
-    # The weighted mean of what stands is at least TALL; from above it is too.
-    found = np.where(count >= _LEAST_SHARE * ratio, np.maximum(height, TALL), np.nan)
-    return found.reshape(fuel.shape).astype(np.float32)
+        moved = np.stack([share, tops, base * is_[0] / was[0], density * is_[1] / was[1]])
+    left = (share > 0) & (tops > 0)
+    moved[2:] = np.where(np.isin(codes, BROADLEAVED), np.where(left, bands[2:], 0), moved[2:])
+    moved[2] = np.minimum(moved[2], tops)
+    moved[3] = np.minimum(moved[3], np.maximum(density, 100 * MOST_DENSITY))
+    return np.where(now & np.isfinite(moved).all(axis=0), np.round(moved), bands).astype(np.int16)
+
+
+def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) -> tuple[Float64Array, Float64Array]:
+    """Return the crown base in metres and the canopy bulk density in kg/m3 (...) of stands with `cover` (...) in % and
+    `height` (...) in metres; 0 without trees."""
+    share, tall = np.clip(cover / 100, 0.0, _MOST_COVER), np.maximum(height, 0.0)
+    stands = (share > 0) & (tall > 0)
+    tall = np.where(stands, tall, 1.0)
+    stems = np.where(stands, -np.log1p(-share), 1.0) / (np.pi * (_CROWN_RADIUS * tall) ** 2) * 1e4
+    basal_area = stems * np.pi / 4 * (tall / _SLENDERNESS) ** 2
+    (a, b, c), (d, e, f) = _ALLOMETRY[forest]
+    base = np.clip(d + e * tall + f * basal_area, _LEAST_BASE * tall, tall)
+    density = np.exp(a + b * np.log(basal_area) + c * np.log(stems))
+    return np.where(stands, base, 0.0), np.where(stands, density, 0.0)

@@ -1,16 +1,15 @@
 """Likelihood of the labels that a frame shows in a fuel cell, for each life form that the cell may have.
 
-Labels are of pixels, and a pixel shows the first plant on its ray, which is counted where the ray meets bare terrain
-behind it. Seen from low above the ground, tall plants therefore fill a larger share of a cell's pixels than of its
-ground, and of the pixels of cells behind it too. How large depends on the angle at which the ground is seen and on what
-stands next to the cell along the line of sight. `CellAppearanceModel` knows this from cells of known form: a logistic
-regression with as many cells of each form gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85,
-1998), without a model of the plants. `ltm-lab train appearance` fits it."""
+A pixel shows the first plant on its ray, which is counted where the ray meets bare terrain behind it. Tall plants
+therefore fill a larger share of a cell's pixels than of its ground, and of the pixels of cells behind it too. How large
+depends on the angle of sight and on the neighbours along it. `CellAppearanceModel` is a logistic regression with as
+many cells of each form, which gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998).
+`ltm-lab train appearance` fits it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
@@ -29,16 +28,17 @@ USUAL: Final = 0.7
 _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 
 
-class CellAppearanceFile(StrictModel):
-    """File of a `CellAppearanceModel`. `incidence`: increasing cosines of the angle between line of sight and ground
-    normal. `weights`: for each form on which the network was tested, at each incidence, of the features (`SEEN`)."""
+class CellAppearanceModel(StrictModel):
+    """Model of a cell's label features by life form. `incidence`: (K,) increasing cosines of the angle between line of
+    sight and ground normal. `weights`: for each form on which the network was tested, at each incidence, of the
+    features (`SEEN`); interpolated linearly."""
 
-    incidence: list[float] = Field(min_length=2)
-    weights: dict[str, list[list[float]]]
+    incidence: tuple[float, ...] = Field(min_length=2)
+    weights: dict[str, tuple[tuple[float, ...], ...]]
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if any(b <= a for a, b in zip(self.incidence, self.incidence[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(self.incidence)):
             raise ValueError(f"incidence must increase, got {self.incidence}")
         if len(self.weights) < 2 or not set(self.weights) <= set(_NAMES):
             raise ValueError(f"weights must be of two or more of {', '.join(_NAMES)}; got {', '.join(self.weights)}")
@@ -47,41 +47,27 @@ class CellAppearanceFile(StrictModel):
                 raise ValueError(f"weights.{form}: must be {len(self.incidence)} rows of {SEEN}")
         return self
 
-
-@dataclass(frozen=True, eq=False)
-class CellAppearanceModel:
-    """Model of a cell's label features by life form. `incidence`: (K,) increasing cosines. `weights`: (FORMS, K, SEEN),
-    interpolated linearly; NaN for a form on which the network was never tested."""
-
-    incidence: Float64Array
-    weights: Float64Array
-
-    @classmethod
-    def of_file(cls, file: CellAppearanceFile) -> CellAppearanceModel:
-        weights = np.full((FORMS, len(file.incidence), SEEN), np.nan)
-        for form, rows in file.weights.items():
-            weights[_NAMES.index(form)] = rows
-        return cls(np.array(file.incidence), weights)
-
-    def as_file(self) -> CellAppearanceFile:
-        """Return the content of its file."""
-        known = {form.name.lower(): self.weights[form - 1] for form in LifeForm if self.known[form - 1]}
-        return CellAppearanceFile(
-            incidence=self.incidence.tolist(),
-            weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
-        )
+    def rounded(self) -> CellAppearanceModel:
+        """Return a copy with two digits, for a file."""
+        weights = {form: tuple(map(tuple, np.round(rows, 2).tolist())) for form, rows in self.weights.items()}
+        return CellAppearanceModel(incidence=self.incidence, weights=weights)
 
     @cached_property
     def known(self) -> BoolArray:
         """Return (FORMS,) whether the network was tested on a form."""
-        return np.isfinite(self.weights[:, 0, 0])
+        return np.array([name in self.weights for name in _NAMES])
 
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
         """Return (N, FORMS) log likelihood of the features (N, SEEN), up to a constant for each cell; -inf for unknown
         forms."""
-        inputs = at_incidence(seen, cosine, self.incidence)
-        result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
-        return np.where(self.known, result, -np.inf)
+        inputs = at_incidence(seen, cosine, np.array(self.incidence))
+        result = np.full((len(seen), FORMS), -np.inf)
+        result[:, self.known] = inputs @ self._table
+        return result
+
+    @cached_property
+    def _table(self) -> Float64Array:
+        return np.array([np.ravel(self.weights[name]) for name in _NAMES if name in self.weights]).T
 
 
 def what_is_seen(

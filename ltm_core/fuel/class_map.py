@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,26 +26,21 @@ _CLASSES = 8
 
 
 class MajorityFuelMap:
-    """Sum votes and give each cell the class with most of them.
-
-    Ties go to the class that stands first in the label set, so the map depends on the votes alone and not on their
-    order. Cells partition the plane (`GridGeometry.cell_of`): the paper's "centred at" neighbourhoods, read
-    literally, would count a pixel on an edge twice."""
+    """Sum votes and give each cell the class with most of them. Ties go to the class that stands first in the label
+    set, so the map depends on the votes alone and not on their order. Cells partition the plane
+    (`GridGeometry.cell_of`): the paper's "centred at" neighbourhoods, read literally, would count a pixel on an edge
+    twice."""
 
     def __init__(self, geometry: GridGeometry, classes: int) -> None:
         self.geometry = geometry
         self.totals: NDArray[np.uint64] = np.zeros((*geometry.shape, classes), np.uint64)
 
     def add(self, votes: CellVotes) -> tuple[int, int, int, int] | None:
-        """Count a frame's votes; the changed tile (row, col, height, width), or None where it saw nothing.
-
-        Raises ImageError for votes on another grid or over other classes."""
-        if votes.geometry != self.geometry:
-            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
-        if votes.counts.shape[1] != self.totals.shape[2]:
-            raise ImageError(
-                f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {self.totals.shape[2]}"
-            )
+        """Count a frame's votes; the changed tile (row, col, height, width), or None where it saw nothing. Raises
+        ImageError for votes on another grid or over other classes."""
+        own, given = (self.geometry, self.totals.shape[2]), (votes.geometry, votes.counts.shape[1])
+        if given != own:
+            raise ImageError(f"votes of {votes.source} have grid and classes {given}, but this map {own}")
         if len(votes.rows) == 0:
             return None
         np.add.at(self.totals, (votes.rows, votes.cols), votes.counts)
@@ -56,12 +51,6 @@ class MajorityFuelMap:
         """Return the winning class of every cell, (H, W) uint8; UNSEEN without votes."""
         winner = self.totals.argmax(axis=2).astype(np.uint8)
         return np.where(self.totals.any(axis=2), winner, np.uint8(UNSEEN))
-
-    def share(self) -> Float32Array:
-        """Return the winner's share of all votes in its cell, (H, W) in [0, 1]; NaN without votes."""
-        total = self.totals.sum(axis=2).astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.totals.max(axis=2) / total, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +63,13 @@ class Seen:
 
 
 class CoverageMap:
-    """Count the votes of frames by camera, on one fuel grid."""
+    """Count the votes of frames by camera, on one fuel grid in the map frame."""
 
-    def __init__(self, geometry: GridGeometry) -> None:
+    def __init__(self, geometry: GridGeometry, frames: Iterable[CellVotes] = ()) -> None:
         self.geometry = geometry
         self.cameras: dict[str, Seen] = {}
+        for votes in frames:
+            self.add(votes)
 
     def add(self, votes: CellVotes) -> None:
         """Count a frame."""
@@ -103,24 +94,17 @@ def write_fuel_map(
     labels: LabelSet,
     tags: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
-
-    The file appears whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file
-    cannot be written."""
+    """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names. The file appears
+    whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file cannot be
+    written."""
     if not str(path):
         raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
     path = Path(path)
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
     with written_whole(path) as partial:
-        write_geotiff(
-            partial,
-            classes,
-            geometry,
-            nodata=UNSEEN,
-            colormap=dict(enumerate(labels.colors)),
-            tags={"classes": json.dumps(labels.names), **(tags or {})},
-        )
+        tags = {"classes": json.dumps(labels.names), **(tags or {})}
+        write_geotiff(partial, classes, geometry, UNSEEN, dict(enumerate(labels.colors)), tags)
     return path
 
 
@@ -154,30 +138,8 @@ def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridG
     SiteFrame(crs)
     if geometry.crs is None:
         raise ConfigError("a fuel grid without a CRS cannot be reprojected")
-    snapped = GridGeometry.snapped(
-        transform_bounds(geometry.crs, crs, *geometry.bounds), geometry.resolution, phase, crs
-    )
-    problem = scale_problem(crs, snapped, MOST_EXPORTED)
-    if problem is not None:
+    bounds = transform_bounds(geometry.crs, crs, *geometry.bounds)
+    snapped = GridGeometry.snapped(bounds, geometry.resolution, phase, crs)
+    if (problem := scale_problem(crs, snapped, MOST_EXPORTED)) is not None:
         raise ConfigError(f"--crs {crs}: areas and slopes would be wrong: {problem}")
     return snapped
-
-
-def resampled(classes: UInt8Array, geometry: GridGeometry, crs: str) -> tuple[UInt8Array, GridGeometry]:
-    """Return the map by nearest cell on the grid of `snapped_grid`, with its errors."""
-    from rasterio.warp import Resampling, reproject
-
-    target = snapped_grid(geometry, crs)
-    result = np.full(target.shape, UNSEEN, np.uint8)
-    reproject(
-        classes,
-        result,
-        src_transform=geometry.transform(),
-        src_crs=geometry.crs,
-        src_nodata=UNSEEN,
-        dst_transform=target.transform(),
-        dst_crs=crs,
-        dst_nodata=UNSEEN,
-        resampling=Resampling.nearest,
-    )
-    return result, target

@@ -3,12 +3,11 @@
 Scott and Burgan (2005, RMRS-GTR-153) relate their models to Anderson's (1982) within the fuel type that carries the
 fire: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to 13, and grass with shrubs to either of
 the first two. Which model within the type is no function of the code: LANDFIRE derives both maps from vegetation. So a
-table gives it for a climate, and a map that has both systems gives its own pairs."""
+table gives it for a climate."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 from typing import Final
@@ -21,14 +20,14 @@ from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Int16Array, Int64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
-from ltm_core.fuel.stand_allometry import ForestType
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 
+Color = tuple[int, int, int]
 CUSTOM: Final = range(14, 90)
 """Codes that both systems reserve for custom fuel models (Scott and Burgan 2005, table 3)."""
 _GRASS, _SHRUB, _TIMBER, _SLASH = range(1, 4), range(4, 8), range(8, 11), range(11, 14)
-_TYPES: Final[Mapping[range, range]] = {
+FUEL_TYPES: Final[Mapping[range, range]] = {
     range(101, 110): _GRASS,
     range(121, 125): range(1, 8),
     range(141, 150): _SHRUB,
@@ -36,29 +35,19 @@ _TYPES: Final[Mapping[range, range]] = {
     range(181, 190): _TIMBER,
     range(201, 205): _SLASH,
 }
-_ENOUGH_PAIRS: Final = 20
-"""Minimum number of cells with a code in maps of both systems to learn its partner there."""
-
-
-def partners(code: int) -> range:
-    """Return the FBFM13 models of the fuel type of an FBFM40 code; empty for a code that is no burnable model."""
-    return next((group for codes, group in _TYPES.items() if code in codes), range(0))
+"""FBFM13 models of the fuel types of FBFM40 codes."""
 
 
 def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
-    """Return whether two maps of the same ground agree on the fuel type that carries the fire.
-
-    What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
-    analyst's own model, a code that no system has."""
-    agree = np.ones((256, 256), np.bool_)
-    burnable = range(_GRASS.start, _SLASH.stop)
+    """Return whether two maps of the same ground agree on the fuel type that carries the fire. What does not burn
+    agrees with such alone. True also where either has no fuel type that is known: NODATA, an analyst's own model, a
+    code that no system has."""
+    agree, burnable = np.ones((256, 256), np.bool_), range(_GRASS.start, _SLASH.stop)
     agree[np.ix_(list(NONBURNABLE), burnable)] = False
-    for code in range(256):
-        if own := partners(code):
-            agree[code, [*burnable, *NONBURNABLE]] = False
-            agree[code, own] = True
-    same: BoolArray = agree[_index(fbfm40), _index(fbfm13)]
-    return same
+    for own, others in FUEL_TYPES.items():
+        agree[np.ix_(own, [*burnable, *NONBURNABLE])] = False
+        agree[np.ix_(own, others)] = True
+    return np.asarray(agree[_index(fbfm40), _index(fbfm13)])
 
 
 def is_custom(codes: Int16Array) -> BoolArray:
@@ -66,63 +55,9 @@ def is_custom(codes: Int16Array) -> BoolArray:
     return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)
 
 
-@dataclass(frozen=True, eq=False)
-class Crosswalk:
-    """Map from FBFM40 to FBFM13. `open_ground`: (256,) int16 partner of each code, NODATA none. `under_trees`: the same
-    where tree cover is at least `least_cover` (256,) %."""
-
-    open_ground: Int16Array
-    under_trees: Int16Array
-    least_cover: Int16Array
-
-    @classmethod
-    def of(cls, table: Mapping[int, int], under_trees: Mapping[int, tuple[int, int]]) -> Crosswalk:
-        """Return the crosswalk of a table; `under_trees`: code -> (minimum cover in %, partner). Non-burnable and
-        custom codes do not change."""
-        plain = _lookup(table)
-        shaded, least = plain.copy(), np.full(256, 101, np.int16)
-        for code, (cover, partner) in under_trees.items():
-            shaded[code], least[code] = partner, cover
-        return cls(plain, shaded, least)
-
-    def to_fbfm13(self, codes: Int16Array, cover: Int16Array | None = None) -> Int16Array:
-        """Convert (H, W) FBFM40 codes; invalid codes become NODATA. `cover`: of trees, %, NODATA if unknown."""
-        index = _index(codes)
-        shaded = np.zeros(codes.shape, np.bool_) if cover is None else cover >= self.least_cover[index]
-        return np.where(shaded, self.under_trees[index], self.open_ground[index])
-
-    def learned(self, fbfm40: Int16Array, fbfm13: Int16Array, cover: Int16Array | None = None) -> Crosswalk:
-        """Return a copy with the most common partners, of the same fuel type, in a map of both systems."""
-        shaded = np.zeros(fbfm40.shape, np.bool_) if cover is None else cover >= self.least_cover[_index(fbfm40)]
-        tables = self.open_ground.copy(), self.under_trees.copy()
-        for code in np.unique(fbfm40).tolist():
-            own = (fbfm40 == code) & np.isin(fbfm13, list(partners(code)))
-            for table, there in zip(tables, (own & ~shaded, own & shaded), strict=True):
-                if there.sum() >= _ENOUGH_PAIRS:
-                    values, counts = np.unique(fbfm13[there], return_counts=True)
-                    table[code] = values[counts.argmax()]
-        return Crosswalk(*tables, self.least_cover)
-
-
-def _lookup(table: Mapping[int, int]) -> Int16Array:
-    """Return (256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are
-    NODATA."""
-    lookup = np.full(256, NODATA, np.int16)
-    for code in (*NONBURNABLE, *CUSTOM):
-        lookup[code] = code
-    lookup[list(table)] = list(table.values())
-    return lookup
-
-
 def _index(codes: Int16Array) -> Int16Array:
     """Return the places in a table; 0, which is no code, for what lies outside it."""
     return np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
-
-
-def to_fbfm40(table: Mapping[int, int], codes: Int16Array) -> Int16Array:
-    """Convert FBFM13 codes to FBFM40 by a table; non-burnable and custom codes do not change, unknown ones become
-    NODATA."""
-    return np.asarray(_lookup(table)[_index(codes)], np.int16)
 
 
 class FuelSystem(StrEnum):
@@ -149,11 +84,13 @@ class FuelModel(StrictModel):
     """Surface-to-volume ratio in 1/ft: 1 h, live herbaceous, live woody fuel."""
     heat: float = Field(default=8000.0, gt=0)
     """Heat content in Btu/lb."""
+    color: Color
 
 
 class NonburnableModel(StrictModel):
     name: str
     description: str
+    color: Color
 
 
 class FuelModels(StrictModel):
@@ -165,16 +102,13 @@ class FuelModels(StrictModel):
 
     def name(self, code: int) -> str:
         """Return a name such as GR2, FM4 or NB9; the number itself for an invalid code."""
-        for table in (self.fbfm40, self.fbfm13, self.nonburnable):
-            if code in table:
-                return str(table[code].name)
-        return str(code)
+        known = self.fbfm40.get(code) or self.fbfm13.get(code) or self.nonburnable.get(code)
+        return str(code) if known is None else known.name
 
     def codes(self, system: FuelSystem) -> frozenset[int]:
         """Return the codes of a system, non-burnable ones included."""
-        return frozenset({FuelSystem.FBFM13: self.fbfm13, FuelSystem.FBFM40: self.fbfm40}[system]) | frozenset(
-            self.nonburnable
-        )
+        own = self.fbfm13 if system is FuelSystem.FBFM13 else self.fbfm40
+        return frozenset((*own, *self.nonburnable))
 
 
 @lru_cache(maxsize=1)
@@ -217,6 +151,13 @@ class ChangedCodes(StrictModel):
         return np.where(trees, self.shrubs_to_tree, np.array(table)[form]).astype(np.int16)
 
 
+class ForestType(StrEnum):
+    DOUGLAS_FIR = "douglas_fir"
+    PONDEROSA_PINE = "ponderosa_pine"
+    LODGEPOLE_PINE = "lodgepole_pine"
+    MIXED_CONIFER = "mixed_conifer"
+
+
 class TreeCanopy(StrictModel):
     """Canopy of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
 
@@ -256,9 +197,18 @@ class FuelClimate(StrictModel):
             raise ConfigError(f"unknown fuel climate {name!r}; choose from {there}")
         return load_yaml(path, cls)
 
-    def as_crosswalk(self) -> Crosswalk:
-        """Return the map from FBFM40 to FBFM13 for maps that do not have both."""
-        return Crosswalk.of(self.crosswalk, self.under_trees)
+    def crossed(self, codes: Int16Array, to: FuelSystem, cover: Int16Array | None = None) -> Int16Array:
+        """Convert (H, W) codes of the other system by the crosswalk; non-burnable and custom codes stay, unknown ones
+        become NODATA. `cover`: of trees, %, NODATA if unknown."""
+        lookup = np.full(256, NODATA, np.int16)
+        lookup[[*NONBURNABLE, *CUSTOM]] = *NONBURNABLE, *CUSTOM
+        table = self.crosswalk if to is FuelSystem.FBFM13 else self.crosswalk_back
+        lookup[list(table)] = list(table.values())
+        found = lookup[_index(codes)]
+        if to is FuelSystem.FBFM13 and cover is not None:
+            for code, (least, partner) in self.under_trees.items():
+                found[(codes == code) & (cover >= least)] = partner
+        return found
 
     def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
         """Return (...) codes of changed cells in the other system: those of `changed` for the same cover; NODATA for
@@ -271,40 +221,16 @@ class FuelClimate(StrictModel):
         return found
 
 
-Color = tuple[int, int, int]
-
-_LANDFIRE: Final[dict[int, Color]] = {
-    91: (104, 104, 104), 93: (255, 237, 237), 98: (0, 14, 214), 99: (77, 110, 112),
-    101: (255, 235, 190), 102: (255, 211, 115), 103: (255, 236, 139), 106: (230, 230, 64),
-    121: (255, 170, 0), 122: (255, 167, 127), 123: (255, 99, 0),
-    141: (215, 194, 158), 142: (215, 176, 158), 143: (205, 137, 102), 144: (137, 90, 68), 146: (237, 112, 68),
-    161: (233, 255, 190), 162: (170, 255, 0), 163: (180, 215, 158), 165: (38, 115, 0),
-    181: (190, 255, 232), 182: (0, 255, 197), 183: (190, 210, 255), 184: (123, 104, 238), 185: (190, 232, 255),
-    186: (0, 197, 255), 188: (0, 92, 230), 189: (77, 110, 145),
-    2: (255, 255, 0), 3: (230, 197, 11), 5: (255, 170, 102), 7: (137, 112, 68), 8: (211, 255, 190), 9: (112, 168, 0),
-    10: (38, 115, 0),
-}  # fmt: skip
-"""Colours of the attribute tables of LANDFIRE 2022 (from a tile of Vermont, which has these codes)."""
-_OURS: Final[dict[int, Color]] = {
-    92: (225, 240, 255), 104: (240, 200, 60), 105: (215, 190, 90), 107: (200, 170, 20), 108: (180, 150, 60),
-    109: (150, 125, 20), 124: (200, 60, 20), 145: (176, 74, 40), 147: (150, 40, 40), 148: (110, 60, 40),
-    149: (80, 35, 30), 164: (115, 160, 80), 187: (60, 150, 190),
-    201: (230, 190, 255), 202: (200, 120, 220), 203: (160, 60, 190), 204: (110, 0, 140),
-    1: (255, 255, 190), 4: (168, 56, 0), 6: (255, 127, 80), 11: (230, 190, 255), 12: (180, 90, 210), 13: (110, 0, 140),
-}  # fmt: skip
-"""Colours of codes that this tile lacks, similar to those of their group."""
-_UNKNOWN: Final[Color] = (222, 222, 220)
-
-
 def code_color(code: int) -> Color:
     """Return the colour of a fuel code of either system; grey where it is none."""
-    return _LANDFIRE.get(code) or _OURS.get(code) or _UNKNOWN
+    models = fuel_models()
+    known = models.fbfm40.get(code) or models.fbfm13.get(code) or models.nonburnable.get(code)
+    return (222, 222, 220) if known is None else known.color
 
 
 def code_colors(codes: Int16Array) -> UInt8Array:
     """Return (..., 3) colours of codes (...)."""
-    table = np.array([code_color(code) for code in range(256)], np.uint8)
-    return table[np.where((codes >= 0) & (codes < 256), codes, 0)]
+    return np.array([code_color(code) for code in range(256)], np.uint8)[_index(codes)]
 
 
 def code_names(codes: Int16Array) -> list[tuple[str, Color]]:

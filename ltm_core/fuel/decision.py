@@ -13,7 +13,7 @@ from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
+from ltm_core.fuel.rules import FusionRules, supported_changes
 
 _GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5
@@ -72,12 +72,10 @@ class FuelLayers:
 
 @dataclass(frozen=True, eq=False)
 class _JudgedCells:
-    """(N, ...) what evidence and prior say of each cell on its own.
-
-    `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
-    for. `fresh`: burned, and not grown over yet. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
-    index of the strongest other form. `log_odds` (N,): by how much looks make that likelier than any other form.
-    `wants`: to change into it. `leans`: would with others about it."""
+    """(N, ...) what evidence and prior say of each cell on its own. `base`: the prior's code, or that of what has grown
+    since a burn. `agreeing` (N, FORMS): the forms that it stands for. `fresh`: burned, and not grown over yet. `alpha`
+    (N, FORMS): the Dirichlet's. `challenger`: index of the strongest other form. `log_odds` (N,): by how much looks
+    make that likelier than any other form. `wants`: to change into it. `leans`: would with others about it."""
 
     codes: Int16Array
     base: Int16Array
@@ -90,16 +88,6 @@ class _JudgedCells:
     p_max: Float64Array
     wants: BoolArray
     leans: BoolArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Decided:
-    """(N,) each."""
-
-    code: Int16Array
-    form: Int64Array
-    p_max: Float64Array
-    entropy: Float64Array
 
 
 class ChangeDecision:
@@ -116,11 +104,6 @@ class ChangeDecision:
         self._untouched = self._settle(judged, judged.wants, nothing, 0.0)
         self._known = np.asarray(forms_of(every).any(axis=1))
 
-    @property
-    def reach(self) -> int:
-        """Return the distance in cells within which neighbours influence a cell."""
-        return reach_of(self._rules)
-
     def decide(
         self,
         codes: Int16Array,
@@ -129,20 +112,19 @@ class ChangeDecision:
         now_s: float,
         company: UInt8Array | None = None,
     ) -> FuelLayers:
-        """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; within `reach` of
-        an inner edge they may be those of a map that ends there.
-
-        `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order. `company`:
-        (H, W) life forms of cells that have changed for other reasons than evidence, 0 none."""
+        """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; within `reach_of`
+        an inner edge they may be those of a map that ends there. `codes`: (H, W) of the prior. `cells`: evidence of the
+        `touched` (H, W) cells, in row-major order. `company`: (H, W) life forms of cells that have changed for other
+        reasons than evidence, 0 none."""
         index = np.where((codes >= 0) & (codes < 256), codes, 0)
         known = self._known[index]
-        plain = self._untouched
+        _, form, p_max, entropy = (values[index] for values in self._untouched)
         layers = FuelLayers(
             prior=codes.copy(),
             code=codes.copy(),
-            life_form=np.where(known, plain.form[index] + 1, UNSEEN).astype(np.uint8),
-            p_max=np.where(known, plain.p_max[index], np.nan).astype(np.float32),
-            entropy=np.where(known, plain.entropy[index], 1.0).astype(np.float32),
+            life_form=np.where(known, form + 1, UNSEEN).astype(np.uint8),
+            p_max=np.where(known, p_max, np.nan).astype(np.float32),
+            entropy=np.where(known, entropy, 1.0).astype(np.float32),
             evidence=np.zeros(codes.shape, np.float32),
             last_seen=np.zeros(codes.shape, np.int64),
             seen_by=np.zeros(codes.shape, np.uint8),
@@ -155,11 +137,9 @@ class ChangeDecision:
             leaning[touched] = np.where(judged.leans, judged.challenger + 1, 0)
             log_odds[touched] = judged.log_odds
             changes = supported_changes(wanted, log_odds, company, self._rules, leaning)[touched]
-            decided = self._settle(judged, changes, cells, now_s)
-            layers.code[touched] = decided.code
-            layers.life_form[touched] = decided.form + 1
-            layers.p_max[touched] = decided.p_max
-            layers.entropy[touched] = decided.entropy
+            code, form, p_max, entropy = self._settle(judged, changes, cells, now_s)
+            layers.code[touched], layers.life_form[touched] = code, form + 1
+            layers.p_max[touched], layers.entropy[touched] = p_max, entropy
             layers.evidence[touched] = cells.evidence.sum(axis=1)
         return layers
 
@@ -172,7 +152,10 @@ class ChangeDecision:
         base = np.where(regrown, np.int16(self._codes.regrowth), codes)
         agreeing = forms_of(base)
         has_prior = np.asarray(agreeing.any(axis=1))
-        alpha = cells.evidence + self._prior_evidence(agreeing, has_prior)
+        count = agreeing.sum(axis=1, keepdims=True)
+        inside, outside = rules.prior_share / np.maximum(count, 1), (1 - rules.prior_share) / (FORMS - count)
+        prior = rules.prior_evidence * np.where(agreeing, inside, outside)
+        alpha = cells.evidence + np.where(has_prior[:, None], prior, _FLAT)
         challenger, better, p_max = _contest(alpha, agreeing, has_prior)
         here = np.arange(len(codes)), challenger
         others = cells.log_likelihood.copy()
@@ -186,36 +169,30 @@ class ChangeDecision:
         fresh = burned & ~regrown
         return _JudgedCells(codes, base, agreeing, has_prior, fresh, alpha, challenger, log_odds, p_max, wants, leans)
 
-    def _settle(self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
-        """Return what cells become, those of `changes` (N,) their challenger."""
-        rules, codes = self._rules, judged.codes
+    def _settle(
+        self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float
+    ) -> tuple[Int16Array, Int64Array, Float64Array, Float64Array]:
+        """Return (N,) code, index of the life form, `p_max` and entropy of cells, of which those of `changes` (N,)
+        become their challenger. The form of cells that do not change: of those that a prior's code stands for, its
+        first one, unless another is the commoner with the probability that a change would need; without a prior, the
+        commonest."""
+        rules, codes, alpha, every = self._rules, judged.codes, judged.alpha, np.arange(len(judged.codes))
         original = forms_of(codes)
         possible = judged.agreeing | ~judged.has_prior[:, None]
-        favoured = _favoured(judged.alpha, possible, judged.has_prior, rules.posterior)
-        form = np.where(changes, judged.challenger, favoured)
-
+        best, usual = np.where(possible, alpha, -1.0).argmax(axis=1), possible.argmax(axis=1)
+        surer = scipy.special.betainc(alpha[every, usual], alpha[every, best], 0.5) >= rules.posterior
+        form = np.where(changes, judged.challenger, np.where(judged.has_prior & ~surer, usual, best))
         faded = changes & (form == _BURNED) & (now_s - cells.last[:, _BURNED] >= rules.burned_days * 86400)
         code = np.where(changes | ~judged.has_prior, self._new_codes(form, original, cells.evidence), judged.base)
         code = np.where(judged.fresh, self._codes.burned, np.where(faded, self._codes.regrowth, code))
         form = np.where(judged.fresh, _BURNED, form)
         grown = forms_of(np.array([self._codes.regrowth], np.int16))[0]
-        form = np.where(faded, np.where(grown, judged.alpha, -1.0).argmax(axis=1), form)
+        form = np.where(faded, np.where(grown, alpha, -1.0).argmax(axis=1), form)
         # What the prior said before it burned, and cameras now say again, is the prior's code and no other.
-        back = changes & ~judged.fresh & ~faded & original[np.arange(len(codes)), form]
-        code = np.where(back, codes, code)
-        shares = judged.alpha / judged.alpha.sum(axis=1, keepdims=True)
-        entropy = scipy.special.entr(shares).sum(axis=1) / np.log(FORMS)
-        code = np.where(held(codes, rules.mask), codes, code)
-        return _Decided(code.astype(np.int16), form, judged.p_max, entropy)
-
-    def _prior_evidence(self, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
-        """Return (N, FORMS): kappa pi."""
-        rules = self._rules
-        count = agreeing.sum(axis=1, keepdims=True)
-        inside = rules.prior_share / np.maximum(count, 1)
-        outside = (1 - rules.prior_share) / (FORMS - count)
-        prior = rules.prior_evidence * np.where(agreeing, inside, outside)
-        return np.where(has_prior[:, None], prior, _FLAT)
+        back = changes & ~judged.fresh & ~faded & original[every, form]
+        code = np.where(back | held(codes, rules.mask), codes, code)
+        entropy = scipy.special.entr(alpha / alpha.sum(axis=1, keepdims=True)).sum(axis=1) / np.log(FORMS)
+        return code.astype(np.int16), form, judged.p_max, entropy
 
     def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int16Array:
         """Return the codes of cells that are now of `form` (N,)."""
@@ -226,24 +203,12 @@ class ChangeDecision:
         return np.where(mixed, np.int16(c.grass_shrub), c.of(form, original[:, _SHRUB]))
 
 
-def _favoured(alpha: Float64Array, possible: BoolArray, has_prior: BoolArray, posterior: float) -> Int64Array:
-    """Return (N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless
-    another is the commoner with the probability that a change would need; without a prior, the commonest."""
-    best = np.where(possible, alpha, -1.0).argmax(axis=1)
-    usual = possible.argmax(axis=1)
-    every = np.arange(len(alpha))
-    surer = scipy.special.betainc(alpha[every, usual], alpha[every, best], 0.5) >= posterior
-    return np.asarray(np.where(has_prior & ~surer, usual, best))
-
-
 def _contest(
     alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray
 ) -> tuple[Int64Array, Float64Array, Float64Array]:
     """Return the strongest life form that does not agree with the prior, the probability that it is the commonest, and
-    that of whatever is favoured.
-
-    Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b is the
-    larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
+    that of whatever is favoured. Two shares of a Dirichlet distribution stand to each other as a beta variable to its
+    complement: share b is the larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
     others = np.where(agreeing & has_prior[:, None], -np.inf, alpha)
     challenger = others.argmax(axis=1)
     first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
@@ -255,9 +220,8 @@ def _contest(
 
 
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:
-    """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain.
-
-    For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
+    """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain. For maps without
+    evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
     rules = FusionRules(min_interval_s=0.0, min_cells=1, support=0.0)
     seen = (classes >= 1) & (classes <= FORMS)

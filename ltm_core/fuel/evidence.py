@@ -2,42 +2,31 @@
 
 A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus evidence.
 What a frame shows (`frame_evidence`) is kept by view, the direction from the camera to the cell, and by epoch; of each
-view the newest epochs are kept. The joint weight of all observations is a function of that state and of the time of the
-query, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
-any order. docs/how/fuel.md has the mathematics."""
+view the newest epochs are kept. Weight and fuel code (`decision`) are functions of that state and of the time of the
+query, so that frames may come late and in any order. docs/how/fuel.md has the mathematics."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array
-from ltm_core.fuel.cell_state import (
-    ACCUMULATED,
-    EPOCH_S,
-    EVIDENCE_FIELDS,
-    TILE,
-    UNIT,
-    VIEWS,
-    add_looks,
-    label_cover,
-    woody_looks,
-)
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
-from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
+from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import ALIKE, FLOOR, UNMEASURED, LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.tile_store_schema import Field
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
@@ -45,6 +34,33 @@ Window = tuple[int, int, int, int]
 Key = tuple[int, int]
 
 _LATEST_NS = (2**32 - 1) * 10**9
+CAMERAS_KEPT: Final = 8
+"""Maximum number of cameras that a cell records; of more, those with the smallest name hashes are kept."""
+VIEWS: Final = 6
+"""Number of directions from which a cell is seen. Frames from one direction are one view, whichever cameras took them:
+they see the same side of the same plants, and the network makes the same errors."""
+EPOCHS: Final = 2
+"""Number of most recent epochs kept for each view; newer observations of a view replace older ones."""
+EPOCH_S: Final = 10 * 86400
+"""Length of an epoch in seconds, long enough for several weather situations."""
+UNIT: Final = 256
+"""Resolution of evidence: it is kept as integer multiples of 1 / UNIT, so that sums do not depend on the order."""
+TILE: Final = 32
+"""Number of cells per side of the state's tiles."""
+EVIDENCE_VERSION: Final = 4
+EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
+    "shown": Field(np.uint32, (VIEWS, EPOCHS, FORMS)),  # sum of what the frames say for each form
+    "best": Field(np.uint16, (VIEWS, EPOCHS)),  # the most that a frame says
+    "span": Field(np.uint32, (VIEWS, EPOCHS, 2)),  # seconds of the earliest and the latest frame; 0 none
+    "epochs": Field(np.uint16, (VIEWS, EPOCHS)),  # their numbers from 1970 on, newest first; 0 none
+    "first": Field(np.uint32, (FORMS,)),  # second of the earliest frame that shows the form; 0 none
+    "last": Field(np.uint32, (FORMS,)),  # of the latest
+    "camera_hashes": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
+    "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
+    "last_seen": Field(np.uint32),  # second of the latest frame
+    "burned_at": Field(np.uint32),  # second of the latest burn added to the map; 0 none
+}
+"""State of a cell. Seconds count from 1970; a tile is an array of each field, (tile, tile, *shape)."""
 
 
 def camera_hash(source: str) -> int:
@@ -52,32 +68,17 @@ def camera_hash(source: str) -> int:
     return zlib.crc32(source.encode()) or 1
 
 
-def _views(source: str, frame: FrameEvidence) -> Int64Array:
-    """Return (N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the
-    same."""
-    if frame.bearing is None:
-        return np.full(len(frame), camera_hash(source) % VIEWS)
-    return _directions(frame.bearing)
-
-
-def _directions(bearing: Float64Array) -> Int64Array:
-    """Return the view of each bearing in radians."""
-    return np.floor(bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
-
-
 class EvidenceMap:
-    """Accumulate the votes of frames and derive the fuel map from them and the prior.
+    """Accumulate the votes of frames, which must be on the fuel grid `geometry`, and derive the fuel map from them and
+    the prior. Raises RasterError for a prior on another grid.
 
     Args:
-        geometry: the fuel grid; votes must be on it.
         prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
         labels: what the votes count.
         errors: of the network that labels; None: those of a network that was never measured.
         errors_of: camera -> those of its network, where that is another; of the correlations, those of `errors` hold,
             or ALIKE if any network was never measured.
-        climate: which codes changed cells get.
-
-    Raises RasterError for a prior on another grid."""
+        climate: which codes changed cells get."""
 
     def __init__(
         self,
@@ -114,16 +115,10 @@ class EvidenceMap:
             for name, field in EVIDENCE_FIELDS.items()
         }
 
-    @property
-    def tiles(self) -> tuple[int, int]:
-        """Return the rows and columns of tiles that cover the grid."""
-        return -(-self.geometry.height // TILE), -(-self.geometry.width // TILE)
-
     def add(self, votes: CellVotes) -> Window | None:
-        """Count a frame; return the part of the grid that it touches, or None if it has no votes.
-
-        The frame must not have been counted before. Raises ImageError for votes on another grid, over other classes,
-        or of a time that is not in 1970 to 2106."""
+        """Count a frame; return the part of the grid that it touches, or None if it has no votes. The frame must not
+        have been counted before. Raises ImageError for votes on another grid, over other classes, or of a time that is
+        not in 1970 to 2106."""
         if votes.geometry != self.geometry:
             raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if not 0 <= votes.stamp_ns < _LATEST_NS:
@@ -132,53 +127,49 @@ class EvidenceMap:
         frame = frame_evidence(votes, self._forms, errors, self.rules, self._stands)
         if len(frame) == 0:
             return None
-        second = max(votes.stamp_ns // 10**9, 1)
-        state = self._state
+        second, views = max(votes.stamp_ns // 10**9, 1), np.full(len(frame), camera_hash(votes.source) % VIEWS)
+        if frame.bearing is not None:
+            views = np.floor(frame.bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
         accumulate(
             frame.rows,
             frame.cols,
             np.floor(frame.amounts * UNIT + 0.5).astype(np.uint32),
             frame.supported,
-            _views(votes.source, frame),
+            views,
             np.uint32(second),
             np.uint16(1 + second // EPOCH_S),
             np.uint32(camera_hash(votes.source)),
-            tuple(state[name] for name in ACCUMULATED),
+            tuple(self._state.values()),
         )
-        if (looks := woody_looks(votes, self._forms)) is not None:
-            add_looks(state, looks, _directions(looks.bearing), second, 1 + second // EPOCH_S)
         self.newest_ns = max(self.newest_ns, second * 10**9)
         row, col = int(frame.rows.min()), int(frame.cols.min())
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
 
     def burn(self, cells: BoolArray, stamp_ns: int) -> None:
-        """Mark the cells (H, W) as burned at that time; earlier evidence is void, even if it arrives later.
-
-        Tell it once it is known: evidence of frames after the burn that came before this call is lost too."""
+        """Mark the cells (H, W) as burned at that time; earlier evidence is void, even if it arrives later. Tell it
+        once it is known: evidence of frames after the burn that came before this call is lost too."""
         if cells.shape != self.geometry.shape:
             raise ImageError(f"burned cells of shape {cells.shape} do not fit a fuel grid of {self.geometry.shape}")
         if not 0 <= stamp_ns < _LATEST_NS:
             raise ImageError(f"a burn has the stamp {stamp_ns} ns, outside 1970 to 2106")
         second = max(stamp_ns // 10**9, 1)
         fresh = cells & (self._state["burned_at"] < second)
-        self._forget(fresh)
-        self._state["burned_at"][fresh] = second
+        for name, array in self._state.items():
+            array[fresh] = second if name == "burned_at" else 0
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
     def reached_from(self, window: Window) -> Window:
         """Return the part of the grid whose layers depend on evidence in a window."""
         row, col, height, width = window
-        reach = self._decider.reach
+        reach = reach_of(self.rules)
         top, left = max(row - reach, 0), max(col - reach, 0)
-        bottom, right = (
-            min(end + reach, n) for end, n in zip((row + height, col + width), self.geometry.shape, strict=True)
-        )
+        bottom, right = min(row + height + reach, self.geometry.height), min(col + width + reach, self.geometry.width)
         return top, left, bottom - top, right - left
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """Return the map, or a part of it, at a time; by default that of the latest frame."""
         wanted = window or (0, 0, *self.geometry.shape)
-        self._slices(wanted)
+        self._slices(wanted)  # checks it
         around = self.reached_from(wanted)
         row, col = wanted[0] - around[0], wanted[1] - around[1]
         return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
@@ -188,28 +179,16 @@ class EvidenceMap:
         cell."""
         return None
 
-    def _known(
-        self, window: Window, at_ns: int | None
-    ) -> tuple[Int16Array, BoolArray, CellEvidence, float, dict[str, NDArray[Any]]]:
-        """Return the prior's codes, the touched cells and what evidence says of them, the time in seconds, and the
-        state."""
+    def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
         part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
-        shape = state["last_seen"].shape
-        codes = np.full(shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
+        codes = np.full(state["last_seen"].shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
         now = (self.newest_ns if at_ns is None else at_ns) / 1e9
         touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
-        correlation = self._correlation
-        worth, log_likelihood = pooled(
-            *(state[name][touched] for name in ("shown", "best", "span")),
-            now,
-            self._decay_s,
-            self.rules.look_s,
-            correlation.between_frames,
-            correlation.between_views,
-            self.rules.frame_cap * UNIT,
-            FLOOR,
-        )
+        alike = self._correlation.between_frames, self._correlation.between_views
+        observed = (state[name][touched] for name in ("shown", "best", "span"))
+        full = self.rules.frame_cap * UNIT
+        worth, log_likelihood = pooled(*observed, now, self._decay_s, self.rules.look_s, *alike, full, FLOOR)
         if self._one_view < 1:
             lone = (state["best"][touched].max(axis=-1) > 0).sum(axis=-1) < 2
             log_likelihood[lone] *= self._one_view
@@ -221,22 +200,10 @@ class EvidenceMap:
             cameras=(state["camera_hashes"][touched] > 0).sum(axis=-1),
             burned_at=state["burned_at"][touched],
         )
-        return codes, touched, cells, now, state
-
-    def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
-        codes, touched, cells, now, state = self._known(window, at_ns)
         layers = self._decider.decide(codes, touched, cells, now, self.changed_otherwise(window))
         layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
-
-    def label_cover(self, before: Float64Array) -> Float64Array:
-        """Return (H, W) tree cover by labels in %; NaN where unseen. `before` (H, W): cover from other sources."""
-        return label_cover(self._state["woody"], before)
-
-    def seen_by(self, source: str) -> BoolArray:
-        """Return (H, W) cells that a camera sees, as far as they are recorded (`CAMERAS_KEPT`)."""
-        return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
 
     def tiles_of(self, window: Window) -> list[Key]:
         """Return (row, col) of the tiles that hold a part of the grid, in row-major order."""
@@ -269,13 +236,8 @@ class EvidenceMap:
         newest = max(int(self._state["last_seen"][part].max()), int(self._state["burned_at"][part].max()))
         self.newest_ns = max(self.newest_ns, newest * 10**9)
 
-    def _forget(self, cells: BoolArray) -> None:
-        for name, array in self._state.items():
-            if name != "burned_at":
-                array[cells] = 0
-
     def _tile_slices(self, key: Key) -> tuple[slice, slice]:
-        tiles = self.tiles
+        tiles = tuple(-(-n // TILE) for n in self.geometry.shape)
         if not (0 <= key[0] < tiles[0] and 0 <= key[1] < tiles[1]):
             raise RasterError(f"tile {key} is outside a grid of {tiles} tiles")
         return slice(key[0] * TILE, (key[0] + 1) * TILE), slice(key[1] * TILE, (key[1] + 1) * TILE)

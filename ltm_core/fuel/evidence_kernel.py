@@ -72,11 +72,9 @@ def spread(
     rows: Any, cols: Any, shares: Any, weights: Any, sigma_along: Any, sigma_across: Any, bearing: Any
 ) -> tuple[Float64Array, Float64Array]:
     """Return shares (N, F) averaged over the possible places of each cell's pixels, and the part of these that the
-    frame sees.
-
-    The cell that is traced to (row, col) is another one with the probability that a Gaussian of `sigma_along` and
-    `sigma_across` (N,), in cells, gives it; `bearing` (N,) radians clockwise from north is the direction of along.
-    `weights` (N,): of the cells' shares in the average."""
+    frame sees. The cell that is traced to (row, col) is another one with the probability that a Gaussian of
+    `sigma_along` and `sigma_across` (N,), in cells, gives it; `bearing` (N,) radians clockwise from north is the
+    direction of along. `weights` (N,): of the cells' shares in the average."""
     n, forms = shares.shape
     out = np.zeros((n, forms))
     coverage = np.ones(n)
@@ -86,8 +84,7 @@ def spread(
     height, width = index.shape
     for i in range(n):
         if max(sigma_along[i], sigma_across[i]) < 0.25:
-            for f in range(forms):
-                out[i, f] = shares[i, f]
+            out[i] = shares[i]
             continue
         # A cell's own extent blurs where in it a pixel lies: a uniform distribution has a variance of 1/12.
         a, b = np.sqrt(sigma_along[i] ** 2 + 1 / 12), np.sqrt(sigma_across[i] ** 2 + 1 / 12)
@@ -126,11 +123,9 @@ def spread(
         # The mean over the cells that the frame sees.
         coverage[i] = seen / whole
         if total > 0:
-            for f in range(forms):
-                out[i, f] /= total
+            out[i] /= total
         else:
-            for f in range(forms):
-                out[i, f] = shares[i, f]
+            out[i] = shares[i]
     return out, coverage
 
 
@@ -149,9 +144,8 @@ def remember(row: Any, value: Any) -> None:
 
 @helper()
 def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
-    """Return the index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
-
-    A new one pushes the oldest out; -1 for one that is older than all that are kept."""
+    """Return the index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place. A
+    new one pushes the oldest out; -1 for one that is older than all that are kept."""
     kept = epochs.size
     place = 0
     while place < kept and epochs[place] > epoch:
@@ -160,16 +154,8 @@ def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
         return -1
     if epochs[place] != epoch:
         for k in range(kept - 1, place, -1):
-            epochs[k], best[k] = epochs[k - 1], best[k - 1]
-            for f in range(shown.shape[1]):
-                shown[k, f] = shown[k - 1, f]
-            for f in range(span.shape[1]):
-                span[k, f] = span[k - 1, f]
-        epochs[place], best[place] = epoch, 0
-        for f in range(shown.shape[1]):
-            shown[place, f] = 0
-        for f in range(span.shape[1]):
-            span[place, f] = 0
+            epochs[k], best[k], shown[k], span[k] = epochs[k - 1], best[k - 1], shown[k - 1], span[k - 1]
+        epochs[place], best[place], shown[place], span[place] = epoch, 0, 0, 0
     return place
 
 
@@ -178,10 +164,9 @@ def accumulate(
     rows: Any, cols: Any, amounts: Any, supported: Any, views: Any, second: Any, epoch: Any, camera: Any, state: Any
 ) -> None:
     """Add `amounts` (N, F), whole numbers, to what the views (N,) show in an epoch; `supported` (N,): the form whose
-    frames are kept count of, -1 for none. `state`: the arrays `cell_state.ACCUMULATED`.
-
-    Each step is a sum of integers, a minimum, a maximum, or the choice of the newest or the least of a set: the state
-    does not depend on the order of frames, to the last bit."""
+    frames are kept count of, -1 for none. `state`: the arrays `evidence.EVIDENCE_FIELDS`. Each step is a sum of
+    integers, a minimum, a maximum, or the choice of the newest or the least of a set: the state does not depend on the
+    order of frames, to the last bit."""
     shown, best, span, epochs, first, last, camera_hashes, seen_by, last_seen, burned_at = state
     ceiling = np.uint64(np.iinfo(np.uint32).max)
     for i in range(rows.size):
@@ -235,8 +220,7 @@ def pooled(
     for i in range(n):
         total, largest = 0.0, 0.0
         for v in range(views):
-            for f in range(forms):
-                share[f], lasting[f] = 0.0, 0.0
+            share[:], lasting[:] = 0.0, 0.0
             whole, kept, peak, looks, begin, end = 0.0, 0.0, 0.0, 0.0, np.inf, 0.0
             # One view: what it showed in all epochs, faded by age.
             for e in range(epochs):
@@ -272,7 +256,6 @@ def pooled(
             largest = max(largest, worth)
         # Views that resemble each other count less than independent ones.
         if total > 0:
-            for f in range(forms):
-                out[i, f] /= 1 + (total / largest - 1) * between_views
-                told[i, f] /= 1 + (total / largest - 1) * between_views
+            out[i] /= 1 + (total / largest - 1) * between_views
+            told[i] /= 1 + (total / largest - 1) * between_views
     return out, told

@@ -39,19 +39,15 @@ class FrameEvidence:
 def frame_evidence(
     votes: CellVotes, forms: Int64Array, errors: LabelErrors, rules: FusionRules, stands: UInt8Array | None = None
 ) -> FrameEvidence:
-    """Return the evidence w n p(l) of each cell.
+    """Return the evidence w n p(l) of each cell. Raises ImageError for votes over other classes.
 
     p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
     been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
-    cells whose surroundings the frame does not show. Of a network of whose cells' looks nothing is known, p is that of
-    the labels' shares given what the network calls each form, flatter for labels of low confidence, and w is also less
-    than 1 for these.
+    cells whose surroundings the frame does not show. Without an appearance model, p is that of the label shares,
+    flatter for labels of low confidence, and w is also less than 1 for these.
 
-    Args:
-        forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
-        stands: (H, W) a number for each kind of stand that the prior map knows, 0 unknown; None: nothing is known.
-
-    Raises ImageError for votes over other classes."""
+    `forms`: (K,) index of each label's life form, -1 for none (`life_form.label_forms`). `stands`: (H, W) a number for
+    each kind of stand that the prior map knows, 0 unknown; None: nothing is known."""
     if votes.counts.shape[1] != len(forms):
         raise ImageError(f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {len(forms)}")
     counts = form_counts(votes.counts, forms)
@@ -74,15 +70,9 @@ def frame_evidence(
         cell = votes.geometry.resolution
         amount *= cell / np.hypot(cell, votes.visibility.footprint)
         bearing = votes.visibility.bearing.astype(np.float64)
-        probability, coverage = spread(
-            rows,
-            cols,
-            probability,
-            amount,
-            votes.visibility.sigma_along.astype(np.float64) / cell,
-            votes.visibility.sigma_across.astype(np.float64) / cell,
-            bearing,
-        )
+        seen = votes.visibility
+        sigmas = (sigma.astype(np.float64) / cell for sigma in (seen.sigma_along, seen.sigma_across))
+        probability, coverage = spread(rows, cols, probability, amount, *sigmas, bearing)
         amount *= coverage
     amounts = amount[:, None] * probability
     clear = amounts.max(axis=1) >= np.maximum(_SUPPORTS, 0.5 * amount)
@@ -99,15 +89,18 @@ def _probability(
     errors: LabelErrors,
     rules: FusionRules,
 ) -> Float64Array:
-    """Return (N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
-
-    Plants grow in stands larger than a cell, so that the appearance of neighbouring cells is evidence for a cell too.
-    """
+    """Return (N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods. Plants grow
+    in stands larger than a cell, so that the appearance of neighbouring cells is evidence for a cell too."""
     correlation = errors.correlation
     weight = pixels / (1 + (pixels - 1) * correlation.cell)
     if votes.confidence is not None:
-        weight *= _odds_weight(votes.confidence.astype(np.float64), rules.sure)
-    own = _log_shares(shares, errors, weight)
+        # Log odds that labels of this confidence are right, over those of sure ones.
+        chance = np.clip(votes.confidence.astype(np.float64), 0.5, rules.sure)
+        weight *= np.log(chance / (1 - chance)) / np.log(rules.sure / (1 - rules.sure))
+    table = errors.log_likelihood()
+    tested = np.isfinite(table).all(axis=1)
+    own = np.full(shares.shape, -np.inf)
+    own[:, tested] = weight[:, None] * (shares @ table[tested].T)
     if errors.appearance is not None and votes.visibility is not None:
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
         look, seen = errors.appearance, votes.visibility
@@ -124,18 +117,3 @@ def _probability(
     probability = np.zeros(shares.shape)
     probability[:, known] = scipy.special.softmax(pooled / divisors[:, None], axis=1)
     return probability
-
-
-def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
-    """Return (N, FORMS) log likelihood of a cell's label shares (N, FORMS), averaged over (N,) pixels."""
-    table = errors.log_likelihood()
-    known = np.isfinite(table).all(axis=1)
-    result = np.full(shares.shape, -np.inf)
-    result[:, known] = weight[:, None] * (shares @ table[known].T)
-    return result
-
-
-def _odds_weight(confidence: Float64Array, sure: float) -> Float64Array:
-    """Return (N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
-    chance = np.clip(confidence, 0.5, sure)
-    return np.asarray(np.log(chance / (1 - chance)) / np.log(sure / (1 - sure)))

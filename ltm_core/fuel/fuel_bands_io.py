@@ -146,9 +146,8 @@ def open_bands(path: Path, wanted: str | None = None) -> list[FuelBand]:
 
 def file_bands(source: Any, path: Path, default: str | None = None) -> list[FuelBand]:
     """Return the bands of a landscape or single-band file that hold something known, `codes` of an unknown system, base
-    height last. `default`: quantity of a single band that states none.
-
-    Names go before positions. Raises RasterError: several bands of one quantity, no fuel codes."""
+    height last. `default`: quantity of a single band that states none. Names go before positions. Raises RasterError:
+    several bands of one quantity, no fuel codes."""
     names = _band_names(source)
     known = [found and found[0] for found in map(meaning, names)]
     layout = _LAYOUTS.get(len(names), ())

@@ -1,10 +1,9 @@
 """Watch whether labels of unchanged cells still agree with earlier ones, by a control chart of weekly shares.
 
 A week's share is the mean, over the frames of a camera, of the share of pixels in unchanged cells whose label is the
-cell's life form. Season, light and views move it, so its variance is that between all weeks until now, far above a
-binomial one. The chart is an EWMA (Roberts, Technometrics 1, 1959) whose limits keep the full standard deviation of a
-week, because neighbouring weeks are alike; the centre and the deviation of all weeks grow with a slow seasonal cycle,
-which therefore stays within three deviations."""
+cell's life form. Season, light and views move it, so its variance is that between all weeks until now. The chart is an
+EWMA (Roberts, Technometrics 1, 1959) whose limits keep the full standard deviation of a week, because neighbouring
+weeks are alike. Centre and deviation follow a slow seasonal cycle, which therefore stays within the limits."""
 
 from __future__ import annotations
 
@@ -80,12 +79,11 @@ class LabelDrift:
     def __init__(self, labels: LabelSet, file: Path | None, fresh: bool = False) -> None:
         self._file = file
         kept = file is not None and not fresh and file.exists()
-        self._state = load_yaml(file, _State).cameras if file is not None and kept else {}
+        self._charts = load_yaml(file, _State).cameras if file is not None and kept else {}
         forms = label_forms(labels)
         self._columns = np.full(256, -1, np.int64)
         """Column of the votes by life form; -1: no label has it."""
-        for column in np.flatnonzero(forms >= 0):
-            self._columns[forms[column] + 1] = column
+        self._columns[forms[forms >= 0] + 1] = np.flatnonzero(forms >= 0)
         self._covers = np.flatnonzero((forms >= 0) & (forms < FORMS))
         self._reference: UInt8Array | None = None
         self._reference_week = 0
@@ -101,10 +99,17 @@ class LabelDrift:
 
     def take(self, votes: CellVotes, model: str = "") -> bool:
         """Count a frame; return whether it began a new week, so that `sigmas` has changed."""
-        share = self._share(votes)
-        if share is None:
+        if self._reference is None or len(votes) == 0:
             return False
-        week, now = votes.stamp_ns // WEEK_NS, self._state.get(votes.source)
+        every = slice(None, None, 1 + len(votes) // _MOST_CELLS)
+        columns = self._columns[self._reference[votes.rows[every], votes.cols[every]]]
+        cells = np.flatnonzero(columns >= 0)
+        counts = votes.counts[every][cells]
+        pixels = int(counts[:, self._covers].sum())
+        if pixels < _LEAST_PIXELS:
+            return False
+        share = float(counts[np.arange(len(cells)), columns[cells]].sum()) / pixels
+        week, now = votes.stamp_ns // WEEK_NS, self._charts.get(votes.source)
         if now is None or now.model != model:
             now = CameraDrift(week=week, model=model)
         if week < now.week:  # late: its week is closed
@@ -114,48 +119,28 @@ class LabelDrift:
             shares = (*now.shares, *([now.total / now.frames] if now.frames else []))
             now = CameraDrift(week=week, shares=shares[-_KEPT_WEEKS:], model=model)
         update = {"frames": now.frames + 1, "total": now.total + share}
-        self._state[votes.source] = now.model_copy(update=update)
+        self._charts[votes.source] = now.model_copy(update=update)
         return closed
 
     def weeks(self) -> dict[str, tuple[float, ...]]:
         """Return the shares of the closed weeks by camera, oldest first."""
-        return {camera: chart.shares for camera, chart in self._state.items() if chart.shares}
-
-    def sigmas(self, camera: str) -> float:
-        """Return the chart's value (`drift_sigmas`)."""
-        return drift_sigmas(self._state[camera].shares) if camera in self._state else 0.0
+        return {camera: chart.shares for camera, chart in self._charts.items() if chart.shares}
 
     def problem(self) -> str:
         """Return which cameras' labels drift, in words; empty: none."""
         found = []
-        for camera, chart in sorted(self._state.items()):
+        for camera, chart in sorted(self._charts.items()):
             if drift_sigmas(chart.shares) < -LIMIT:
                 day = datetime.fromtimestamp(chart.week * (WEEK_NS // 10**9), UTC)
-                usual = float(np.median(chart.shares))
                 last = f"{chart.shares[-1]:.0%} agree in the last week before {day:%Y-%m-%d}"
-                found.append(f"{camera}: {last}, usual {usual:.0%}")
-        if not found:
-            return ""
-        return f"labels of unchanged cells drift ({'; '.join(found)}): clean the lens, check the pose, assess the map"
+                found.append(f"{camera}: {last}, usual {float(np.median(chart.shares)):.0%}")
+        advice = "clean the lens, check the pose, assess the map"
+        return f"labels of unchanged cells drift ({'; '.join(found)}): {advice}" if found else ""
 
     def save(self) -> None:
         """Write the charts. Raises ConfigError if that fails."""
-        if self._file is None:
-            return
         try:
-            replace_file(self._file, _State(cameras=self._state).model_dump_json().encode())
+            if self._file is not None:
+                replace_file(self._file, _State(cameras=self._charts).model_dump_json().encode())
         except OSError as error:
             raise ConfigError(f"{self._file}: cannot be written ({error.strerror}); check the disk") from error
-
-    def _share(self, votes: CellVotes) -> float | None:
-        """Return the share of a frame's pixels in unchanged cells that agree; None: too few pixels."""
-        if self._reference is None or len(votes) == 0:
-            return None
-        every = slice(None, None, 1 + len(votes) // _MOST_CELLS)
-        columns = self._columns[self._reference[votes.rows[every], votes.cols[every]]]
-        cells = np.flatnonzero(columns >= 0)
-        counts = votes.counts[every][cells]
-        pixels = int(counts[:, self._covers].sum())
-        if pixels < _LEAST_PIXELS:
-            return None
-        return float(counts[np.arange(len(cells)), columns[cells]].sum()) / pixels

@@ -1,8 +1,7 @@
 """Label errors of a network and the reliability records that they come from.
 
 A record belongs to labels, not to a name. Its digest covers the network's file, everything in the manifest that turns
-its output into labels, and the label head. A renamed network keeps its record; another file, mapping or head has none.
-"""
+its output into labels, and the label head. A renamed network keeps its record; another file or head has none."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from pydantic import Field, model_validator
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, Float64Array
-from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
+from ltm_core.fuel.cell_appearance_model import CellAppearanceModel
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.label_head import find_label_head, read_label_head
@@ -36,9 +35,7 @@ _OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TR
 
 class LabelCorrelation(StrictModel):
     """Intraclass correlations of a network's label errors: how far errors of two pixels of one cell agree beyond
-    chance.
-
-    0: each errs for itself; 1: always both. Measured by `label_measurement.look_correlation`."""
+    chance. 0: each errs for itself; 1: always both. Measured by `label_measurement.look_correlation`."""
 
     cell: float = Field(ge=0, le=1)
     """Correlation of two pixels in one frame."""
@@ -130,12 +127,8 @@ _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 _LABELS_BY: Final = {"sha256", "input", "output", "classes", "mapping", "text"}
 """Keys of a manifest that change labels."""
 _HEAD: Final = """\
-# Reliability record of a label network, found by `labels` and not by name (docs/how/fuel.md).
-# shares: of the labels in cells of each life form. correlation: of the errors of two pixels of a cell, of two cells of
-# a stand, of two frames of a view, and of two views. appearance: weights of a constant, of the label shares of the cell
-# (grass, shrub, tree, bare, water, built, burned), of these times the confidence over 0.7, and of the shares of the
-# cells in front and behind; one row for each incidence. one_view: factor of the log odds of one view alone.
-# What is absent was not measured.
+# Reliability record of a label network, found by `labels` and not by name (docs/how/fuel.md). What is absent was not
+# measured.
 """
 
 
@@ -155,7 +148,7 @@ class ReliabilityRecord(StrictModel):
     one_view: float = Field(1.0, ge=0, le=1)
     correlation: LabelCorrelation | None = None
     shares: dict[str, dict[str, float]] | None = None
-    appearance: CellAppearanceFile | None = None
+    appearance: CellAppearanceModel | None = None
 
     @model_validator(mode="after")
     def _names_are_life_forms(self) -> Self:
@@ -177,11 +170,14 @@ class ReliabilityRecord(StrictModel):
 
     def errors(self) -> LabelErrors:
         """Return the label errors; what was not measured is as bad as plausible."""
-        appearance = None if self.appearance is None else CellAppearanceModel.of_file(self.appearance)
-        if self.shares is None and appearance is None and self.correlation is None:
+        if self.shares is None and self.appearance is None and self.correlation is None:
             return UNMEASURED
-        shares = UNMEASURED.shares if self.shares is None else _table(self.shares)
-        return LabelErrors(shares, self.correlation or ALIKE, self.source, appearance, self.state, self.one_view)
+        shares = UNMEASURED.shares
+        if self.shares is not None:
+            shares = np.full((FORMS, FORMS), np.nan)
+            for form, row in self.shares.items():
+                shares[_NAMES.index(form)] = np.array([row.get(name, 0.0) for name in _NAMES]) / sum(row.values())
+        return LabelErrors(shares, self.correlation or ALIKE, self.source, self.appearance, self.state, self.one_view)
 
 
 def stated_errors(path: Path) -> LabelErrors:
@@ -195,23 +191,20 @@ def stated_errors(path: Path) -> LabelErrors:
 def known_errors(
     model: str | NetworkManifest, head: str = SHIPPED_LABEL_HEAD, heads: Path | None = None
 ) -> LabelErrors:
-    """Return the errors of the labels of a network, by its manifest or its name or path, with a label head.
-
-    They are those of the record of these labels; without one, those on the photos that did not train the label head;
-    else UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError
-    for a head that cannot be taken."""
+    """Return the errors of the labels of a network, by its manifest or its name or path, with a label head. They are
+    those of the record of these labels; without one, those on the photos that did not train the label head; else
+    UNMEASURED, also for a network that is not installed here. Raises ConfigError for an invalid record, ModelError for
+    a head that cannot be taken."""
     try:
         manifest = NetworkManifest.find(model).serving(head)
     except ModelError:
         return UNMEASURED
     file = find_label_head(head, manifest, heads)
     record = find_record(manifest, file)
-    if record is None and file is not None:
-        content = read_label_head(file, manifest)[1]
-        if (found := content.calibration) is not None:
-            about = f"label head {content.name}, on {found.measured_on}"
-            shares = shares_of(found.classes, np.array(found.confusion))
-            record = ReliabilityRecord(source=about, photos=found.photographs, shares=shares)
+    if record is None and file is not None and (found := read_label_head(file, manifest)[1].calibration) is not None:
+        shares = shares_of(found.classes, np.array(found.confusion))
+        about = f"label head {head}, on {found.measured_on}"
+        record = ReliabilityRecord(source=about, photos=found.photographs, shares=shares)
     return UNMEASURED if record is None else record.errors()
 
 
@@ -271,8 +264,10 @@ def write_record(record: ReliabilityRecord, folder: Path | None = None) -> Path:
 
 def record_of(errors: LabelErrors, source: str, **about: Any) -> ReliabilityRecord:
     """Return a record of label errors; `about`: its further fields."""
-    look = None if errors.appearance is None else errors.appearance.as_file()
-    about |= {"shares": rows_of(errors.shares), "correlation": errors.correlation, "one_view": errors.one_view}
+    look = None if errors.appearance is None else errors.appearance.rounded()
+    rows = zip(_NAMES, np.round(errors.shares, 4), strict=True)
+    shares = {name: dict(zip(_NAMES, row.tolist(), strict=True)) for name, row in rows if np.isfinite(row).all()}
+    about |= {"shares": shares, "correlation": errors.correlation, "one_view": errors.one_view}
     return ReliabilityRecord(source=source, appearance=look, **about)
 
 
@@ -284,17 +279,3 @@ def shares_of(classes: tuple[str, ...], confusion: Float64Array) -> dict[str, di
         for row, name in forms
         if confusion[row, [column for column, _ in forms]].sum() > 0
     }
-
-
-def rows_of(shares: Float64Array) -> dict[str, dict[str, float]]:
-    """Return the shares of a record from a table (FORMS, FORMS), without its unknown rows."""
-    known = [row for row in range(FORMS) if np.isfinite(shares[row]).all()]
-    return {_NAMES[row]: dict(zip(_NAMES, np.round(shares[row], 4).tolist(), strict=True)) for row in known}
-
-
-def _table(rows: dict[str, dict[str, float]]) -> Float64Array:
-    shares = np.full((FORMS, FORMS), np.nan)
-    for form, row in rows.items():
-        values = np.array([row.get(name, 0.0) for name in _NAMES])
-        shares[_NAMES.index(form)] = values / values.sum()
-    return shares

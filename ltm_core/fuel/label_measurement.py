@@ -1,15 +1,14 @@
 """Measure a label network on the recording of a site: appearance of its cells, confusion, correlation of its errors.
 
-The prior map is the truth of most cells, and a noisy one: cells that have changed would teach that their new look is
-that of their old life form. `measure_labels` therefore estimates the true form of each cell and the look of each form
-in turn, as the expectation maximisation of Dawid and Skene (Applied Statistics 28, 1979) does with raters. The raters
-are the prior map, another network whose errors are known, and the network itself. Only reported changes count against
-the prior: regions that are sure together, so that single mislabelled cells stay errors of the network. Cells beside
-them teach nothing, because a region is seldom found to its edges.
+The prior map is the truth of most cells, and a noisy one. `measure_labels` therefore estimates the true form of each
+cell and the look of each form in turn, as the expectation maximisation of Dawid and Skene (Applied Statistics 28, 1979)
+does with raters: the prior map, another network whose errors are known, and the network itself. Only regions of change
+that are sure together count against the prior. Cells beside them teach nothing, because a region is seldom found to its
+edges.
 
-Errors of two looks at cells of one life form agree beyond chance by their intraclass correlation. It is estimated by
-moments: the mean product of what two looks show beyond what their form lets expect, divided by that of a look with
-itself (Donner, International Statistical Review 54, 1986)."""
+Errors of two looks at cells of one life form agree beyond chance by their intraclass correlation: the mean product of
+what two looks show beyond what their form lets expect, divided by that of a look with itself (Donner, International
+Statistical Review 54, 1986)."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float64Array, Int16Array, Int64Array, UInt8Array
 from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, at_incidence, what_is_seen
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import FORMS, form_counts, forms_of
+from ltm_core.fuel.life_form import FORMS, LifeForm, form_counts, forms_of
 from ltm_core.fuel.votes import CellVotes
 
 LEAST_PIXELS_MEASURED = 10
@@ -72,7 +71,7 @@ def seen_cells(
 ) -> SeenCells:
     """The cells of one site's frames that have `least` pixels. `truth`: (H, W) life forms on the votes' grid. `forms`:
     of the labels (`life_form.label_forms`). Raises ImageError for votes without a visibility."""
-    parts: list[tuple[Int64Array, Int64Array, Int64Array, Float64Array, Float64Array]] = []
+    parts = []
     for votes in frames:
         if votes.visibility is None:
             raise ImageError(f"votes of {votes.source} have no incidence, footprint and position error of their cells")
@@ -91,10 +90,32 @@ def seen_cells(
     return SeenCells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
-    """Logistic regression over the cells of all sites; each form weighs the same.
+def fit_softmax(
+    inputs: Float64Array,
+    truth: Float64Array,
+    weight: Float64Array,
+    ridge: Float64Array | float,
+    offset: Float64Array | float = 0.0,
+) -> Float64Array:
+    """Return the weights (S, K) of a logistic regression of classes `truth` (N, K), 0 or 1, on `inputs` (N, S). It
+    minimises the log loss, in which samples count by `weight` (N,), plus half of `ridge`, by input, times the squared
+    weights. `offset`: (N, K) of the scores."""
+    shape = inputs.shape[1], truth.shape[1]
 
-    Raises ImageError where fewer than two forms have cells enough."""
+    def loss(flat: Float64Array) -> tuple[float, Float64Array]:
+        weights = flat.reshape(shape)
+        log_p = log_softmax(offset + inputs @ weights, axis=1)
+        value = -float(weight @ (truth * log_p).sum(axis=1)) + float((ridge * weights**2).sum()) / 2
+        slope = inputs.T @ (weight[:, None] * (np.exp(log_p) - truth)) + ridge * weights
+        return value, slope.ravel()
+
+    found = minimize(loss, np.zeros(shape).ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 300})
+    return np.asarray(found.x.reshape(shape), np.float64)
+
+
+def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
+    """Logistic regression over the cells of all sites; each form weighs the same. Raises ImageError where fewer than
+    two forms have cells enough."""
     cells = np.sum([np.bincount(site.true, minlength=FORMS) for site in sites], axis=0)
     known = np.flatnonzero(cells >= LEAST_CELLS)
     if len(known) < 2:
@@ -105,20 +126,10 @@ def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
     used = np.isin(true, known)
     inputs, true = inputs[used], true[used]
     is_form = (true[:, None] == known).astype(np.float64)
-    weight = len(true) / len(known) / cells[true]
-    shape = inputs.shape[1], len(known)
-
-    def loss(flat: Float64Array) -> tuple[float, Float64Array]:
-        weights = flat.reshape(shape)
-        log_p = log_softmax(inputs @ weights, axis=1)
-        value = -float(weight @ (is_form * log_p).sum(axis=1)) + _RIDGE / 2 * float((weights**2).sum())
-        slope = inputs.T @ (weight[:, None] * (np.exp(log_p) - is_form)) + _RIDGE * weights
-        return value, slope.ravel()
-
-    found = minimize(loss, np.zeros(shape).ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 300})
-    weights = np.full((FORMS, len(knots), SEEN), np.nan)
-    weights[known] = found.x.reshape(shape).T.reshape(len(known), len(knots), SEEN)
-    return CellAppearanceModel(knots, weights)
+    found = fit_softmax(inputs, is_form, len(true) / len(known) / cells[true], _RIDGE)
+    names = [LifeForm(form + 1).name.lower() for form in known.tolist()]
+    weights = dict(zip(names, found.T.reshape(len(known), len(knots), SEEN).tolist(), strict=True))
+    return CellAppearanceModel(incidence=INCIDENCE, weights=weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,15 +149,13 @@ def looks(
     frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, look: CellAppearanceModel
 ) -> list[FrameErrors]:
     """Of each frame the log likelihoods of its cells' looks, of the forms that are known, in the mean 0."""
-    result = []
-    known = look.known
+    result, known = [], look.known
     for votes in frames:
         cells = seen_cells([votes], truth, forms, LEAST_PIXELS_MEASURED)
         used = known[cells.true]
         shown = np.zeros((int(used.sum()), FORMS))
-        likelihood = look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known]
-        shown[:, known] = log_softmax(likelihood, axis=1)
-        shown[:, known] -= shown[:, known].mean(axis=1, keepdims=True)
+        likelihood = log_softmax(look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known], axis=1)
+        shown[:, known] = likelihood - likelihood.mean(axis=1, keepdims=True)
         place = cells.rows[used], cells.cols[used], cells.true[used]
         result.append(FrameErrors(votes.source, *place, shown, (shown**2).sum(axis=1)))
     return result
@@ -161,9 +170,9 @@ def look_correlation(sites: Sequence[tuple[list[FrameErrors], tuple[int, ...]]],
     spread = np.bincount(true, ((shown - expected[true]) ** 2).sum(axis=1), FORMS) / cells
     total = np.zeros((len(_KINDS), 2))
     for frames, shape in sites:
-        beyond = [replace(f, beyond=f.beyond - expected[f.true]) for f in frames]
-        beyond = [replace(f, within=(f.beyond**2).sum(axis=1)) for f in beyond]
-        total += pair_sums(beyond, shape, spread, reach)
+        beyond = [f.beyond - expected[f.true] for f in frames]
+        both = zip(frames, beyond, strict=True)
+        total += pair_sums([replace(f, beyond=b, within=(b**2).sum(axis=1)) for f, b in both], shape, spread, reach)
     return correlation_of_pairs(total)
 
 
@@ -174,25 +183,26 @@ def pair_sums(
     kinds = np.zeros((len(_KINDS), 2))
     cell, stand, view, network = kinds
     chance, frames_seen, total = np.zeros(shape), np.zeros(shape), np.zeros((*shape, FORMS))
-    sums: dict[str, Float64Array] = {}
-    squares: dict[str, Float64Array] = {}
-    seen: dict[str, Float64Array] = {}
+    by_view: dict[str, tuple[Float64Array, Float64Array, Float64Array]] = {}
     for frame in frames:
-        at, name = (frame.rows, frame.cols), frame.source
+        at = frame.rows, frame.cols
+        if frame.source not in by_view:
+            by_view[frame.source] = np.zeros_like(total), np.zeros(shape), np.zeros(shape)
+        sums, squares, seen = by_view[frame.source]
         chance[at] = spread[frame.true]
         cell += frame.within.sum(), spread[frame.true].sum()
         stand += _between_cells(frame, shape, spread, reach)
-        sums.setdefault(name, np.zeros_like(total))[at] += frame.beyond
-        squares.setdefault(name, np.zeros(shape))[at] += (frame.beyond**2).sum(axis=1)
-        seen.setdefault(name, np.zeros(shape))[at] += 1
+        sums[at] += frame.beyond
+        squares[at] += (frame.beyond**2).sum(axis=1)
+        seen[at] += 1
         frames_seen[at] += 1
     within, pairs = np.zeros(shape), np.zeros(shape)
-    for name, of in sums.items():
-        total += of
-        own, count = (of**2).sum(axis=-1), seen[name]
-        view += (own - squares[name]).sum(), (count * (count - 1) * chance).sum()
+    for sums, squares, seen in by_view.values():
+        total += sums
+        own = (sums**2).sum(axis=-1)
+        view += (own - squares).sum(), (seen * (seen - 1) * chance).sum()
         within += own
-        pairs += count**2
+        pairs += seen**2
     network += ((total**2).sum(axis=-1) - within).sum(), ((frames_seen**2 - pairs) * chance).sum()
     return kinds
 

@@ -39,34 +39,18 @@ NODATA: Final = -9999
 NONBURNABLE: Final = (91, 92, 93, 98, 99)
 _GRASS, _SHRUB, _TREE, _BARE = LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BARE
 _GROUPS: Final[tuple[tuple[range, tuple[LifeForm, ...]], ...]] = (
-    (range(1, 4), (_GRASS,)),
-    (range(4, 8), (_SHRUB,)),
-    (range(8, 11), (_TREE,)),
-    (range(11, 14), (_SHRUB, _TREE, _BARE)),
-    (range(91, 92), (LifeForm.BUILT,)),
-    (range(92, 93), (_BARE,)),
-    (range(93, 94), (_GRASS, _BARE)),
-    (range(98, 99), (LifeForm.WATER,)),
-    (range(99, 100), (_BARE,)),
-    (range(101, 110), (_GRASS,)),
-    (range(121, 125), (_GRASS, _SHRUB)),
-    (range(141, 150), (_SHRUB,)),
-    (range(161, 166), (_TREE,)),
-    (range(181, 190), (_TREE,)),
-    (range(201, 205), (_SHRUB, _TREE, _BARE)),  # slash: no camera tells it from what it lies among
-)
-
-
-def _table() -> BoolArray:
-    table = np.zeros((256, FORMS), np.bool_)
-    for codes, forms in _GROUPS:
-        for form in forms:
-            table[list(codes), form - 1] = True
-    return table
-
-
-FORMS_OF_CODE: Final = _table()
+    (range(1, 4), (_GRASS,)), (range(4, 8), (_SHRUB,)), (range(8, 11), (_TREE,)),
+    (range(91, 92), (LifeForm.BUILT,)), (range(92, 93), (_BARE,)), (range(93, 94), (_GRASS, _BARE)),
+    (range(98, 99), (LifeForm.WATER,)), (range(99, 100), (_BARE,)),
+    (range(101, 110), (_GRASS,)), (range(121, 125), (_GRASS, _SHRUB)), (range(141, 150), (_SHRUB,)),
+    (range(161, 166), (_TREE,)), (range(181, 190), (_TREE,)),
+    # Slash: no camera tells it from what it lies among.
+    (range(11, 14), (_SHRUB, _TREE, _BARE)), (range(201, 205), (_SHRUB, _TREE, _BARE)),
+)  # fmt: skip
+FORMS_OF_CODE: Final = np.zeros((256, FORMS), np.bool_)
 """(256, FORMS) bool: life forms that agree with a fuel code of either system; a row without any is not a code."""
+for _codes, _forms in _GROUPS:
+    FORMS_OF_CODE[np.ix_(_codes, [form - 1 for form in _forms])] = True
 
 
 def forms_of(codes: Int16Array) -> BoolArray:
@@ -132,11 +116,9 @@ class GrowthLimits(StrictModel):
 
 class GroundLimits:
     """Parts of the fuel grid's cells that are beyond the limits. The terrain is read once per cell, when a frame first
-    sees it.
-
-    `masks`: (3, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west: where no
-    plant is believed, where no tree, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees,
-    3 for water, each as soon as its mask has a bit; 0 for all else."""
+    sees it. `masks`: (3, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west:
+    where no plant is believed, where no tree, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2
+    for trees, 3 for water, each as soon as its mask has a bit; 0 for all else."""
 
     def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
         self._limits, self._geometry, self._dem = limits, geometry, dem
@@ -152,7 +134,7 @@ class GroundLimits:
         """Read the terrain of those of the cells, (N,) row * width + col, that are new; return (256,) the labels that
         have a limit in one of these."""
         new = cells[~self._known.ravel()[cells]]
-        masks = self._asked(new)
+        masks = self._beyond(new)
         self.masks.reshape(3, -1)[:, new] = masks
         self._known.ravel()[new] = True
         found = np.zeros(256, np.bool_)
@@ -162,9 +144,12 @@ class GroundLimits:
                 self.kinds[labels] = np.maximum(self.kinds[labels], np.uint8(kind))
         return found
 
-    def _asked(self, cells: Int64Array) -> UInt16Array:
-        """Return (3, N) masks of cells, by the terrain."""
-        heights = self._heights(cells)
+    def _beyond(self, cells: Int64Array) -> UInt16Array:
+        """Return (3, N) masks of cells, by the terrain at the middles of each cell's parts and half a cell about it."""
+        row, col = np.divmod(cells, self._geometry.width)
+        offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
+        places = np.broadcast_arrays(row[:, None, None] + offset[:, None], col[:, None, None] + offset)
+        heights = self._dem.elevation_at(*self._geometry.to_map(*places))
         inner = slice(PARTS // 2, PARTS // 2 + PARTS)
         east = heights[:, inner, PARTS:] - heights[:, inner, :PARTS]
         south = heights[:, PARTS:, inner] - heights[:, :PARTS, inner]
@@ -173,14 +158,5 @@ class GroundLimits:
         steepest, line = self._limits.steepest_deg, self._limits.tree_line_m
         steep = slope > (np.inf if steepest is None else steepest)
         above = heights[:, inner, inner] > (np.inf if line is None else line)
-        wet = slope > WATER_STEEPEST_DEG
-        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above, wet)])
-
-    def _heights(self, cells: Int64Array) -> Float64Array:
-        """Return (N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
-        row, col = np.divmod(cells, self._geometry.width)
-        offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
-        rows, cols = np.broadcast_arrays(
-            row[:, None, None] + offset[None, :, None], col[:, None, None] + offset[None, None, :]
-        )
-        return self._dem.elevation_at(*self._geometry.to_map(rows, cols))
+        beyond = steep, above, slope > WATER_STEEPEST_DEG
+        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in beyond])

@@ -8,16 +8,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import counted, stamp_of_moment
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Int16Array, Int64Array
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import BarrierConfig
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.config_io import read_text
 
@@ -26,31 +26,34 @@ _FINE: Final = 8
 """Number of parts per side of a cell, used to compute the share that an area covers."""
 
 
+class BarrierConfig(StrictModel):
+    """GeoJSON file (longitude and latitude, WGS 84) that does not burn: areas take cells that they cover by half, lines
+    all cells that they cross, so that no fire passes between two of them."""
+
+    path: Path
+    """Path of the GeoJSON file, relative to the site file."""
+    kind: Literal["built", "road", "water"]
+    """Kind of barrier: water gets the code NB8 (98), others NB1 (91)."""
+
+
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
     """Return (H, W) NB1 and NB8 where the layers have barriers, NODATA elsewhere. Raises ConfigError for an unreadable
     file."""
+    from rasterio.features import rasterize
+
     codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
-        codes[_cells(barrier, geometry)] = barrier.code
+        lines, areas = _shapes(barrier, geometry)
+        taken = covered_share(areas, geometry) >= LEAST_SHARE
+        if lines:
+            taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
+        codes[taken] = 98 if barrier.kind == "water" else 91
     return codes
 
 
 def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
     """Return (H, W) fuel codes replaced by those of `barrier_codes` where a code is known."""
     return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
-
-
-def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
-    """Return (H, W): what the barrier takes."""
-    from rasterio.features import rasterize
-
-    lines, areas = _shapes(barrier, geometry)
-    taken = np.zeros(geometry.shape, np.bool_)
-    if lines:
-        taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
-    if areas:
-        taken |= covered_share(areas, geometry) >= LEAST_SHARE
-    return taken
 
 
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
@@ -71,8 +74,7 @@ def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
 def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
     """Return the lines and areas that come near the grid, in its CRS, as GeoJSON geometries. Raises ConfigError."""
     turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
-    lines: list[Any] = []
-    areas: list[Any] = []
+    lines, areas = list[Any](), list[Any]()
     for place, feature in _features(barrier.path):
         with _geometry(place):
             shape = feature["geometry"] or {"type": "GeometryCollection", "geometries": []}
@@ -82,9 +84,8 @@ def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], 
                     lines += [{"type": "LineString", "coordinates": _turned(line, turn, place, 2)} for line in several]
                 elif part["type"] not in ("Point", "MultiPoint"):
                     areas += _areas(part, turn, place)
-    return [s for s in lines if near([s["coordinates"]], geometry)], [
-        a for a in areas if near(a["coordinates"], geometry)
-    ]
+    found = [s for s in lines if near([s["coordinates"]], geometry)]
+    return found, [a for a in areas if near(a["coordinates"], geometry)]
 
 
 def near(rings: Any, geometry: GridGeometry) -> bool:
@@ -122,22 +123,19 @@ class Burn:
 
 def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
     """Read the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
-    site's CRS, by time; areas of one time are one burn, areas outside the grid are ignored.
-
-    Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such."""
+    site's CRS, by time; areas of one time are one burn, areas outside the grid are ignored. Polygons and multipolygons
+    with the property `burned_at`. Raises ConfigError for a file that is none of such."""
     turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
     areas: dict[int, list[Any]] = {}
     for place, feature in _features(path):
         with _geometry(place):
             stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
             areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
-    burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
+    burns = []
+    for stamp, found in sorted(areas.items()):
+        here = [area for area in found if near(area["coordinates"], geometry)]
+        burns.append(Burn(stamp, np.flatnonzero(covered_share(here, geometry) >= LEAST_SHARE)))
     return [burn for burn in burns if len(burn.cells)]
-
-
-def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
-    here = [area for area in areas if near(area["coordinates"], geometry)]
-    return Burn(stamp_ns, np.flatnonzero(covered_share(here, geometry) >= LEAST_SHARE))
 
 
 def _features(path: Path) -> list[tuple[str, Any]]:

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
-from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.evidence import EvidenceMap, Window
+from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.geometry.grid import GridGeometry
@@ -45,6 +44,7 @@ class LivingFuelMap(EvidenceMap):
     def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
         super().__init__(geometry, prior, *arguments, **named)
         self._given = prior
+        self._codes = np.full(geometry.shape, NODATA, np.int16) if prior is None else prior.codes
         self.surface_changes = np.zeros(geometry.shape, np.int32)
         """(H, W): recorded surface change of each cell, 0 for none."""
 
@@ -56,31 +56,23 @@ class LivingFuelMap(EvidenceMap):
     def recall(self, recorded: NDArray[np.integer]) -> None:
         """Put back what `surface_changes` was, (H, W)."""
         self.surface_changes = recorded.astype(np.int32)
-        codes = np.full(recorded.shape, NODATA, np.int16) if self._given is None else self._given.codes.copy()
         starts = self.surface_changes % _CODES
-        codes[starts > 0] = starts[starts > 0]
+        codes = np.where(starts > 0, starts, self._codes).astype(np.int16)
         if self._given is not None:
             self.prior = replace(self._given, codes=codes)
         else:
             self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
 
     def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        row, col, height, width = window
-        recorded = self.surface_changes[row : row + height, col : col + width] % _CODES
+        recorded = self.surface_changes[self._slices(window)] % _CODES
         if not recorded.any():
             return None
         return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """Return the layers as `EvidenceMap`; `prior` is the site's initial map."""
-        found = super().layers(window, at_ns)
-        row, col, height, width = window or (0, 0, *self.geometry.shape)
-        part = slice(row, row + height), slice(col, col + width)
-        other = self.surface_changes[part] % _CODES > 0
-        if not other.any():
-            return found
-        given = np.full(found.code.shape, NODATA, np.int16) if self._given is None else self._given.codes[part].copy()
-        return replace(found, prior=given)
+        part = self._slices(window or (0, 0, *self.geometry.shape))
+        return replace(super().layers(window, at_ns), prior=self._codes[part].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +95,8 @@ def news_of(
     """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 
     Args:
-        kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
+        kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked; `window`: geometry in the map frame.
         shift: (h, w) metres from the reference surface, NaN where it is not known.
-        window: their geometry, in the map frame.
         recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
     x, y = window.to_map(0, np.arange(window.width))[0], window.to_map(np.arange(window.height), 0)[1]
     row_at, first_row = np.unique(fuel.cell_of(0.0, y)[0], return_index=True)
@@ -134,10 +125,8 @@ def news_of(
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
     """Return the record of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the resulting state
-    of their tiles; `evidence` does not change.
-
-    A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
-    change. A change that is taken back gives a cell its prior back."""
+    of their tiles; `evidence` does not change. A cell that shows already what the change means keeps its evidence, as
+    do burned cells and those that labels never change. A change that is taken back gives a cell its prior back."""
     recorded = news.kind.astype(np.int32) * _CODES
     tiles: dict[Key, Tile] = {}
     keys = np.stack([news.rows // TILE, news.cols // TILE], axis=-1)
@@ -159,28 +148,20 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
             if now is None:
                 recorded[i] += before
                 continue
-            recorded[i] += _code_of(LifeForm(now), given, evidence)
+            agreeing = forms_of(np.array([given], np.int16))[0]
+            if not agreeing[now - 1]:  # otherwise its prior's code is one of that form
+                codes = getattr(evidence.climate.changed, system_of(evidence.prior))
+                recorded[i] += int(codes.of(np.array(now - 1), agreeing[LifeForm.SHRUB - 1]))
             for name, array in state.items():
                 if name not in _KEPT:
                     array[cell] = 0
     return recorded, tiles
 
 
-def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
-    """Return the code of a cell that is now of `form`; 0 where its prior's is one of that form."""
-    agreeing = forms_of(np.array([given], np.int16))[0]
-    if agreeing[form - 1]:
-        return 0
-    codes = getattr(evidence.climate.changed, system_of(evidence.prior))
-    return int(codes.of(np.array(form - 1), agreeing[LifeForm.SHRUB - 1]))
-
-
 def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:
     """Return the life form of a cell of `form` whose surface has moved by `shift` metres (NaN unknown); None:
-    unchanged.
-
-    `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
-    is grass: a felled stand burns."""
+    unchanged. `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what
+    is left, it is grass: a felled stand burns."""
     if form == LifeForm.BURNED:
         return None
     if kind == ChangeKind.LOWERED:
@@ -194,6 +175,6 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
     low = np.isnan(shift) or shift < SHRUB_BELOW
     if form in (LifeForm.TREE, LifeForm.BUILT) or (form == LifeForm.SHRUB and low):
         return None
-    grown = shown if shown in (LifeForm.SHRUB, LifeForm.TREE, LifeForm.BUILT) else None
-    cover = grown or (LifeForm.SHRUB if low else LifeForm.TREE)
+    usual = LifeForm.SHRUB if low else LifeForm.TREE
+    cover = shown if shown in (LifeForm.SHRUB, LifeForm.TREE, LifeForm.BUILT) else usual
     return None if cover == form else cover

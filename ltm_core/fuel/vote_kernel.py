@@ -20,11 +20,10 @@ _NO_MASKS, _NO_KINDS = np.zeros((3, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class VoteSums(NamedTuple):
-    """Sums over the pixels of each seen cell, in row-major order of the cells.
-
-    `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
-    mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
-    (2,) int64 pixels that were not counted: where it is too steep for their class, of trees above the tree line."""
+    """Sums over the pixels of each seen cell, in row-major order of the cells. `cells`: (N,) int64 row * width + col in
+    the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,) mean of the pixels' confidence, 0..255.
+    `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`: (2,) int64 pixels that were not counted:
+    where it is too steep for their class, of trees above the tree line."""
 
     cells: Int64Array
     counts: UInt32Array
@@ -47,19 +46,16 @@ def sum_pixels(
     max_range: float,
     limits: GroundLimits | None = None,
 ) -> VoteSums:
-    """Sum over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
-
-    `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
-    to float32, as `RangeImage.points` gives it. `limits`: pixels of classes beyond them are withdrawn, and cells of
-    which half of the pixels or more are: what is left of these would stand for what it is not."""
-    x_tangent, y_tangent = _tangents(camera)
+    """Sum over all pixels that see the grid within `max_range` and whose label is `counted` (256,). `distance`: (H, W)
+    metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded to float32, as
+    `RangeImage.points` gives it. `limits`: pixels of classes beyond them are withdrawn, and cells of which half of the
+    pixels or more are: what is left of these would stand for what it is not."""
     east, north = pose.position[:2]
     first_row, first_col, height, width = _window(geometry, float(east), float(north), max_range)
     capacity = min(height * width, distance.size)
     if capacity == 0:
-        nothing = np.zeros(0)
-        none = np.zeros((0, classes), np.uint32)
-        return VoteSums(nothing.astype(np.int64), none, nothing, nothing, nothing, np.zeros(2, np.int64))
+        none, nothing = np.zeros(0, np.int64), np.zeros(0)
+        return VoteSums(none, np.zeros((0, classes), np.uint32), nothing, nothing, nothing, np.zeros(2, np.int64))
     # calloc'ed: pages that no pixel touches cost nothing.
     slots = np.zeros(height * width, np.int32)
     cells = np.zeros(capacity, np.int64)
@@ -67,28 +63,14 @@ def sum_pixels(
     sums = np.zeros((capacity, 3))
     withdrawn = np.zeros((capacity, 2), np.uint32)
     masks, kinds = (limits.masks, limits.kinds) if limits is not None else (_NO_MASKS, _NO_KINDS)
+    place = np.ascontiguousarray(pose.rotation, np.float64), float(east), float(north)
+    sure = _read_only(np.zeros((1, 1), np.uint8) if confidence is None else confidence, np.uint8)
     used = _scan(
-        _read_only(distance, np.float32),
-        along_axis,
-        x_tangent,
-        y_tangent,
-        np.ascontiguousarray(pose.rotation, np.float64),
-        float(east),
-        float(north),
-        _read_only(labels, np.uint8),
-        _read_only(np.zeros((1, 1), np.uint8) if confidence is None else confidence, np.uint8),
-        confidence is not None,
-        counted,
+        *(_read_only(distance, np.float32), along_axis, *_tangents(camera), *place),
+        *(_read_only(labels, np.uint8), sure, confidence is not None, counted),
         (geometry.x_min, geometry.y_max, geometry.resolution),
         (first_row, first_col, height, width, geometry.width),
-        float(max_range),
-        masks,
-        kinds,
-        slots,
-        cells,
-        counts,
-        sums,
-        withdrawn,
+        *(float(max_range), masks, kinds, slots, cells, counts, sums, withdrawn),
     )
     order = np.argsort(cells[:used])
     pixels, total = counts[order].sum(axis=1), withdrawn[:used].sum(axis=0).astype(np.int64)
@@ -121,8 +103,8 @@ def _window(geometry: GridGeometry, east: float, north: float, max_range: float)
 def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     """x / z and y / z of the pixels' rays; (1, W) and (H, 1) without distortion, else (H, W) both, NaN without ray."""
     if any(camera.distortion):
-        rays = camera.rays()
-        return (rays[..., 0] / rays[..., 2]).astype(np.float32), (rays[..., 1] / rays[..., 2]).astype(np.float32)
+        x, y, z = np.moveaxis(camera.rays(), -1, 0)
+        return (x / z).astype(np.float32), (y / z).astype(np.float32)
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy
     return x[None].astype(np.float32), y[:, None].astype(np.float32)
@@ -157,10 +139,8 @@ def _scan(
     withdrawn: Any,
 ) -> int:
     """Fill `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (by cell); returns how many
-    cells are seen.
-
-    Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
-    second one adds up, over pixels side by side that show one class in one cell at once."""
+    cells are seen. Each image row goes twice: a loop without branches finds the cells, which the compiler turns into
+    vector code; a second one adds up, over pixels side by side that show one class in one cell at once."""
     height, width = distance.shape
     x_min, y_max, resolution = grid
     first_row, first_col, rows, cols, grid_width = window

@@ -24,12 +24,10 @@ _LEAST_FACING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class CellVisibility:
-    """Visibility of cells, (N,) float32 each.
-
-    `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
-    `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
-    by which the pose's uncertainty may misplace the cell on the map, away from the camera and sideways. `bearing`:
-    radians clockwise from grid north from the camera to the cell."""
+    """Visibility of cells, (N,) float32 each. `cos_incidence`: of the angle between sight and the ground's normal; 0
+    along the ground and where it is not known. `footprint`: metres of ground, away from the camera, that one pixel
+    covers. `sigma_along`, `sigma_across`: metres by which the pose's uncertainty may misplace the cell on the map, away
+    from the camera and sideways. `bearing`: radians clockwise from grid north from the camera to the cell."""
 
     cos_incidence: Float32Array
     footprint: Float32Array
@@ -75,8 +73,6 @@ def cell_visibility(
     q = o + w x p, and the traced point by q - d (n.q) / (n.d). Source: forward propagation, e.g. Luhmann et al.,
     Close-Range Photogrammetry, 3rd ed., 2.4.3. Raises PoseError for a covariance that is none."""
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
-    if len(ground) == 0:
-        return CellVisibility(*(np.zeros(0, np.float32) for _ in range(5)))
     normals = ground_normals(dem, x, y, cell / 2)
     known = np.isfinite(ground[:, 2]) & np.isfinite(normals[:, 0])
     ground[~known, 2] = pose.position[2]
@@ -89,8 +85,18 @@ def cell_visibility(
     distance = np.linalg.norm(lever, axis=1)
     footprint = distance / (min(camera.fx, camera.fy) * facing)
     bearing = np.arctan2(lever[:, 0], lever[:, 1])
-    along, across = _sigmas(arriving, lever, normals, facing, bearing, covariance)
-    return CellVisibility(*(np.asarray(c, np.float32) for c in (cosine, footprint, along, across, bearing)))
+    sigmas = [np.zeros(len(lever))] * 2
+    if covariance is not None:
+        matrix, east, north = checked_covariance(covariance), np.sin(bearing), np.cos(bearing)
+        for k, level in enumerate(((east, north), (north, -east))):  # away from the camera, and sideways
+            # The component h.(q - d (n.q) / (n.d)) of a level direction h is g.q with g = h + n (h.d) / facing.
+            slope = (level[0] * arriving[:, 0] + level[1] * arriving[:, 1]) / facing
+            g = normals * slope[:, None]
+            g[:, 0] += level[0]
+            g[:, 1] += level[1]
+            row = np.concatenate([g, np.cross(lever, g)], axis=1)
+            sigmas[k] = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row, matrix, row), 0))
+    return CellVisibility(*(np.asarray(c, np.float32) for c in (cosine, footprint, *sigmas, bearing)))
 
 
 def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
@@ -100,30 +106,6 @@ def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> F
     north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
     length = np.sqrt(1 + east**2 + north**2)
     return np.column_stack([-east / length, -north / length, 1 / length])
-
-
-def _sigmas(
-    arriving: Float64Array,
-    lever: Float64Array,
-    normals: Float64Array,
-    facing: Float64Array,
-    bearing: Float64Array,
-    covariance: ArrayLike | None,
-) -> tuple[Float64Array, Float64Array]:
-    """Return the horizontal sigmas of the traced points, away from the camera and sideways, metres."""
-    if covariance is None:
-        return np.zeros(len(lever)), np.zeros(len(lever))
-    matrix = checked_covariance(covariance)
-    sigmas = []
-    for level in ((np.sin(bearing), np.cos(bearing)), (np.cos(bearing), -np.sin(bearing))):
-        # The component h.(q - d (n.q) / (n.d)) of a level direction h is g.q with g = h + n (h.d) / facing.
-        slope = (level[0] * arriving[:, 0] + level[1] * arriving[:, 1]) / facing
-        g = normals * slope[:, None]
-        g[:, 0] += level[0]
-        g[:, 1] += level[1]
-        row = np.concatenate([g, np.cross(lever, g)], axis=1)
-        sigmas.append(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row, matrix, row), 0)))
-    return sigmas[0], sigmas[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,16 +132,12 @@ class CellVotes:
     above_tree_line: int = 0
 
     def __post_init__(self) -> None:
-        n = len(self.rows)
-        if self.cols.shape != (n,) or self.z.shape != (n,) or self.counts.ndim != 2 or len(self.counts) != n:
-            raise ImageError(
-                f"votes of {self.source} differ in length: {n} rows, {self.cols.shape} columns, "
-                f"{self.counts.shape} counts, {self.z.shape} heights"
-            )
-        if self.confidence is not None and self.confidence.shape != (n,):
-            raise ImageError(f"votes of {self.source} for {n} cells have confidence of shape {self.confidence.shape}")
-        if self.visibility is not None and len(self.visibility) != n:
-            raise ImageError(f"votes of {self.source} for {n} cells have {len(self.visibility)} visibilities")
+        n, shapes = len(self.rows), {"columns": self.cols.shape, "heights": self.z.shape}
+        shapes["counts"] = self.counts.shape[:1] if self.counts.ndim == 2 else ()
+        shapes |= {} if self.confidence is None else {"confidence": self.confidence.shape}
+        shapes |= {} if self.visibility is None else {"visibility": (len(self.visibility),)}
+        if wrong := {name: shape for name, shape in shapes.items() if shape != (n,)}:
+            raise ImageError(f"votes of {self.source} for {n} cells differ in length: {wrong}")
         inside = self.geometry.contains(self.rows, self.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -199,11 +177,9 @@ class CellVotes:
 
 
 class VoteCaster:
-    """Compute the votes of frames over one fuel grid.
+    """Compute the votes of frames over the fuel grid `geometry`, in the map frame, on the terrain `dem`.
 
     Args:
-        geometry: the fuel grid, in the map frame.
-        dem: the terrain, for the cells' heights and slopes.
         votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
         max_range: slant metres beyond which pixels are too coarse to vote.
         bend: of sight by curvature and refraction (`geodesy.ray_bend`).
@@ -218,14 +194,10 @@ class VoteCaster:
         bend: float = 0.0,
         limits: GroundLimits | None = None,
     ) -> None:
-        self.geometry = geometry
-        self._dem = dem
-        self._classes = len(votes_for)
+        self.geometry, self._dem, self._classes = geometry, dem, len(votes_for)
         self._counted = np.zeros(256, np.bool_)
         self._counted[: self._classes] = votes_for
-        self._max_range = max_range
-        self._bend = bend
-        self._limits = limits
+        self._max_range, self._bend, self._limits = max_range, bend, limits
 
     def cast(
         self,
@@ -239,33 +211,28 @@ class VoteCaster:
         covariance: ArrayLike | None = None,
         along_axis: bool = True,
     ) -> CellVotes:
-        """Count each pixel's label in the fuel cell that it sees.
+        """Count each pixel's label in the fuel cell that it sees. Raises ImageError if the images differ in shape,
+        PoseError for an invalid covariance.
 
         Args:
             distance: (H, W) metres along the optical axis (a REP-118 depth image), or along the rays where not
                 `along_axis`; +inf sky, NaN unknown.
-            labels: (H, W) uint8 class ids.
-            confidence: (H, W) uint8, of the labels, x 255.
-            covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact.
-
-        Raises ImageError when the images differ in shape, PoseError for a covariance that is none."""
+            labels, confidence: (H, W) uint8 class ids, and their confidence x 255.
+            covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact."""
         shape = (camera.height, camera.width)
-        images: list[tuple[str, NDArray[Any] | None]] = [("labels", labels), ("distances", distance)]
-        for name, image in [*images, ("confidence", confidence)]:
+        images: dict[str, NDArray[Any] | None] = {"labels": labels, "distances": distance, "confidence": confidence}
+        for name, image in images.items():
             if image is not None and image.shape != shape:
                 raise ImageError(f"{name} of {image.shape} does not match the camera of {shape} of {source}")
         # Here, for who only passes votes on (the uplink, the viewer) needs no numba.
         from ltm_core.fuel.vote_kernel import sum_pixels
 
         of_frame = distance, along_axis, camera, pose, labels, confidence
-        grid = self._counted, self._classes, self.geometry, self._max_range
-        sums = sum_pixels(*of_frame, *grid, self._limits)
-        if self._limits is not None:
-            learnt = self._limits.learn(sums.cells)
-            if sums.counts[:, learnt[: self._classes]].any():
-                sums = sum_pixels(*of_frame, *grid, self._limits)
-        rows = (sums.cells // self.geometry.width).astype(np.int32)
-        cols = (sums.cells % self.geometry.width).astype(np.int32)
+        given = *of_frame, self._counted, self._classes, self.geometry, self._max_range, self._limits
+        sums = sum_pixels(*given)
+        if self._limits is not None and sums.counts[:, self._limits.learn(sums.cells)[: self._classes]].any():
+            sums = sum_pixels(*given)
+        rows, cols = (index.astype(np.int32) for index in np.divmod(sums.cells, self.geometry.width))
         x, y = self.geometry.to_map(rows, cols)
         z = self._dem.elevation_at(x, y).astype(np.float32)
         visibility = cell_visibility(

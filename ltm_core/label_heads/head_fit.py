@@ -16,7 +16,8 @@ import numpy as np
 from scipy import optimize
 
 from ltm_core.base.errors import ImageError, RecordingError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array, Int64Array, UInt8Array
+from ltm_core.fuel.label_measurement import fit_softmax
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.vision.labels import UNLABELLED
@@ -36,7 +37,6 @@ _RARITY: Final = 0.8
 a lake of a few pixels."""
 _BIAS_RIDGE: Final = 0.1
 _LEAST_SPREAD: Final = 1e-3
-_STEPS: Final = 300
 _PARTS: Final = 3
 """Number of parts of the photos, the best value when five of 21 hand-labelled mountain photos trained heads for the
 others."""
@@ -58,32 +58,23 @@ def photo_samples(segmenter: Segmenter, frame: Frame, site: str, rng: np.random.
     """Return at most _MOST random pixels of each class, at the places of the network's own grid."""
     scores, maps = segmenter.scores_and_maps(frame.image)
     count, rows, cols = scores.shape
-    truth = _at_grid(frame.labels, rows, cols).reshape(-1)
-    known = [rng.permutation(np.flatnonzero(truth == k))[:_MOST] for k in range(count)]
-    places = np.concatenate(known)
-    features = np.concatenate([_enlarged(plane, rows, cols) for plane in maps.values()]).reshape(-1, rows * cols)
+    height, width = frame.labels.shape
+    # The label of the photo's pixel at the middle of each of the network's.
+    down, across = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in ((rows, height), (cols, width)))
+    truth = frame.labels[np.ix_(down, across)].reshape(-1)
+    places = np.concatenate([rng.permutation(np.flatnonzero(truth == k))[:_MOST] for k in range(count)])
+    planes = [cv2.resize(one, (cols, rows), interpolation=cv2.INTER_LINEAR) for plane in maps.values() for one in plane]
+    at_places = (np.reshape(values, (-1, rows * cols))[:, places].T.astype(np.float64) for values in (scores, planes))
     shares = np.bincount(frame.labels[frame.labels < count], minlength=count) / frame.labels.size
-    return PhotoSamples(
-        site,
-        truth[places],
-        scores.reshape(count, -1)[:, places].T.astype(np.float64),
-        features[:, places].T.astype(np.float64),
-        shares,
-    )
+    own, features = at_places
+    return PhotoSamples(site, truth[places], own, features, shares)
 
 
 def sites_of(frames: list[Frame]) -> list[str]:
     """Return the site of each photo: by `sites.csv` (columns image, site) beside it, else its name up to the first `_`.
-
     Raises RecordingError for such a file without these columns."""
-    named: dict[Path, Mapping[str, str]] = {}
-    sites = []
-    for frame in frames:
-        folder = frame.path.parent
-        if folder not in named:
-            named[folder] = _read_sites(folder / SITES_FILE)
-        sites.append(named[folder].get(frame.path.name, frame.path.stem.partition("_")[0]))
-    return sites
+    named = {folder: _read_sites(folder / SITES_FILE) for folder in {frame.path.parent for frame in frames}}
+    return [named[f.path.parent].get(f.path.name, f.path.stem.partition("_")[0]) for f in frames]
 
 
 def _read_sites(path: Path) -> Mapping[str, str]:
@@ -95,25 +86,10 @@ def _read_sites(path: Path) -> Mapping[str, str]:
     return {row["image"]: row["site"] for row in rows}
 
 
-def _at_grid(labels: UInt8Array, rows: int, cols: int) -> UInt8Array:
-    """Return the label of the photo's pixel at the middle of each of the network's."""
-    height, width = labels.shape
-    down = ((np.arange(rows) + 0.5) * height / rows).astype(np.int64)
-    across = ((np.arange(cols) + 0.5) * width / cols).astype(np.int64)
-    return labels[np.ix_(down, across)]
-
-
-def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
-    if planes.shape[1:] == (rows, cols):
-        return planes
-    return np.stack([cv2.resize(plane, (cols, rows), interpolation=cv2.INTER_LINEAR) for plane in planes])
-
-
 def by_area(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
-    """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names.
-
-    An area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class
-    go to the folds in turn, the largest first, so that a class of two areas is in two folds."""
+    """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names. An
+    area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class go to
+    the folds in turn, the largest first, so that a class of two areas is in two folds."""
     parts, names = [], []
     turn: dict[int, int] = {}
     for frame in frames:
@@ -145,57 +121,36 @@ def _areas(named: BoolArray) -> Int64Array:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class FittedHead:
-    """Fitted label head. `weights`: (F, K) of features as in `PhotoSamples`; `bias`: (K,)."""
-
-    weights: Float64Array
-    bias: Float64Array
+Fitted = tuple[Float64Array, Float64Array]
+"""Weights (F, K) of features as in `PhotoSamples`, and bias (K,)."""
 
 
-def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], one_view: bool = False) -> FittedHead:
+def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], one_view: bool = False) -> Fitted:
     """Return the mean of label heads trained on two thirds of the photos each, so that a single photo has less weight.
-
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample."""
     parts = min(_PARTS, len(samples))
     if one_view or parts < 2:
         return _best_head(samples, channels)
     heads = [_best_head([s for k, s in enumerate(samples) if k % parts != part], channels) for part in range(parts)]
-    return FittedHead(np.mean([h.weights for h in heads], axis=0), np.mean([h.bias for h in heads], axis=0))
+    weights, biases = zip(*heads, strict=True)
+    return np.mean(weights, axis=0), np.mean(biases, axis=0)
 
 
-def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> FittedHead:
+def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> Fitted:
     """Return the head that explains the samples best under the ridge."""
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
         raise ImageError("no labelled pixel in any photo; label areas first")
     scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
     weight = np.concatenate([class_weights(s) for s in samples])
-    weight /= weight.sum()
     mean, spread = features.mean(axis=0), features.std(axis=0) + _LEAST_SPREAD
-    inputs = (features - mean) / spread
-    count, size = scores.shape[1], features.shape[1]
-    ridge = np.concatenate(
-        [np.full(width, _LAST_RIDGE if name == "last" else _RIDGE) for name, width in channels.items()]
-    )[:, None]
-    truth = np.eye(count)[labels]
-
-    def cost(values: Float64Array) -> tuple[float, Float64Array]:
-        matrix, bias = values[:-count].reshape(size, count), values[-count:]
-        total = scores + inputs @ matrix + bias
-        total -= total.max(axis=1, keepdims=True)
-        logarithm = total - np.log(np.exp(total).sum(axis=1, keepdims=True))
-        loss = -(weight * logarithm[np.arange(len(labels)), labels]).sum()
-        loss += 0.5 * (ridge * matrix**2).sum() + 0.5 * _BIAS_RIDGE * (bias**2).sum()
-        slope = weight[:, None] * (np.exp(logarithm) - truth)
-        by_matrix, by_bias = inputs.T @ slope + ridge * matrix, slope.sum(axis=0) + _BIAS_RIDGE * bias
-        return float(loss), np.concatenate([by_matrix.ravel(), by_bias])
-
-    start = np.zeros((size + 1) * count)
-    best = optimize.minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x
-    matrix = best[:-count].reshape(size, count) / spread[:, None]
-    return FittedHead(matrix, best[-count:] - mean @ matrix)
+    inputs = np.column_stack([(features - mean) / spread, np.ones(len(labels))])
+    of_maps = [np.full(width, _LAST_RIDGE if name == "last" else _RIDGE) for name, width in channels.items()]
+    ridge = np.concatenate([*of_maps, [_BIAS_RIDGE]])[:, None]
+    best = fit_softmax(inputs, np.eye(scores.shape[1])[labels], weight / weight.sum(), ridge, scores)
+    weights = best[:-1] / spread[:, None]
+    return weights, best[-1] - mean @ weights
 
 
 def class_weights(samples: PhotoSamples) -> Float64Array:
@@ -228,11 +183,10 @@ def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
 
 
 def balanced(confusions: Sequence[Int64Array]) -> Float64Array:
-    """Return P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
-
-    Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
-    less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a
-    row that is mostly itself: nothing is known of it."""
+    """Return P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets. Each set
+    that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is less than
+    a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a row that is
+    mostly itself: nothing is known of it."""
     classes = len(confusions[0])
     rows = np.zeros((classes, classes))
     for confusion in confusions:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from ltm_core.base.errors import ModelError
-from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.label_heads.head_fit import (
-    FittedHead,
     PhotoSamples,
     balanced,
     by_area,
@@ -22,14 +21,12 @@ from ltm_core.label_heads.head_fit import (
     sites_of,
 )
 from ltm_core.label_heads.labelled_frames import Frame
-from ltm_core.pictures.legend import label_legend, to_png, with_legend
-from ltm_core.pictures.photo_overlays import overlay_labels
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.label_head import LabelHead, LabelHeadFile
 from ltm_core.vision.label_rules import Calibration, LabelAgreement
-from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
-from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.segmenter import Segmenter
 
 AGREEMENT: Final = LabelAgreement(reach=0.006)
 """Agreement filter before its exponent is fitted. The radius, 8 pixels of 1280, was chosen on five held-out tower
@@ -53,20 +50,6 @@ class HeadScore:
         """Return the mean F1 of the classes `macro`."""
         return self.labels.macro_f1(self.macro)
 
-    def summary(self, names: Sequence[str]) -> dict[str, object]:
-        """Return all figures, ready for JSON but for NaN where a class does not occur."""
-        return {
-            "pixels": self.labels.pixels,
-            "f1": dict(zip(names, self.labels.f1.tolist(), strict=True)),
-            "macro_f1": self.macro_f1,
-            "macro_f1_of": [names[k] for k in self.macro],
-            "accuracy": self.labels.accuracy,
-            "unlabelled": self.labels.unlabelled,
-            "ece": self.calibration.ece,
-            "land": {"ece": self.land_calibration.ece, "risk": self.land_calibration.risk()},
-            "confusion": self.labels.confusion.tolist(),
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class HeadTrial:
@@ -80,11 +63,6 @@ class HeadTrial:
     before: HeadScore
     after: HeadScore
 
-    @property
-    def better(self) -> bool:
-        """Return whether the macro F1 rose."""
-        return self.after.macro_f1 > self.before.macro_f1
-
 
 def teach_head(
     segmenter: Segmenter,
@@ -94,16 +72,14 @@ def teach_head(
     licence: str = "",
     withdrawal: Withdrawal | None = None,
     one_view: bool = False,
-    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadTrial:
     """Train a label head on labelled photos.
 
-    Each site's photos are labelled by a head that the other sites taught; from these answers come scores, agreement
-    and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
-    held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
-    `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
-    photos are of one view, which the head is for alone: areas are held out instead. Raises ModelError for a network
-    without maps, or for a single photo without `one_view`."""
+    Each site's photos are labelled by a head that the other sites taught; from these come scores, agreement and
+    calibration. All teach the head that is kept. If all photos are of one site, each is held out in turn, which says
+    nothing of other sites. `withdrawal`: which labels the head leaves out. `one_view`: all photos are of one view, for
+    which alone the head is: areas are held out instead. Raises ModelError for a network without maps, or for a single
+    photo without `one_view`."""
     manifest = segmenter.manifest
     if not manifest.maps:
         raise ModelError(f"model {manifest.name!r} has no decoder maps in its manifest; label heads need them")
@@ -133,13 +109,19 @@ def teach_head(
     rules = withdrawal or Withdrawal()
 
     def taught(by: Sequence[PhotoSamples]) -> LabelHead:
-        return as_head(name, fit_head(by, manifest.maps, one_view), manifest.maps, rules)
+        # Of temperature 1: on few sites, the agreement's exponent alone calibrates; a second constant would fit noise.
+        fitted, bias = fit_head(by, manifest.maps, one_view)
+        parts = np.split(fitted.T, np.cumsum([*manifest.maps.values()])[:-1], axis=1)
+        weights = {k: np.ascontiguousarray(w, np.float32) for k, w in zip(manifest.maps, parts, strict=True)}
+        return LabelHead(name, name, weights, bias.astype(np.float32), 1.0, rules)
 
     heads = {g: taught([s for s in samples if s.site != g]) for g in dict.fromkeys(groups)}
-    judged, alike = _judged_by_others(segmenter, frames, groups, heads)
-    with_heads = [_with_head(segmenter, judged[g]) for g in groups]
+    # How sure a head is of a photo is fitted to the photos of other groups, so that the photo had no part in it.
+    surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
+    fitted = {g: _agreement([s for other, s in zip(groups, surety, strict=True) if other != g]) for g in heads}
+    with_heads = [_with_head(segmenter, replace(heads[g], agreement=fitted[g])) for g in groups]
     before = score_photos([segmenter] * len(frames), frames, counted)
-    after = score_photos(with_heads, frames, counted, look)
+    after = score_photos(with_heads, frames, counted)
     names = manifest.classes
     errors = {"photos": after.calibration.ece, "land": after.land_calibration.ece}
     calibration = Calibration(
@@ -159,7 +141,7 @@ def teach_head(
         classes=names,
         temperature=final.temperature,
         withdraw=rules,
-        agreement=alike,
+        agreement=_agreement(surety),
         bias=tuple(map(float, final.bias)),
         maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
         one_view=one_view,
@@ -172,9 +154,8 @@ def score_photos(
     segmenters: Sequence[Segmenter],
     frames: Sequence[Frame],
     macro: tuple[int, ...] = LAND_AND_SKY,
-    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadScore:
-    """Label each frame with the segmenter at its place and compare with the truth; `look` receives each result."""
+    """Label each frame with the segmenter at its place and compare with the truth."""
     classes = len(segmenters[0].labels)
     labels = SegmentationScore.empty(classes)
     calibration = land_calibration = CalibrationScore.empty()
@@ -184,21 +165,7 @@ def score_photos(
         labels = labels.plus(frame.labels, found.labels)
         calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
         land_calibration = land_calibration.plus(land, found.labels, found.confidence, classes)
-        look(frame, found)
     return HeadScore(labels, calibration, land_calibration, macro)
-
-
-def _judged_by_others(
-    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
-) -> tuple[dict[str, LabelHead], LabelAgreement]:
-    """Return the heads of the groups held out as they are scored, with the agreement that the photos of the other
-    groups gave, so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
-    surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
-    judged = {
-        group: replace(head, agreement=_agreement([s for g, s in zip(groups, surety, strict=True) if g != group]))
-        for group, head in heads.items()
-    }
-    return judged, _agreement(surety)
 
 
 def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float64Array, BoolArray]:
@@ -215,49 +182,10 @@ def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> LabelAgreeme
 
 def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
     """Return the classes that two held-out groups hold at least: of others, none teaches the one that judges."""
-    groups: dict[int, set[str]] = {}
-    for sample in samples:
-        for k in np.unique(sample.labels):
-            groups.setdefault(int(k), set()).add(sample.site)
-    return tuple(sorted(k for k, names in groups.items() if len(names) > 1))
-
-
-def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
-    """Return a fitted label head in its usable form, before it has a file. Its temperature is 1: on few sites, the
-    exponent of agreement alone calibrates confidence; a second constant would fit noise."""
-    weights, start = {}, 0
-    for key, count in channels.items():
-        weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)
-        start += count
-    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), 1.0, withdrawal)
+    held = {(int(k), sample.site) for sample in samples for k in np.unique(sample.labels)}
+    counts = Counter(k for k, _ in held)
+    return tuple(sorted(k for k, sites in counts.items() if sites > 1))
 
 
 def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:
     return Segmenter(segmenter.manifest, labels=segmenter.labels, head=head)
-
-
-class LabelledPhoto(Protocol):
-    """A photo (H, W, 3) uint8 RGB and the true class of each pixel (H, W) uint8, 255 unknown."""
-
-    @property
-    def image(self) -> UInt8Array: ...
-    @property
-    def labels(self) -> UInt8Array: ...
-
-
-class StoredPhoto(LabelledPhoto, Protocol):
-    """A labelled photo with the path of its file."""
-
-    @property
-    def path(self) -> Path: ...
-
-
-def write_overlay(folder: Path, network: str, labels: LabelSet, frame: StoredPhoto, found: Segmentation) -> None:
-    """Write `<folder>/<set>_<frame>_<network>.png`: true labels on the left, the network's on the right."""
-    drawn = [overlay_labels(frame.image, each, labels) for each in (frame.labels, found.labels)]
-    sheet = np.concatenate(drawn, axis=1)
-    sheet = with_legend(sheet, label_legend(sheet.shape[1], labels))
-    folder.mkdir(parents=True, exist_ok=True)
-    path = frame.path
-    name = f"{path.parent.resolve().name}_{path.stem}_{network.replace(' ', '_')}.png"
-    (folder / name).write_bytes(to_png(sheet))

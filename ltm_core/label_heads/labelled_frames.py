@@ -45,12 +45,10 @@ class Frame:
 
 
 def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame]:
-    """Read the labelled frames of a folder, in order of name.
-
-    With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
-    enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError
-    where an image cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
-    and 255."""
+    """Read the labelled frames of a folder, in order of name. With `sampled`, labels may also be those of every n-th
+    pixel (`full[::n, ::n]`); the pixels between are then 255: enough to score, not to train. Raises RecordingError
+    where there is no frame, or no such list of areas; ImageError where an image cannot be read, its labels have another
+    size, or hold an id that is none of `classes`, LAND, UNKNOWN and 255."""
     frames = []
     for truth in sorted(folder.glob(f"*{LABELS_SUFFIX}")):
         stem = truth.name.removesuffix(LABELS_SUFFIX)
@@ -59,11 +57,14 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
             frames.append(_read(photo, truth, classes, sampled))
     polygons = folder / POLYGONS_FILE
     if polygons.is_file():
-        taken = {frame.path.name for frame in frames}
-        labels = LabelSet.load()
-        for name, areas in read_polygons(polygons, labels).items():
+        taken, known = {frame.path.name for frame in frames}, LabelSet.load()
+        for name, areas in read_polygons(polygons, known).items():
             if name not in taken and (folder / name).is_file():
-                frames.append(_named(folder / name, areas, labels, classes, polygons))
+                image = read_rgb(folder / name)
+                labels = labels_of(areas, image.shape[0], image.shape[1], known)
+                if ((labels >= classes) & (labels != UNLABELLED)).any():
+                    raise ImageError(f"{polygons}: a class of {name} is not among the first {classes}")
+                frames.append(Frame(scene_of(image), labels, folder / name))
         frames.sort(key=lambda frame: frame.path.name)
     if not frames:
         raise RecordingError(
@@ -75,18 +76,13 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
 
 def without_classes(frames: Sequence[Frame], classes: Sequence[int]) -> list[Frame]:
     """Return the frames with the pixels of `classes` unlabelled, so that they count neither for nor against a label."""
-    if not classes:
-        return list(frames)
-    return [
-        replace(frame, labels=np.where(np.isin(frame.labels, classes), np.uint8(UNLABELLED), frame.labels))
-        for frame in frames
-    ]
+    unlabelled = np.uint8(UNLABELLED)
+    return [replace(f, labels=np.where(np.isin(f.labels, classes), unlabelled, f.labels)) for f in frames]
 
 
 def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
-    """Return the areas of each photo, in the order of the file.
-
-    Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder."""
+    """Return the areas of each photo, in the order of the file. Raises ConfigError as `read_areas`; RecordingError for
+    an unknown class, and a photo that is in another folder."""
     named: dict[str, list[NamedArea]] = {}
     for place, area in enumerate(read_areas(path)):
         if area.kind not in labels.names and area.kind not in _NO_CLASS:
@@ -100,23 +96,13 @@ def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
     return named
 
 
-def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: int, source: Path) -> Frame:
-    """Return a photo whose labels are the areas that were named in it."""
-    image = read_rgb(photo)
-    labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
-    if ((labels >= classes) & (labels != UNLABELLED)).any():
-        raise ImageError(f"{source}: a class of {photo.name} is not among the first {classes}")
-    return Frame(scene_of(image), labels, photo)
-
-
 def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     image, labels = read_rgb(photo), read_values(truth)
     if sampled:
         labels = _spread(labels, image.shape[0], image.shape[1])
     if labels.shape != image.shape[:2] or labels.dtype != np.uint8:
         raise ImageError(f"{truth}: is {labels.shape} {labels.dtype}, expected {image.shape[:2]} uint8 like its photo")
-    ids = np.unique(labels)
-    wrong = ids[(ids >= classes) & (ids < LAND)]
+    wrong = labels[(labels >= classes) & (labels < LAND)]
     if wrong.size:
         raise ImageError(f"{truth}: contains label {wrong[0]}; expected ids below {classes} or {UNLABELLED}")
     return Frame(scene_of(image), np.asarray(labels, np.uint8), photo)
@@ -124,8 +110,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:
     """Return the labels of every n-th pixel put at their places in a full image; any other shape is unchanged."""
-    step = -(-height // labels.shape[0])
-    full = np.full((height, width), UNLABELLED, np.uint8)
+    step, full = -(-height // labels.shape[0]), np.full((height, width), UNLABELLED, np.uint8)
     if full[::step, ::step].shape != labels.shape or step == 1:
         return labels
     full[::step, ::step] = labels

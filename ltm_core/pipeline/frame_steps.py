@@ -20,7 +20,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import WATER_STEEPEST_DEG, GroundLimits
-from ltm_core.fuel.vote_columns import fitting, turn_of
+from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster, ground_normals
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -314,4 +314,4 @@ class VotingStep:
 
     def carried(self, votes: CellVotes) -> CellVotes:
         """Return the votes that are counted: those that fit into a message (`vote_columns.fitting`)."""
-        return fitting(votes, turn_of(votes.stamp_ns))
+        return fitting(votes)

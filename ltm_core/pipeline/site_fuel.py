@@ -1,21 +1,17 @@
-"""Make the evidence map of a site's fuels, and the canopy that its cameras have measured."""
+"""Make the evidence map of a site's fuels, and the provenance of its exports."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError, RasterError, StoreError
-from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, stand_heights
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.export.landscape import Landscape, canopy_bands
+from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import (
     NOTHING_SEEN,
     WITHOUT_DATES,
@@ -26,17 +22,14 @@ from ltm_core.fuel.export.provenance import (
     surface_note,
 )
 from ltm_core.fuel.label_errors import UNMEASURED, LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
-from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.life_form import NODATA, label_forms
+from ltm_core.fuel.prior import FuelPrior, load_prior
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import STORE_FILE, open_stored_surface
 from ltm_core.site.networks import camera_label_errors, labels_state, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import SurfaceVersion
-from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
 
 
@@ -90,64 +83,6 @@ def measured_errors(
     return measure_labels(votes, prior.codes, label_forms(labels), reach, changes, known, source)
 
 
-def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
-    """Return the elevations of the prior on the fuel grid (in the map frame); None: it has none."""
-    return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
-
-
-@dataclass(frozen=True, eq=False)
-class SiteCanopy:
-    """Canopy of a site. `note`: remark for the user; empty: none."""
-
-    seen: SeenCanopy
-    note: str = ""
-
-
-def site_canopy(
-    site: Site,
-    grid: GridGeometry,
-    layers: FuelLayers,
-    prior: FuelPrior | None,
-    climate: FuelClimate,
-    terrain: ConfirmedTerrain,
-    evidence: EvidenceMap | None = None,
-    state: Path | None = None,
-) -> SiteCanopy:
-    """Return the canopy of the cells of the fuel grid `grid` (in the map frame).
-
-    Args:
-        terrain: that of the same moment as the layers.
-        evidence: what cameras have seen until now; None: not known, or the layers are of an earlier date.
-        state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise."""
-    bands = canopy_bands(layers, prior, climate)
-    trees = forms_of(layers.code)[..., LifeForm.TREE - 1] & (bands[0] > 0)
-    given = None if prior is None else prior.canopy
-    new = layers.changed | (np.ones(trees.shape, np.bool_) if given is None else given[0] == NODATA)
-    before = np.where(bands[0] > 0, bands[0], np.nan).astype(np.float64)
-    tops = np.where(bands[1] > 0, bands[1] / 10.0, np.nan)
-    heights, note = _heights(site, grid, state, tops)
-    labels = None if evidence is None else evidence.label_cover(before)
-    return SiteCanopy(measured_canopy(trees, new, seen_canopy(terrain, grid), labels, heights), note)
-
-
-def _heights(
-    site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
-) -> tuple[Float32Array | None, str]:
-    """Return `stand_heights` from the terrain's store, and why it cannot be read; None without a store, and with a
-    surface raster, which has these heights. `before`: metres, as in `stand_heights`."""
-    path = None if state is None else state / STORE_FILE
-    if path is None or site.terrain is None or site.surface is not None or not path.is_file():
-        return None, ""
-    try:
-        surface = open_stored_surface(path, site)
-        try:
-            return stand_heights(surface, grid, before), ""
-        finally:
-            surface.close()
-    except (ConfigError, StoreError, RasterError) as error:
-        return None, f"heights of trees are not from the terrain map ({error})"
-
-
 def provenance_of(
     site: Site,
     layers: FuelLayers,
@@ -160,25 +95,24 @@ def provenance_of(
     """Return the provenance of a map's layers; `moment_ns`: the requested time, for which the newest frame is unknown.
     `surface`: the confirmed surface of its heights; None: the site's rasters. `prior`: the prior of a landscape's
     codes."""
-    known = layers.code != NODATA
+    known, seen = layers.code != NODATA, layers.evidence > 0
     cells = int(known.sum())
     newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns
-    looked = bool((layers.evidence > 0).any())
-    as_of = iso_moment(newest) if newest > 0 else NOTHING_SEEN if not looked else WITHOUT_DATES
+    as_of = iso_moment(newest) if newest > 0 else WITHOUT_DATES if seen.any() else NOTHING_SEEN
     # A map without dates is one of classes: its cells may be seen or the prior's.
     dated = moment_ns is None and as_of != WITHOUT_DATES
-    seen = float((layers.evidence > 0)[known].mean()) if dated and cells else None
+    given, name, version, own = site.fuel.prior, "none", "none", ""
+    if given is not None:
+        digest = hashlib.sha256(np.ascontiguousarray(layers.prior, "<i2").tobytes()).hexdigest()[:16]
+        name = given.described()
+        version = ", ".join(filter(None, (landfire_version(name), f"sha256 {digest}")))
+        beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
+        own = given.own_fbfm13 if beside else ""
+    seen_share = float(seen[known].mean()) if dated and cells else None
     changed = float(layers.changed[known].mean()) if cells else 0.0
-    name = "none" if site.fuel.prior is None else site.fuel.prior.described()
-    digest = hashlib.sha256(np.ascontiguousarray(layers.prior, "<i2").tobytes()).hexdigest()[:16]
-    released = landfire_version(name)
-    of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
     terrain = "" if landscape is None else landscape.terrain_note()
     shape = "" if surface is None else surface_note(surface)
-    beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
-    own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
-    climate = site.fuel.climate
     return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, climate, system, software(), terrain, shape,
-        labels_state(site), own,
+        site.name, as_of, cells, seen_share, changed, name, version, site.fuel.climate, system, software(), terrain,
+        shape, labels_state(site), own,
     )  # fmt: skip

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
-from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE, Window
 from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, record
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry

@@ -16,9 +16,8 @@ from ltm_core.geometry.grid import GridGeometry
 
 @dataclass(frozen=True, eq=False)
 class FuelScore:
-    """Score of a fuel map. `cells`: of the map. `seen`: with a class and a known truth. `right`: of those.
-
-    `confusion`: (K, K) cells by [true class, mapped class]."""
+    """Score of a fuel map. `cells`: of the map. `seen`: with a class and a known truth. `right`: of those. `confusion`:
+    (K, K) cells by [true class, mapped class]."""
 
     cells: int
     seen: int
@@ -29,9 +28,8 @@ class FuelScore:
 def score_fuel(
     classes: UInt8Array, geometry: GridGeometry, truth: UInt8Array, truth_geometry: GridGeometry, class_count: int
 ) -> FuelScore:
-    """Score a map on the cells that both rasters cover, in one CRS with coinciding cells.
-
-    Raises RasterError where the grids' cells do not coincide, or their CRSs differ."""
+    """Score a map on the cells that both rasters cover, in one CRS with coinciding cells. Raises RasterError where the
+    grids' cells do not coincide, or their CRSs differ."""
     true = on_grid(truth, truth_geometry, geometry)
     both = (classes < class_count) & (true < class_count)
     confusion = np.bincount(
@@ -41,9 +39,8 @@ def score_fuel(
 
 
 def on_grid(truth: UInt8Array, truth_geometry: GridGeometry, geometry: GridGeometry) -> UInt8Array:
-    """Return the classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none.
-
-    Raises RasterError where the grids' cells do not coincide, or their CRSs differ."""
+    """Return the classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none. Raises RasterError
+    where the grids' cells do not coincide, or their CRSs differ."""
     crs, truth_crs = geometry.crs, truth_geometry.crs
     if not same_crs(crs, truth_crs):
         raise RasterError(f"fuel map in {crs} cannot be scored against truth in {truth_crs}: warp one to the other")
@@ -73,12 +70,10 @@ class Share:
 
 @dataclass(frozen=True)
 class MapScore:
-    """Score over cells with votes and known truth.
-
-    `right`: cells of the true life form. `found`: of cells whose true form is not the prior's, those that the map has
-    changed to it: the producer's accuracy of change. `mistaken`: of the same cells, those that it has changed to
-    another form. `false_flips`: of cells whose true form is the prior's, those that the map has changed. `by_form`:
-    right cells and false flips of each true form."""
+    """Score over cells with votes and known truth. `right`: cells of the true life form. `found`: of cells whose true
+    form is not the prior's, those that the map has changed to it: the producer's accuracy of change. `mistaken`: of the
+    same cells, those that it has changed to another form. `false_flips`: of cells whose true form is the prior's, those
+    that the map has changed. `by_form`: right cells and false flips of each true form."""
 
     name: str
     right: Share

@@ -16,10 +16,9 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Arr
 
 @dataclass(frozen=True, eq=False)
 class SegmentationScore:
-    """Pixels by [true class, predicted class]; the last column counts pixels that were left unlabelled.
-
-    `confusion`: (K, K + 1) int64. Pixels whose truth is unknown are not in it. Scores of a class that does not
-    occur in the truth (for F1 and IoU: nor in the prediction) are NaN."""
+    """Pixels by [true class, predicted class]; the last column counts pixels that were left unlabelled. `confusion`:
+    (K, K + 1) int64. Pixels whose truth is unknown are not in it. Scores of a class that does not occur in the truth
+    (for F1 and IoU: nor in the prediction) are NaN."""
 
     confusion: Int64Array
 
@@ -183,30 +182,27 @@ class DepthTally:
     def __init__(self) -> None:
         self.frames = 0
         self._true = 0
-        nothing = np.zeros(0, np.float32)
-        self._parts = [(nothing, nothing)]  # true depth and error of the pixels of each frame
+        self._parts = [np.zeros((2, 0), np.float32)]  # true depth and error of the pixels of each frame
 
     def add(self, estimate: Float32Array, truth: Float32Array) -> None:
-        """Count one pair of depth images (H, W), metres; pixels count where both are finite.
-
-        Raises ImageError on different shapes."""
+        """Count one pair of depth images (H, W), metres; pixels count where both are finite. Raises ImageError on
+        different shapes."""
         if estimate.shape != truth.shape:
             raise ImageError(f"depth of {estimate.shape} cannot be scored against truth of {truth.shape}")
         self.frames += 1
         known = np.isfinite(truth)
         self._true += int(known.sum())
         both = known & np.isfinite(estimate)
-        error = estimate[both].astype(np.float64) - truth[both]
-        self._parts.append((truth[both].astype(np.float32), error.astype(np.float32)))
+        self._parts.append(np.stack([truth[both], estimate[both].astype(np.float64) - truth[both]]).astype(np.float32))
 
     @property
     def coverage(self) -> float:
         """Return the share of pixels of finite true depth for which there was a finite estimate."""
-        return sum(len(true) for true, _ in self._parts) / self._true if self._true else float("nan")
+        return sum(part.shape[1] for part in self._parts) / self._true if self._true else float("nan")
 
     def scores(self) -> list[DepthScore]:
         """Return the scores by range bin, then over all."""
-        true, error = (np.concatenate(parts) for parts in zip(*self._parts, strict=True))
+        true, error = np.concatenate(self._parts, axis=1)
         bins = [*itertools.pairwise(RANGE_BINS), (0.0, np.inf)]
         return [_score(near, far, error[(true >= near) & (true < far)].astype(np.float64)) for near, far in bins]
 
@@ -220,9 +216,7 @@ def _score(near: float, far: float, error: Float64Array) -> DepthScore:
 
 def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Value]:
     """Return `depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th
-    from 0.
-
-    An array of any other size is taken to cover the same field of view and is read at the nearest pixel. Raises
+    from 0. An array of any other size is taken to cover the same field of view and is read at the nearest pixel. Raises
     ImageError where truth is no such sampling."""
     step = max(1, round(image[1] / shape[1]))
     if (-(-image[0] // step), -(-image[1] // step)) != tuple(shape):
@@ -231,11 +225,8 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
         return depth
     if depth.shape == image:
         return depth[::step, ::step]
-    rows = _nearest(np.arange(shape[0]) * step, image[0], depth.shape[0])
-    cols = _nearest(np.arange(shape[1]) * step, image[1], depth.shape[1])
+    rows, cols = (
+        np.clip(np.floor((np.arange(count) * step + 0.5) * own / size), 0, own - 1).astype(np.int64)
+        for count, size, own in zip(shape, image, depth.shape, strict=True)
+    )
     return np.asarray(depth[rows[:, None], cols])
-
-
-def _nearest(places: Int64Array, size: int, other: int) -> Int64Array:
-    """Return the pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
-    return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

@@ -16,8 +16,7 @@ from ltm_core.base.errors import LtmError, ModelError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.prior import FuelPrior, load_prior, prior_heights
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import sampled

@@ -5,16 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from ltm_core.base.strict_model import Expert, StrictModel, beside
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.uplink.envelope import NAME
 
-Name = Annotated[str, Field(pattern=NAME)]
-
 AGGREGATOR = "aggregator"
 """Common name in the certificate of a region's map; no tower may have it."""
+
+
+def _not_the_aggregator(name: str) -> str:
+    if name == AGGREGATOR:
+        raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
+    return name
+
+
+Name = Annotated[str, Field(pattern=NAME)]
+TowerName = Annotated[Name, AfterValidator(_not_the_aggregator)]
 
 
 class BrokerConfig(StrictModel):
@@ -41,7 +49,7 @@ class UplinkConfig(StrictModel):
 
     name: Name
     """Name of the region."""
-    tower: Name
+    tower: TowerName
     """Name of this tower, the common name of its certificate."""
     broker: BrokerConfig
     """Broker of the region."""
@@ -49,12 +57,6 @@ class UplinkConfig(StrictModel):
     """Maximum size of the outbox in bytes; beyond it, the oldest evidence is thinned."""
     outbox_days: Expert[float] = Field(7.0, gt=0)
     """Days after which an unsent frame is dropped; a region accepts none that is older."""
-
-    @model_validator(mode="after")
-    def _not_the_aggregator(self) -> Self:
-        if self.tower == AGGREGATOR:
-            raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
-        return self
 
 
 class ExportConfig(StrictModel):
@@ -73,7 +75,7 @@ class RegionConfig(StrictModel):
     site: Path
     """Site file of the region's map with its CRS, terrain, prior map and labels. Its cameras are named TOWER_CAMERA."""
     broker: BrokerConfig
-    towers: list[Name] = Field(min_length=1)
+    towers: list[TowerName] = Field(min_length=1)
     """Common names of the certificates of the towers whose votes are accepted."""
     folder: Path
     """Folder of the map, relative to region.yaml; created if only its last part is missing."""
@@ -86,8 +88,6 @@ class RegionConfig(StrictModel):
     @model_validator(mode="after")
     def _towers_told_apart(self) -> Self:
         for tower in self.towers:
-            if tower == AGGREGATOR:
-                raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
             clash = [other for other in self.towers if other.startswith(f"{tower}_")]
             if clash or self.towers.count(tower) > 1:
                 raise ValueError(

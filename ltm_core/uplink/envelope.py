@@ -70,10 +70,9 @@ def unpacked(content: bytes) -> Envelope:
         raise MessageError(f"not an envelope: it begins with {content[: _LENGTHS.size]!r}")
     if not 0 < len(content) - end <= LARGEST_SIGNATURE:
         raise MessageError(f"an envelope states {end} bytes and a signature, it has {len(content)}")
-    first, second = _LENGTHS.size + header, _LENGTHS.size + header + certificate
-    return Envelope(
-        content[_LENGTHS.size : first], content[first:second], content[second:end], content[end:], content[:end]
-    )
+    first, second = _LENGTHS.size + header, end - body
+    parts = content[_LENGTHS.size : first], content[first:second], content[second:end]
+    return Envelope(*parts, content[end:], content[:end])
 
 
 class VotesGrid(StrictModel):
@@ -91,7 +90,8 @@ class VotesGrid(StrictModel):
     @classmethod
     def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> VotesGrid:
         """Return the grid of `geometry`, in its CRS."""
-        return cls(crs=str(geometry.crs), origin=origin, **_edges(geometry))
+        edges = {name: getattr(geometry, name) for name in ("x_min", "y_max", "resolution", "width", "height")}
+        return cls(crs=str(geometry.crs), origin=origin, **edges)
 
     @property
     def geometry(self) -> GridGeometry:
@@ -104,26 +104,30 @@ class VotesGrid(StrictModel):
         return self.geometry.translated(-self.origin[0], -self.origin[1])
 
 
-class HeaderStart(StrictModel):
+class AckHeader(StrictModel):
+    """Acknowledgement of frames of one tower by the aggregator; the body is `Outcomes` as JSON."""
+
+    version: int = VERSION
+    region: str = Field(pattern=NAME)
+    tower: str = Field(pattern=NAME)
+
+
+class _FrameHeader(AckHeader):
+    camera: str = Field(pattern=NAME)
+    stamp_ns: int = Field(ge=0, lt=1 << 63)
+
+
+class HeaderStart(_FrameHeader):
     """Common part of all versions of a tower's header, so that newer ones can be answered."""
 
     model_config = StrictModel.model_config | {"extra": "ignore"}
 
     version: int
-    region: str = Field(pattern=NAME)
-    tower: str = Field(pattern=NAME)
-    camera: str = Field(pattern=NAME)
-    stamp_ns: int = Field(ge=0, lt=1 << 63)
 
 
-class VotesHeader(StrictModel):
+class VotesHeader(_FrameHeader):
     """Header of a frame's votes; the body is the serialised message (CDR of sensor_msgs/PointCloud2)."""
 
-    version: int = VERSION
-    region: str = Field(pattern=NAME)
-    tower: str = Field(pattern=NAME)
-    camera: str = Field(pattern=NAME)
-    stamp_ns: int = Field(ge=0, lt=1 << 63)
     model: str = Field(max_length=200)
     """Name of the model that made the labels; empty: unknown."""
     grid: VotesGrid
@@ -136,14 +140,6 @@ class Outcome(StrictModel):
     stamp_ns: int
     done: bool
     why: str = Field("", max_length=LONGEST_REASON)
-
-
-class AckHeader(StrictModel):
-    """Acknowledgement of frames of one tower by the aggregator; the body is `Outcomes` as JSON."""
-
-    version: int = VERSION
-    region: str = Field(pattern=NAME)
-    tower: str = Field(pattern=NAME)
 
 
 class Outcomes(StrictModel):
@@ -169,7 +165,3 @@ def _parsed(kind: type[HeaderT], content: bytes, what: str) -> HeaderT:
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, e['loc'])) or what}: {e['msg']}" for e in error.errors()[:3])
         raise MessageError(f"invalid {what} of an envelope: {found}") from error
-
-
-def _edges(geometry: GridGeometry) -> dict[str, float]:
-    return {name: getattr(geometry, name) for name in ("x_min", "y_max", "resolution", "width", "height")}

@@ -10,8 +10,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors, transaction
@@ -69,9 +68,8 @@ class Removed:
 class Outbox:
     """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors (the call had no
     effect and may be repeated); ConfigError if the file is damaged: the next process that opens it moves it away.
-
-    `path`: its folder must exist. `max_bytes`: of all messages together. `max_age_s`: seconds from a frame's stamp on.
-    """
+    `path`: its folder must exist. `max_bytes`: of all messages together. `max_age_s`: seconds from a frame's stamp
+    on."""
 
     def __init__(self, path: Path | str, max_bytes: int, max_age_s: float) -> None:
         """Raise StoreError as above, ConfigError where the folder is missing or the file is another program's."""
@@ -84,15 +82,13 @@ class Outbox:
         self._lock = lock_store(self._path)
         try:
             self._db = self._opened()
-            with named_errors(str(self._path)):
-                # Pauses are counted by the clock of a process that is gone.
-                self._db.execute("UPDATE frames SET retry_s = 0 WHERE retry_s > 0")
-                found = self._db.execute("SELECT count(*), coalesce(sum(length(message)), 0) FROM frames").fetchone()
+            # Pauses are counted by the clock of a process that is gone.
+            self._rows("UPDATE frames SET retry_s = 0 WHERE retry_s > 0")
+            ((self.frames, self.bytes),) = self._rows("SELECT count(*), coalesce(sum(length(message)), 0) FROM frames")
+            """Number of queued frames, and the bytes of their messages."""
         except BaseException:
             os.close(self._lock)
             raise
-        self.frames, self.bytes = int(found[0]), int(found[1])
-        """Number of queued frames, and the bytes of their messages."""
 
     def close(self) -> None:
         self._db.close()
@@ -101,9 +97,7 @@ class Outbox:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: Any) -> None:
         self.close()
 
     def put(self, frames: Sequence[OutboxFrame]) -> int:
@@ -124,21 +118,14 @@ class Outbox:
         bytes of their messages. A current map has priority, and evidence may arrive in any order. `frame` reads the
         content of those that are sent."""
         left_out = set(without)
-        with named_errors(str(self._path)):
-            rows = self._db.execute(
-                "SELECT camera, stamp_ns, length(message) FROM frames WHERE retry_s <= ? "
-                "ORDER BY stamp_ns DESC LIMIT ?",
-                (now_s, limit + len(left_out)),
-            ).fetchall()
+        query = "SELECT camera, stamp_ns, length(message) FROM frames WHERE retry_s <= ? ORDER BY stamp_ns DESC LIMIT ?"
+        rows = self._rows(query, now_s, limit + len(left_out))
         return [((camera, at), size) for camera, at, size in rows if (camera, at) not in left_out][:limit]
 
     def frame(self, key: FrameKey) -> OutboxFrame | None:
         """Return the queued frame of a key; None: none."""
-        with named_errors(str(self._path)):
-            row = self._db.execute(
-                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?", key
-            ).fetchone()
-        return None if row is None else OutboxFrame(*row)
+        query = "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?"
+        return next((OutboxFrame(*row) for row in self._rows(query, *key)), None)
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
         """Remove frames that are in the region's map; return the number found."""
@@ -153,34 +140,29 @@ class Outbox:
 
     def oldest_ns(self) -> int | None:
         """Return the stamp of the oldest frame; None: the queue is empty."""
-        with named_errors(str(self._path)):
-            (oldest,) = self._db.execute("SELECT min(stamp_ns) FROM frames").fetchone()
+        ((oldest,),) = self._rows("SELECT min(stamp_ns) FROM frames")
         return None if oldest is None else int(oldest)
 
     def bound(self, now_ns: int | None) -> Removed:
         """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much."""
         aged = 0
         if now_ns is not None:
-            with named_errors(str(self._path)):
-                old = self._db.execute(
-                    "SELECT camera, stamp_ns FROM frames WHERE stamp_ns < ?", (now_ns - self._max_age_ns,)
-                ).fetchall()
+            old = self._rows("SELECT camera, stamp_ns FROM frames WHERE stamp_ns < ?", now_ns - self._max_age_ns)
             aged = self._remove(old)
-        if self.bytes <= self._max_bytes:
-            return Removed(0, aged)
-        before = self.frames
-        while self.bytes > (1 - FREED_SHARE) * self._max_bytes:
-            with named_errors(str(self._path)):
-                # Of the older half, else of all; where one frame of each view is left, the oldest twentieth goes.
-                queries = (
-                    (_EVERY_OTHER, (self.frames + 1) // 2),
-                    (_EVERY_OTHER, self.frames),
-                    ("SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT ?", 1 + self.frames // 20),
-                )
-                found = (self._db.execute(query, (number,)).fetchall() for query, number in queries)
-                chosen = next(filter(None, found))
-            self._remove(chosen)
+        before, full = self.frames, self.bytes > self._max_bytes
+        while full and self.bytes > (1 - FREED_SHARE) * self._max_bytes:
+            # Of the older half, else of all; where one frame of each view is left, the oldest twentieth goes.
+            queries = (
+                (_EVERY_OTHER, (self.frames + 1) // 2),
+                (_EVERY_OTHER, self.frames),
+                ("SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT ?", 1 + self.frames // 20),
+            )
+            self._remove(next(filter(None, (self._rows(query, number) for query, number in queries))))
         return Removed(before - self.frames, aged)
+
+    def _rows(self, query: str, *values: object) -> list[Any]:
+        with named_errors(str(self._path)):
+            return self._db.execute(query, values).fetchall()
 
     def _remove(self, keys: Sequence[FrameKey]) -> int:
         if not keys:
@@ -197,9 +179,10 @@ class Outbox:
 
     def _opened(self) -> sqlite3.Connection:
         """Return a sound database; a damaged one is put aside, for what it held cannot be sent."""
+        _check_header(self._path)
         try:
             return _connect(self._path)
-        except _DamagedError as error:
+        except ConfigError as error:
             places = [self._path.with_name(f"{self._path.name}.damaged-{k}") for k in range(KEPT_DAMAGED)]
             aside = next((place for place in places if not place.exists()), places[0])
             try:
@@ -212,56 +195,40 @@ class Outbox:
             return _connect(self._path)
 
 
-class _DamagedError(ConfigError):
-    """A file of ours that cannot be read any more."""
-
-
 def _connect(path: Path) -> sqlite3.Connection:
-    """Raise _DamagedError, ConfigError for a file of another program, which is not changed, StoreError."""
-    try:
-        if path.exists() and path.stat().st_size:
-            _check_header(path)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
-    try:
-        with named_errors(str(path)):
-            db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
-            try:
-                db.execute("PRAGMA journal_mode = WAL")
-                db.execute("PRAGMA synchronous = FULL")  # what `put` has returned from outlives a power cut
-                db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
-                db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
-                _make_table(db)
-                check_tables(db, path, _TABLE)
-                (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
-            except BaseException:
-                db.close()
-                raise
-    except ConfigError as error:
-        raise _DamagedError(str(error)) from error
-    if verdict != "ok":
-        db.close()
-        raise _DamagedError(f"{path}: the outbox is damaged ({verdict})")
+    """Open an outbox, or make a new one. Raises ConfigError for a damaged file, StoreError."""
+    with named_errors(str(path)):
+        db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+        try:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute("PRAGMA synchronous = FULL")  # what `put` has returned from outlives a power cut
+            db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
+            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+            if db.execute("PRAGMA user_version").fetchone() == (0,):
+                marks = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {LAYOUT};"
+                db.executescript(f"BEGIN IMMEDIATE; {_TABLE} {marks} COMMIT;")
+            check_tables(db, path, _TABLE)
+            (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
+            if verdict != "ok":
+                raise ConfigError(f"{path}: the outbox is damaged ({verdict})")
+        except BaseException:
+            db.close()
+            raise
     return db
 
 
-def _make_table(db: sqlite3.Connection) -> None:
-    (layout,) = db.execute("PRAGMA user_version").fetchone()
-    if layout == 0:
-        db.execute("BEGIN IMMEDIATE")
-        for statement in _TABLE.split(";"):
-            db.execute(statement)
-        db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        db.execute(f"PRAGMA user_version = {LAYOUT}")
-        db.execute("COMMIT")
-
-
 def _check_header(path: Path) -> None:
-    """Before SQLite touches it. Until the first transaction is whole in the file, its header names no program."""
-    with path.open("rb") as file:
-        header = file.read(100)
+    """Check a file before SQLite changes it. Until the first transaction is whole, its header names no program. Raises
+    ConfigError for a file of another program or release, StoreError."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
     application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
-    if not header.startswith(b"SQLite format 3\0") or application not in (0, APPLICATION_ID):
+    if header and not (header.startswith(b"SQLite format 3\0") and application in (0, APPLICATION_ID)):
         raise ConfigError(f"{path}: not an outbox; it was not changed. Move it away or name another folder")
     if layout not in (0, LAYOUT):
         raise ConfigError(

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj.exceptions import ProjError
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.types import Float64Array, Int64Array
+from ltm_core.base.types import Int64Array
 from ltm_core.fuel.export.export_grid import GridTransfer
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.geodesy import SiteFrame, same_crs
@@ -58,23 +58,20 @@ class VoteTransfer:
         if self._same_cells:
             return replace(votes, geometry=self._in_map)
         own = votes.rows.astype(np.int64) * self.source.width + votes.cols
-        counts = self._first[own + 1] - self._first[own]
+        first, counts = self._first[own], self._first[own + 1] - self._first[own]
         taken = np.repeat(np.arange(len(own)), counts)
-        begins = np.repeat(self._first[own] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-        cells = self._targets[begins + np.arange(len(taken))] if len(taken) else np.zeros(0, np.int64)
+        cells = self._targets[np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(len(taken))]
         order = np.argsort(cells)
-        moved, cells = votes.only(taken[order]), cells[order]
-        rows, cols = (cells // self._in_map.width).astype(np.int32), (cells % self._in_map.width).astype(np.int32)
-        if moved.visibility is not None and not self._same_crs:
-            bearing = np.mod(moved.visibility.bearing + self._turn(moved), 2 * math.pi).astype(np.float32)
-            moved = replace(moved, visibility=replace(moved.visibility, bearing=bearing))
+        moved = votes.only(taken[order])
+        rows, cols = (index.astype(np.int32) for index in np.divmod(cells[order], self._in_map.width))
+        if moved.visibility is not None and not self._same_crs and len(moved):
+            bearing = np.mod(moved.visibility.bearing.astype(np.float64) + self._turn(moved), 2 * math.pi)
+            moved = replace(moved, visibility=replace(moved.visibility, bearing=bearing.astype(np.float32)))
         return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
 
-    def _turn(self, votes: CellVotes) -> Float64Array:
-        """Return (N,) radians from a bearing of the tower's grid to that of the region's: the difference of
-        convergences. Raises MessageError if the tower's CRS has none there."""
-        if not len(votes):
-            return np.zeros(0)
+    def _turn(self, votes: CellVotes) -> float:
+        """Return the radians from a bearing of the tower's grid to that of the region's: the difference of their
+        convergences. Raises MessageError if the tower's CRS has none."""
         # Over what a camera sees the difference changes by less than a hundredth of a degree.
         x, y = self.source.to_map(votes.rows.mean(), votes.cols.mean())
         lon, lat = self._source_frame.to_lonlat(float(x), float(y))
@@ -83,4 +80,4 @@ class VoteTransfer:
         other = self._target_frame.grid_convergence_deg(float(there[0]), float(there[1]))
         if not math.isfinite(own - other):
             raise MessageError(f"{self.source.crs} is not defined in the region: check the CRS of the tower's site")
-        return np.full(len(votes), math.radians(own - other))
+        return math.radians(own - other)

@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ltm_core.assessment.design import drawn
-from ltm_core.assessment.estimation import Estimate, StratifiedSample
+from ltm_core.assessment.estimation import Estimate, StratifiedSample, drawn
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.life_form import LifeForm

@@ -17,7 +17,7 @@ from scipy import ndimage
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, forms_of
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior import load_prior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem

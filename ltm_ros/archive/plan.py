@@ -19,9 +19,7 @@ from pydantic import BaseModel
 import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
-from ltm_core.base.number_text import DAY_NS
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.overlays_io import Burn
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
@@ -55,12 +53,11 @@ class TaskSettings:
 @dataclass(frozen=True)
 class Task:
     """Some frames of one camera and day, in the order of their stamps. `site_key`: digest of what makes evidence of the
-    camera's frames (`site_digest`); `key`: of all that goes into the result. `burns`: of that day."""
+    camera's frames (`site_digest`); `key`: of all that goes into the result."""
 
     frames: tuple[ArchiveFrame, ...]
     site_key: str
     key: str
-    burns: tuple[Burn, ...] = ()
 
     @property
     def file(self) -> str:
@@ -74,9 +71,7 @@ class Task:
         return f"{first.camera} {np.datetime64(first.day, 'D')}"
 
 
-def plan(
-    frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int, burns: Sequence[Burn] = ()
-) -> list[Task]:
+def plan(frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int) -> list[Task]:
     """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
     steps = settings.tracing, settings.labelling
     of_site = {name: site_digest(site, name, *steps) for name in {frame.camera for frame in frames}}
@@ -84,14 +79,12 @@ def plan(
     for frame in frames:
         days[frame.day, frame.camera].append(frame)
     tasks = []
-    for (day, camera), found in sorted(days.items()):
-        of_day = tuple(burn for burn in burns if burn.stamp_ns // DAY_NS == day)
-        burned = [[burn.stamp_ns, burn.cells.tolist()] for burn in of_day]
+    for (_, camera), found in sorted(days.items()):
         for begin in range(0, len(found), frames_per_task):
             chunk = tuple(found[begin : begin + frames_per_task])
             identities = [frame.identity() for frame in chunk]
-            key = digest(settings.code, of_site[camera], camera, identities, burned)
-            tasks.append(Task(chunk, of_site[camera], key, of_day))
+            key = digest(settings.code, of_site[camera], camera, identities)
+            tasks.append(Task(chunk, of_site[camera], key))
     return tasks
 
 

@@ -1,4 +1,4 @@
-"""Merge the evidence of all tasks into a site's store, in the order of the plan, and publish the map with its layers.
+"""Count the votes of all tasks into a site's store, in the order of the plan, and publish the map with its layers.
 
 A node can continue from the store: tiles with their sources, counted frames, and a journal of the days."""
 
@@ -8,7 +8,7 @@ import hashlib
 import json
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,7 @@ import numpy as np
 from ltm_core.base.errors import ArchiveError, RasterError
 from ltm_core.base.number_text import DAY_NS
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.cell_state import TILE
-from ltm_core.fuel.evidence_merge import merged_parts
+from ltm_core.fuel.evidence import TILE
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.fuel.prior import system_of
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -31,7 +30,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import Failure
 from ltm_ros.archive.plan import Task
-from ltm_ros.archive.task import TaskEvidence, read_evidence
+from ltm_ros.archive.task import read_result
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.fuel_map.source import FuelSource
@@ -69,18 +68,19 @@ def reduce_to_store(
                 evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
                 rows, cols = np.divmod(burn.cells, geometry.width)
                 touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
-            parts = [read_evidence(results / task.file, site, geometry) for task in of_days[day]]
-            merged = merged_parts(part.partial for part in parts)
-            merged.after(evidence).merge_into(evidence)
-            records = [record for part in parts for record in _records(part)]
-            for part in parts:
-                found.lost += part.lost
-                found.unused.update(part.unused)
-                touched.update(part.touched)
+            records = []
+            for task in of_days[day]:
+                result = read_result(results / task.file, geometry)
+                found.lost += result.lost
+                found.unused.update(result.unused)
+                for votes in result.votes:
+                    if (window := evidence.add(votes)) is not None:
+                        tiles = evidence.tiles_of(window)
+                        touched.update(tiles)
+                        records.append(FrameRecord(votes.source, votes.stamp_ns, tiles, result.model))
             found.counted.update(record.source for record in records)
             store.commit({}, records, shown.refresh_all())
-        tiles = {key: evidence.tile_state(key) for key in sorted(touched)}
-        store.commit(tiles, last=True)
+        store.commit({key: evidence.tile_state(key) for key in sorted(touched)}, last=True)
     return found
 
 
@@ -96,15 +96,6 @@ def store_digest(store: TileStore) -> str:
             found.update(tile[name].tobytes())
     found.update(repr(store.sources()).encode())
     return found.hexdigest()
-
-
-def _records(one: TaskEvidence) -> Iterator[FrameRecord]:
-    tiles = defaultdict[int, list[Key]](list)
-    for key, stamps in one.touched.items():
-        for stamp in stamps:
-            tiles[stamp].append(key)
-    for camera, counted in one.partial.stamps.items():
-        yield from (FrameRecord(camera, stamp, tiles[stamp], one.model) for stamp in counted.tolist())
 
 
 def publish(results: Path, site: Site, store: Path) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         frames, passed = chosen(frames, options.sample, site, results)
     path = str(options.site.resolve())
     settings = TaskSettings(path, results, code_digest(), tracing, labelling)
-    tasks = plan(frames, site, settings, options.frames_per_task, burns)
+    tasks = plan(frames, site, settings, options.frames_per_task)
     return Plan(options, site, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
 

@@ -1,4 +1,4 @@
-"""Run tasks of an archive, here or on processes: a camera's day each, from frames to votes to evidence.
+"""Run tasks of an archive, here or on processes: a camera's day each, from frames to votes.
 
 A task writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it."""
 
@@ -14,22 +14,20 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.vote_columns import columns_to_votes, votes_to_columns
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
 from ltm_core.pipeline.site_fuel import empty_maps
-from ltm_core.pipeline.stored_fuel import fuel_schema
+from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.storage.tile_store_schema import Key
+from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader, Failure
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
@@ -37,9 +35,7 @@ from ltm_ros.archive.scan import packed, unpacked
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.ros_environment import available_cores
 
-_TILES = pa.schema(
-    [("row", pa.int32()), ("col", pa.int32()), ("content", pa.binary()), ("stamps", pa.list_(pa.int64()))]
-)
+_FRAMES = pa.schema([("stamp", pa.int64()), ("votes", pa.binary())])
 
 
 @dataclass(frozen=True)
@@ -50,11 +46,11 @@ class TaskReport:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskEvidence:
-    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of images."""
+class TaskResult:
+    """`votes`: of each frame that shows something. `lost`: frames that failed; `unused`: reason -> number of frames
+    with unusable images."""
 
-    partial: PartialEvidence
-    touched: dict[Key, list[int]]
+    votes: tuple[CellVotes, ...]
     model: str
     lost: tuple[Failure, ...]
     unused: Mapping[str, int]
@@ -70,7 +66,7 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
         return TaskReport(0)
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.site_key)
-    write_result(file, _evidence_file(task, steps))
+    write_result(file, _votes_file(task, steps))
     return TaskReport(len(task.frames))
 
 
@@ -114,13 +110,9 @@ def _steps(site: str, camera: str, tracing: TracingConfig, labelling: LabellingC
     return FrameSteps(found, camera, tracing, labelling)
 
 
-def _evidence_file(task: Task, steps: FrameSteps) -> bytes:
-    """Write one row per tile: its state, and the stamps of its frames."""
-    evidence = steps.empty()
-    for burn in task.burns:
-        evidence.burn(burn.mask(steps.geometry.shape), burn.stamp_ns)
-    touched: dict[Key, list[int]] = {}
-    lost, unused, reader = [], Counter[str](), ArchiveImageReader()
+def _votes_file(task: Task, steps: FrameSteps) -> bytes:
+    """Write one row per frame with votes, losslessly."""
+    rows, lost, unused, reader = [], [], Counter[str](), ArchiveImageReader()
     for frame in task.frames:
         picture = reader.read(frame)  # an image that cannot be read now must not count as a lost frame
         try:
@@ -131,29 +123,19 @@ def _evidence_file(task: Task, steps: FrameSteps) -> bytes:
             continue
         if reason:
             unused[reason] += 1
-        window = None if votes is None else evidence.add(votes)
-        for key in evidence.tiles_of(window) if window is not None else ():
-            touched.setdefault(key, []).append(frame.stamp_ns)
-    schema = fuel_schema(steps.site, steps.geometry)
-    rows = [
-        {"row": key[0], "col": key[1], "content": schema.pack(key, evidence.tile_state(key)), "stamps": stamps}
-        for key, stamps in sorted(touched.items())
-    ]
+        if votes is not None:
+            rows.append({"stamp": frame.stamp_ns, "votes": votes_to_bytes(votes)})
     about = {"camera": task.frames[0].camera, "model": steps.described, "unused": unused}
-    return packed(pa.Table.from_pylist(rows, _TILES), about | {"lost": [asdict(one) for one in lost]})
+    return packed(pa.Table.from_pylist(rows, _FRAMES), about | {"lost": [asdict(one) for one in lost]})
 
 
-def read_evidence(file: Path, site: Site, geometry: GridGeometry) -> TaskEvidence:
+def read_result(file: Path, geometry: GridGeometry) -> TaskResult:
     """Read the result of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is corrupt."""
-    (table, about), schema = unpacked(file), fuel_schema(site, geometry)
-    tiles, touched = {}, {}
-    for row in table.to_pylist():
-        key = row["row"], row["col"]
-        tiles[key], touched[key] = schema.unpack(row["content"]), row["stamps"]
-    stamps = sorted({stamp for found in touched.values() for stamp in found})
-    known = {about["camera"]: np.array(stamps, np.int64)} if stamps else {}
+    table, about = unpacked(file)
+    camera, model = about["camera"], about["model"]
+    frames = [FrameRecord(camera, row["stamp"], (), model, row["votes"]) for row in table.to_pylist()]
     lost = tuple(Failure(**one) for one in about["lost"])
-    return TaskEvidence(PartialEvidence(known, tiles), touched, about["model"], lost, about["unused"])
+    return TaskResult(tuple(votes_of(frame, geometry) for frame in frames), model, lost, about["unused"])
 
 
 _ATTEMPTS = 4

@@ -11,10 +11,14 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from datetime import date
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar, get_args
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.life_form import LifeForm
@@ -26,33 +30,25 @@ from ltm_core.vision.areas import replace_file
 
 Certainty = Literal["sure", "likely", "unsure", "cannot_be_seen"]
 FORM_NAMES: Final = tuple(form.name.lower() for form in LifeForm)
-_CERTAINTIES: Final[tuple[Certainty, ...]] = get_args(Certainty)
-_LONGEST_S = 86400.0
 
 
 @dataclass(frozen=True)
 class Answer:
     """What an interpreter saw in a cell. `life_form`: "" if it cannot be seen. `seconds`: time taken for the answer.
-    `time`: when it was given, ISO 8601 UTC.
-
-    Raises ConfigError for another life form, certainty or number."""
+    `time`: when it was given, ISO 8601 UTC. Raises ValueError for another life form, certainty or number."""
 
     cell: int
     life_form: str
     certainty: Certainty
-    seconds: float
+    seconds: Annotated[float, Field(ge=0, le=86400)]
     time: str
 
     def __post_init__(self) -> None:
-        hidden = self.certainty == "cannot_be_seen"
-        if self.life_form not in FORM_NAMES and not (hidden and self.life_form == ""):
-            raise ConfigError(f"cell {self.cell}: life form {self.life_form!r} is unknown; use {', '.join(FORM_NAMES)}")
-        if self.certainty not in _CERTAINTIES:
-            raise ConfigError(f"cell {self.cell}: certainty is {self.certainty!r}; use {', '.join(_CERTAINTIES)}")
-        if hidden and self.life_form:
-            raise ConfigError(f"cell {self.cell}: has a life form, {self.life_form}, and cannot be seen; give one")
-        if not 0 <= self.seconds <= _LONGEST_S:
-            raise ConfigError(f"cell {self.cell}: seconds is {self.seconds}; give 0 to {_LONGEST_S:.0f}")
+        if self.life_form not in (("",) if self.certainty == "cannot_be_seen" else FORM_NAMES):
+            raise ValueError(
+                f"life form {self.life_form!r} of cell {self.cell} does not fit {self.certainty!r}; use "
+                f"{', '.join(FORM_NAMES)}, and none for a cell that cannot be seen"
+            )
 
 
 @dataclass(frozen=True)
@@ -133,10 +129,16 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, 
 
 def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
     """Read field plots (lon, lat, life form, date) from a CSV file or a GeoPackage as sure answers for sampled cells.
-
     The latest plot of a cell counts. Plots elsewhere are ignored: they were not drawn at random. Raises ConfigError,
     RasterError for an invalid file."""
-    rows = _geopackage(path) if path.suffix.lower() == ".gpkg" else list(_rows(path, _PLOT_COLUMNS))
+    if path.suffix.lower() == ".gpkg":
+        rows, crs = read_points(path)
+        if missing := [part for part in ("life_form", "date") if rows and part not in rows[0]]:
+            raise ConfigError(f"{path}: the layer has no column {missing[0]}")
+        to_degrees = Transformer.from_crs(crs, 4326, always_xy=True)
+        rows = [row | dict(zip(("lon", "lat"), to_degrees.transform(row["x"], row["y"]), strict=True)) for row in rows]
+    else:
+        rows = _rows(path, ("lon", "lat", "life_form", "date"))
     half, frame, visited = plan.cell_m / 2, SiteFrame(plan.crs), list[Answer]()
     for number, row in enumerate(rows, 1):
         form, day = str(row["life_form"]).strip().lower(), str(row["date"])[:10]
@@ -155,28 +157,24 @@ def read_field_plots(path: Path, plan: Plan) -> list[Answer]:
     return list({answer.cell: answer for answer in sorted(visited, key=lambda answer: answer.time)}.values())
 
 
-_PLOT_COLUMNS: Final = ("lon", "lat", "life_form", "date")
-
-
 _Row = TypeVar("_Row", Answer, SampledCell)
 
 
 def _records(path: Path, kind: type[_Row], remedy: str) -> list[_Row]:
     """Return the rows of a CSV file, at most one for each cell. Raises ConfigError with the line of an invalid one."""
-    kinds = {field.name: {"int": int, "float": float}.get(str(field.type), str) for field in fields(kind)}
-    found: dict[int, _Row] = {}
-    for number, row in enumerate(_rows(path, kinds), 2):
+    names, found = [field.name for field in fields(kind)], dict[int, _Row]()
+    for number, row in enumerate(_rows(path, names), 2):
         try:
-            record = kind(**{name: parse(row[name]) for name, parse in kinds.items()})
+            record = kind(**{name: row[name] for name in names})
             if record.cell in found:
                 raise ValueError(f"cell {record.cell} is listed twice")
-        except (ValueError, ConfigError) as error:
+        except ValueError as error:
             raise ConfigError(f"{path}: line {number}: {error}; {remedy}") from error
         found[record.cell] = record
     return list(found.values())
 
 
-def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
+def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, Any]]:
     """Return the rows of a CSV file with at least these columns; a space in a heading counts as an underscore."""
     reader = csv.reader(io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig")))
     try:
@@ -189,15 +187,3 @@ def _rows(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
     if short := next((row for row in rows if len(row) != len(head)), None):
         raise ConfigError(f"{path}: row {','.join(short)[:60]!r} has {len(short)} values, expected {len(head)}")
     return [dict(zip(head, row, strict=True)) for row in rows]
-
-
-def _geopackage(path: Path) -> list[dict[str, Any]]:
-    """Return the points of a GeoPackage in degrees, with their life forms and dates."""
-    rows, crs = read_points(path)
-    if missing := [part for part in ("life_form", "date") if rows and part not in rows[0]]:
-        raise ConfigError(f"{path}: the layer has no column {missing[0]}")
-    from pyproj import Transformer
-
-    to_degrees = Transformer.from_crs(crs, 4326, always_xy=True)
-    places = [to_degrees.transform(row["x"], row["y"]) for row in rows]
-    return [row | {"lon": lon, "lat": lat} for row, (lon, lat) in zip(rows, places, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -80,11 +81,14 @@ class PhotoIndex:
             raise RecordingError(f"{names}: no clear photo with a pose of the cameras of site {site.name}")
 
     def best(self, cell: SampledCell, cell_m: float) -> list[CellPhoto]:
-        """Return up to three photos of a cell in order of time: of early and late days, and of different cameras.
-
-        A photo's value is the square root of the visible area of the cell in pixels: that includes range, incidence
-        and zoom. Photos that are blurred, dark or foggy are not in the index."""
-        edge, parts = self._points(cell, cell_m)
+        """Return up to three photos of a cell in order of time: of early and late days, and of different cameras. A
+        photo's value is the square root of the visible area of the cell in pixels: that includes range, incidence and
+        zoom. Photos that are blurred, dark or foggy are not in the index."""
+        side, third = np.linspace(-0.5, 0.5, 7)[:-1], np.array([-1.0, 0.0, 1.0]) / 3
+        half = np.full(6, 0.5)
+        east, north = np.concatenate([side, half, -side, -half]), np.concatenate([half, -side, -half, side])
+        edge = self._points(self._ground, cell, cell_m * np.column_stack([east, north]))
+        parts = self._points(self._sight.dem, cell, cell_m * np.stack(np.meshgrid(third, third), -1).reshape(-1, 2))
         if np.isnan(parts).any() or np.isnan(edge).any():
             return []
         middle = parts[len(parts) // 2]
@@ -102,33 +106,23 @@ class PhotoIndex:
             away = arrival_directions(shot.pose.position, middle, self._sight.bend)
             incidence = float(np.degrees(np.arccos(np.clip(-(away * normal).sum(), -1, 1))))
             distance = float(np.linalg.norm(middle - shot.pose.position))
-            photo = shot.camera_name, shot.stamp_ns, shot.jpeg, shot.camera.width, shot.camera.height
-            chosen.append(CellPhoto(*photo, outline, shot.pose, distance, incidence))
+            size = shot.camera.width, shot.camera.height
+            photo = shot.camera_name, shot.stamp_ns, shot.jpeg, *size, outline, shot.pose, distance, incidence
+            chosen.append(CellPhoto(*photo))
         return chosen
 
-    def _points(self, cell: SampledCell, cell_m: float) -> tuple[Float64Array, Float64Array]:
-        """Return points on a cell's edge (24, 3) on the ground, and its parts (9, 3) on the surface; map frame."""
-        x, y = cell.x - self._frame.x_origin, cell.y - self._frame.y_origin
-        side = np.linspace(-0.5, 0.5, 7)[:-1]
-        east = np.concatenate([side, np.full(6, 0.5), -side, np.full(6, -0.5)])
-        north = np.concatenate([np.full(6, 0.5), -side, np.full(6, -0.5), side])
-        third = np.array([-1.0, 0.0, 1.0]) / 3
-        inner = np.stack(np.meshgrid(third, third), -1).reshape(-1, 2)
-        points = []
-        for over, offsets in ((self._ground, np.column_stack([east, north])), (self._sight.dem, inner)):
-            px, py = x + offsets[:, 0] * cell_m, y + offsets[:, 1] * cell_m
-            points.append(np.column_stack([px, py, over.elevation_at(px, py)]))
-        return points[0], points[1]
+    def _points(self, over: Dem, cell: SampledCell, offsets: Float64Array) -> Float64Array:
+        """Return points (N, 3) on a surface at offsets (N, 2) in metres from a cell's centre; map frame."""
+        x, y = cell.x - self._frame.x_origin + offsets[:, 0], cell.y - self._frame.y_origin + offsets[:, 1]
+        return np.column_stack([x, y, over.elevation_at(x, y)])
 
     def _visible(self, parts: Float64Array) -> dict[tuple[float, ...], np.ndarray]:
         """Return for each place of a camera which parts the terrain does not hide; lines of sight are traced once."""
-        found = {}
-        for place in {_place(shot.pose) for shot in self._shots}:
-            try:
+        found = {_place(shot.pose): np.zeros(len(parts), np.bool_) for shot in self._shots}
+        for place in found:
+            with suppress(LtmError):  # a pose below the ground
                 lifts, unknown = self._sight.lifts(place, parts)
                 found[place] = (lifts <= _TOLERANCE_M) & ~unknown
-            except LtmError:  # a pose below the ground
-                found[place] = np.zeros(len(parts), np.bool_)
         return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -98,9 +97,10 @@ class Figures:
 def compute_figures(plan: MapPlan, plots: Path | None) -> Figures:
     """Compute the figures from the answers of the interpreter with most of them, and from field plots, which replace
     answers. Raises ConfigError without answers."""
-    given = {name: _by_cell(read_answers(plan.shown.answers_file(name))) for name in plan.shown.interpreters()}
+    read = {name: read_answers(plan.shown.answers_file(name)) for name in plan.shown.interpreters()}
+    given = {name: {answer.cell: answer for answer in answers} for name, answers in read.items()}
     first = max(given, key=lambda name: len(given[name]), default="")
-    visited = {} if plots is None else _by_cell(read_field_plots(plots, plan.shown))
+    visited = {} if plots is None else {answer.cell: answer for answer in read_field_plots(plots, plan.shown)}
     answers = given.get(first, {}) | visited
     learned = plan.shown.learned()
     counted = [
@@ -158,10 +158,6 @@ def _changes(
         "users": sample.ratio(true, flagged, "whole"),
         "producers": sample.ratio(flagged, true, "part"),
     }
-
-
-def _by_cell(answers: Sequence[Answer]) -> dict[int, Answer]:
-    return {answer.cell: answer for answer in answers}
 
 
 def _agreements(first: str, given: dict[str, dict[int, Answer]]) -> list[Agreement]:

@@ -27,10 +27,9 @@ def look(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
 ) -> None:
-    """Name what grows in the sampled cells, on a web page that only this machine can open.
-
-    Each cell is outlined in its three best photos. Answers are stored at once in PLAN/answers/NAME.csv; the page
-    continues where you stopped. It never shows the map's answer. Ctrl-C ends the program."""
+    """Name what grows in the sampled cells, on a web page that only this machine can open. Each cell is outlined in its
+    three best photos. Answers are stored at once in PLAN/answers/NAME.csv; the page continues where you stopped. It
+    never shows the map's answer. Ctrl-C ends the program."""
     from functools import partial
 
     from ltm_core.site.site_io import load_site
@@ -41,8 +40,7 @@ def look(
     from ltm_ros.labelling.server import serve
 
     sampled = read_plan(plan)
-    path = site or Path(sampled.site)
-    loaded = load_site(path)
+    loaded = load_site(site or Path(sampled.site))
     require_files([sampled.answers_file(interpreter)], what="answers")
     session = LookSession(sampled, loaded, PhotoIndex(loaded, recordings), interpreter, imagery)
     serve(partial(LookServer, session), port, browser)
@@ -50,7 +48,6 @@ def look(
 
 def learn(plan: PlanFolder, recordings: Recordings, site: SiteFile = None) -> None:
     """Turn half of the answers into labelled photos for `ltm train head`; these cells no longer count in the report.
-
     Only cells on which all interpreters agree, and are not unsure, are used."""
     from ltm_core.site.networks import label_model
     from ltm_core.site.site_io import load_site

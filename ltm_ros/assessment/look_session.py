@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from datetime import UTC, datetime
-from functools import partial
+from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -40,17 +39,16 @@ _KEPT_CELLS = 4
 class _Given(StrictModel):
     life_form: str = Field("", max_length=20)
     certainty: Certainty
-    seconds: float = Field(ge=0, le=86400)
+    seconds: float
 
 
 class LookSession:
     """The cells of a plan and one interpreter's answers. The page identifies cells only by their place in the plan.
-
     `imagery`: GeoTIFF, or URL of map tiles with {z}, {x}, {y}, which the browser loads; "": none. The map's own answer
     is not read. Thread-safe. Raises ConfigError for an invalid name, file or URL."""
 
     def __init__(self, plan: Plan, site: Site, photos: PhotoIndex, interpreter: str, imagery: str = "") -> None:
-        self._plan, self._photos, self._file = plan, photos, plan.answers_file(interpreter)
+        self._plan, self._file = plan, plan.answers_file(interpreter)
         self.interpreter = interpreter
         answers = read_answers(self._file) if self._file.exists() else []
         self._answers = {answer.cell: answer for answer in answers}
@@ -62,7 +60,7 @@ class LookSession:
         self._dem, self._origin = Dem(dem.elevation, dem.geometry), site.origin
         self._labels = life_form_labels(LabelSet.load())
         self._lock = threading.RLock()
-        self._shown: OrderedDict[int, list[CellPhoto]] = OrderedDict()
+        self._best = lru_cache(_KEPT_CELLS)(lambda number: photos.best(plan.cells[number], plan.cell_m))
 
     def __len__(self) -> int:
         return len(self._plan.cells)
@@ -86,7 +84,7 @@ class LookSession:
         cell = self._plan.cells[number]
         x, y = cell.x - self._origin[0], cell.y - self._origin[1]
         photos = []
-        for photo in self._best(number):
+        for photo in self._photos_of(number):
             east, north = (photo.pose.position[:2] - (x, y)) / _MAP_M
             taken = datetime.fromtimestamp(photo.stamp_ns // 10**9, UTC)
             photos.append(
@@ -99,17 +97,11 @@ class LookSession:
                     "from": [0.5 + float(east), 0.5 - float(north)],
                 }
             )
-        return {
-            "lon": cell.lon,
-            "lat": cell.lat,
-            "cell_m": self._plan.cell_m,
-            "map_m": _MAP_M,
-            "photos": photos,
-        }
+        return {"lon": cell.lon, "lat": cell.lat, "cell_m": self._plan.cell_m, "map_m": _MAP_M, "photos": photos}
 
     def photo(self, number: int, place: int) -> bytes:
         """Return one of a cell's photos as JPEG. Raises ConfigError if it has fewer."""
-        photos = self._best(number)
+        photos = self._photos_of(number)
         if place >= len(photos):
             raise ConfigError(f"cell {number} has {len(photos)} photos")
         return photos[place].jpeg
@@ -130,27 +122,23 @@ class LookSession:
         """Write an answer to the interpreter's file at once. Raises ConfigError for an invalid one, OSError."""
         given = checked(_Given, content, "answer")
         cell, now = self._plan.cells[number].cell, datetime.now(UTC).isoformat(timespec="seconds")
-        seconds = round(given.seconds, 1)
-        answer = Answer(cell, given.life_form, given.certainty, seconds, now)
+        try:
+            answer = Answer(cell, given.life_form, given.certainty, round(given.seconds, 1), now)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
         with self._lock:
             answers = self._answers | {cell: answer}
             write_answers(self._file, answers.values())
             self._answers = answers
         return self._shape(answer)
 
-    def _best(self, number: int) -> list[CellPhoto]:
+    def _photos_of(self, number: int) -> list[CellPhoto]:
         with self._lock:
-            if number not in self._shown:
-                self._shown[number] = self._photos.best(self._plan.cells[number], self._plan.cell_m)
-                if len(self._shown) > _KEPT_CELLS:
-                    self._shown.popitem(last=False)
-            return self._shown[number]
+            return self._best(number)
 
     @staticmethod
     def _shape(answer: Answer | None) -> dict[str, Any] | None:
-        if answer is None:
-            return None
-        return {"life_form": answer.life_form, "certainty": answer.certainty}
+        return None if answer is None else {"life_form": answer.life_form, "certainty": answer.certainty}
 
 
 class LookServer(PageServer):

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ltm_core.assessment.design import Stratum, drawn
+from ltm_core.assessment.estimation import Stratum, drawn
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Int16Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
@@ -60,9 +60,8 @@ def find_map(path: Path) -> Path:
 
 
 def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: int, out: Path) -> dict[str, Any]:
-    """Draw the sample of a map and write the plan to a folder; return the content of `plan.json`.
-
-    Raises ConfigError if the folder already has a plan: answers would no longer fit its cells."""
+    """Draw the sample of a map and write the plan to a folder; return the content of `plan.json`. Raises ConfigError if
+    the folder already has a plan: answers would no longer fit its cells."""
     require_folder(out, "the plan")
     if (out / "plan.json").exists():
         raise ConfigError(f"{out}: contains a plan already; give another folder with --out")
@@ -72,7 +71,6 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
     x, y = grid.to_map(sample.rows, sample.columns)
     frame = source.site.frame
     lon, lat = frame.to_lonlat(x - frame.x_origin, y - frame.y_origin)
-    cells = sample.rows * grid.width + sample.columns
     about = {
         "version": 1,
         "seed": seed,
@@ -86,7 +84,8 @@ def write_plan(source: FuelSource, path: Path, site: Path, wanted: int, seed: in
         "expected_half_width": {name: round(width, 4) for name, width in sample.half_widths().items()},
     }
     out.mkdir(parents=True, exist_ok=True)
-    places = zip(cells.tolist(), sample.rows.tolist(), sample.columns.tolist(), lon, lat, x, y, strict=True)
+    cells = (sample.rows * grid.width + sample.columns, sample.rows, sample.columns)
+    places = zip(*(column.tolist() for column in cells), lon, lat, x, y, strict=True)
     formats = {"cell": "d", "row": "d", "column": "d", "lon": ".7f", "lat": ".7f", "x": ".2f", "y": ".2f"}
     rows = ({name: format(v, kind) for (name, kind), v in zip(formats.items(), one, strict=True)} for one in places)
     write_table(out / "cells.csv", list(formats), rows)
@@ -108,9 +107,8 @@ def _about(source: FuelSource, path: Path) -> dict[str, str]:
 
 
 def with_map(plan: MapPlan, source: FuelSource, path: Path) -> MapPlan:
-    """Return the plan with another map of its site, such as one after learning; sample and strata stay.
-
-    Raises ConfigError for another grid, or if the map does not state a life form of each sampled cell."""
+    """Return the plan with another map of its site, such as one after learning; sample and strata stay. Raises
+    ConfigError for another grid, or if the map does not state a life form of each sampled cell."""
     map_ = replace(_map_of(source), observed=plan.map.observed)
     if source.geometry != plan.grid:
         raise ConfigError(f"{path}: has another grid than the plan; make a new plan")

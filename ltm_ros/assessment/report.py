@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,17 +36,6 @@ _RANGES: Final = (500.0, 1000.0, 2000.0, 4000.0, np.inf)
 _INCIDENCES: Final = (75.0, 80.0, 85.0, np.inf)
 _CROP: Final = 360
 """Width and height in pixels of a photo's part around a cell, at least."""
-
-
-@dataclass(frozen=True, eq=False)
-class WrongCell:
-    """A cell in which the map is wrong, with parts of its photos."""
-
-    row: int
-    column: int
-    mapped: str
-    reference: str
-    photos: tuple[tuple[str, RgbImage], ...]
 
 
 def write_report(out: Path, plan: MapPlan, figures: Figures, recordings: Sequence[Path]) -> dict[str, Any]:
@@ -123,17 +112,16 @@ def _cropped(photo: CellPhoto) -> RgbImage:
     return fit(picture[top : top + side, left : left + side], _CROP)
 
 
-def _wrong(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[WrongCell]:
-    """Return the first errors in the order of the sample, which is random."""
+def _wrong(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[dict[str, Any]]:
+    """Return the first errors in the order of the sample, which is random, with parts of their photos."""
     found = []
     for index in np.flatnonzero(~figures.right)[:_SHOWN_ERRORS].tolist():
-        cell = figures.cells[index]
-        photos = tuple(
+        photos = [
             (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", _cropped(p))
             for p in seen[index]
-        )
-        mapped, reference = NAMES[figures.mapped[index]], NAMES[figures.reference[index]]
-        found.append(WrongCell(cell.row, cell.column, mapped, reference, photos))
+        ]
+        names = {"mapped": NAMES[figures.mapped[index]], "reference": NAMES[figures.reference[index]]}
+        found.append({**vars(figures.cells[index]), "photos": photos, **names})
     return found
 
 

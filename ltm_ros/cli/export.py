@@ -170,8 +170,9 @@ def _export_terrain(
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
-    from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
+    from ltm_core.fuel.class_map import UNSEEN, read_fuel_map, snapped_grid, write_fuel_map
     from ltm_core.fuel.export.companion_files_io import write_palette_style
+    from ltm_core.fuel.export.export_grid import GridTransfer
     from ltm_core.fuel.export.provenance import software
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.site.site_io import load_site
@@ -197,7 +198,8 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
 
             classes, geometry, labels = last_fuel_map(source, loaded)
     if crs is not None:
-        classes, geometry = resampled(classes, geometry, crs)
+        source_grid, geometry = geometry, snapped_grid(geometry, crs)
+        classes = GridTransfer(source_grid, geometry).layer(classes, UNSEEN)
     palette = life_form_labels(labels)
     write_fuel_map(out, classes, geometry, palette, tags)
     write_palette_style(out, list(zip(range(len(palette.names)), palette.names, palette.colors, strict=True)))

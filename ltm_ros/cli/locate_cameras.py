@@ -79,7 +79,7 @@ class LocatingScene:
 
 def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
     """Read a site; pose files `NAME=FILE` add or replace the poses of its cameras."""
-    from ltm_core.fuel.prior_io import load_prior
+    from ltm_core.fuel.prior import load_prior
     from ltm_core.site.site_io import load_site
     from ltm_core.tracing.trace_io import load_picture_config
     from ltm_core.vision.masks import Looking

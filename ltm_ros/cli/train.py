@@ -97,7 +97,7 @@ def head(
     )
     scores = {"the network": trial.before, f"head {path.stem}, held out": trial.after}
     console.print(score_table(names, scores, f"{photos}: heads trained on the other sites"))
-    if not trial.better:
+    if trial.after.macro_f1 <= trial.before.macro_f1:
         raise ModelError(
             f"head {path.stem!r} is not installed: its macro F1 on held-out photos is {trial.after.macro_f1:.3f}, that "
             f"of the network alone {trial.before.macro_f1:.3f}; label photos of more sites, with every class"

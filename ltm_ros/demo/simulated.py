@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.class_map import read_fuel_map
+from ltm_core.fuel.class_map import CoverageMap, read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import to_png
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -20,8 +20,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import camera_pictures, fuel_sheets, headings, map_picture, range_scale, write_pictures
 from ltm_ros.demo.report import ReportData, conditions, depth_table, fuel_maps_table, recording_facts, write_report
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
-from ltm_ros.fuel_map.layers import coverage_of
-from ltm_ros.fuel_map.services import write_landscapes
+from ltm_ros.fuel_map.export import write_landscapes
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
 from ltm_ros.runtime.health import NodeRow, node_rows
@@ -79,7 +78,7 @@ def run_demo(
     scale = range_scale(shown)
     outlined = "Fuel map from all cameras. Outlined: changed cells."
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
-    coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
+    coverage = CoverageMap(evidence.geometry, recorded_votes(recorded, evidence.geometry, labels))
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
     for name, sheet in sheets.items():
         (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelSystem
-from ltm_core.fuel.export.companion_files_io import item_path, write_item
-from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
+from ltm_core.fuel.export.companion_files_io import item_path, write_item, write_kmz
+from ltm_core.fuel.export.export_grid import GridTransfer
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
-from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png
 from ltm_core.pictures.fuel_maps import change_sheet, fuel_sheet, overlay_picture
 from ltm_core.pictures.legend import label_legend
-from ltm_core.pipeline.site_fuel import spare_heights
+from ltm_core.site.site import Site
+from ltm_core.vision.labels import LabelSet
 from ltm_ros.fuel_map.layers import canvas_of, places_of, seen_window
 from ltm_ros.fuel_map.source import FuelSource
 
@@ -27,9 +30,8 @@ PICTURES = ("png", "change")
 
 def sidecars(out: Path, kind: str) -> list[Path]:
     """Return the files beside `out`, except QGIS styles, which are replaced only if they are of `out`."""
-    beside = {"landscape": [item_path(out)], "kmz": [item_path(out)]}
-    beside["lcp"] = [item_path(out), out.with_suffix(".prj")]
-    return beside.get(kind, [])
+    items = [item_path(out)] if kind in ("landscape", "kmz", "lcp") else []
+    return [*items, out.with_suffix(".prj")] if kind == "lcp" else items
 
 
 def export_site(
@@ -43,7 +45,11 @@ def export_site(
     grid = map_.geometry
     target = grid if crs is None else snapped_grid(grid, crs, map_.site.fuel.phase)
     if kind in LANDSCAPES:
-        return target, _write_landscape(map_, out, kind, FuelSystem(system), target, as_of)
+        landscape, made, notes = map_.landscape(FuelSystem(system), as_of, target)
+        _write(out, kind, landscape, made)
+        other = "other " if landscape.terrain_note() else ""
+        about = f"{made.line()}\nevery {other}cell with a code has elevation, slope and aspect"
+        return target, [about, *(() if map_.prior is None else map_.prior.remarks), *notes]
     layers, terrain = map_.at(as_of), map_.terrain(as_of)
     made = map_.provenance(layers, terrain.version, as_of)
     transfer, palette = GridTransfer(grid, target), life_form_labels(map_.labels)
@@ -59,42 +65,31 @@ def export_site(
     return target, [terrain.note] if terrain.note else []
 
 
-def _write_landscape(
-    map_: FuelSource, out: Path, kind: str, system: FuelSystem, target: GridGeometry, as_of: str | None
-) -> list[str]:
-    site, layers, terrain = map_.site, map_.at(as_of), map_.terrain(as_of)
-    grid, canopy = site.in_map(map_.geometry), map_.canopy(as_of, terrain)
-    landscape = make_landscape(
-        layers,
-        map_.prior,
-        terrain.ground,
-        site.frame,
-        map_.geometry,
-        map_.climate,
-        system,
-        target,
-        spare_heights(site, grid),
-        canopy.seen,
-    )
-    made = map_.provenance(layers, terrain.version, as_of, system, landscape)
-    tags = made.tags() | landscape_units()
+def write_landscapes(evidence: LivingFuelMap, site: Site, folder: Path, state: Path) -> list[Path]:
+    """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. `state`: folder of
+    its store, and of the confirmed surface if used. Raises ConfigError, RasterError, StoreError."""
+    layers, labels = evidence.layers(), LabelSet.load(config_path(site.labels))
+    grid, prior = site.in_crs(evidence.geometry), evidence.prior
+    source = FuelSource(site, labels, grid, prior, layers, layers, folder=state)
+    landscape, made, _ = source.landscape(system_of(prior))
+    paths = {folder / "landscape.lcp": "lcp", folder / "landscape.tif": "landscape"}
+    for path, kind in paths.items():
+        _write(path, kind, landscape, made)
+    return list(paths)
+
+
+def _write(out: Path, kind: str, landscape: Landscape, made: Provenance) -> None:
+    """Write a landscape with its STAC item."""
+    tags, files = made.tags() | landscape_units(), [out]
     if kind == "lcp":
         write_lcp(out, landscape, made.line())
-        files = [out, out.with_suffix(".prj")]
+        files.append(out.with_suffix(".prj"))
     elif kind == "landscape":
         write_landscape(out, landscape, tags)
-        files = [out]
     else:
         write_elmfire(out, landscape, tags)
         files = sorted(out.glob("*.tif"))
-    write_item(out, files, target, made)
-    remarks = () if map_.prior is None else map_.prior.remarks
-    return [_about(made, landscape), *remarks, *(note for note in (terrain.note, canopy.note) if note)]
-
-
-def _about(made: Provenance, landscape: Landscape) -> str:
-    note = landscape.terrain_note()
-    return f"{made.line()}\nevery {'other ' if note else ''}cell with a code has elevation, slope and aspect"
+    write_item(out, files, landscape.geometry, made)
 
 
 def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str | None) -> None:

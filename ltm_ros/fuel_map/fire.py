@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import difference, number
@@ -18,15 +17,14 @@ from ltm_core.fire.effect import (
     require_same_grid,
     write_fire,
 )
-from ltm_core.fire.pyretechnics import Pyretechnics
-from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
+from ltm_core.fire.pyretechnics import spread
+from ltm_core.fuel.export.companion_files_io import write_kmz
+from ltm_core.fuel.export.export_grid import with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
-from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.prior import system_of
 from ltm_core.pictures import to_png
 from ltm_core.pictures.fire_maps import arrival_overlay, fire_sheet
-from ltm_core.pipeline.site_fuel import spare_heights
 from ltm_core.site.site_io import load_site
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.pages import render_page, write_figures
@@ -62,7 +60,10 @@ def open_pair(source: Path, site: Path | None, before: Path | None, since: str |
             )
         if before is not None:
             raise ConfigError(f"{source} contains the earlier map: remove --before, or give --since DATE")
-        return _of_store(source, site, since)
+        with FuelSource.open(source, load_site(site)) as map_:
+            landscape, made, _ = map_.landscape(system_of(map_.prior))
+            earlier = with_fuel(landscape, map_.empty if since is None else map_.at(since), map_.prior, map_.climate)
+            return MapPair(map_.site.name, "prior map" if since is None else since, earlier, landscape, made)
     if since is not None:
         raise ConfigError("--since needs a store (.ltm), which keeps its history; for files, give --before")
     if before is None:
@@ -74,35 +75,18 @@ def open_pair(source: Path, site: Path | None, before: Path | None, since: str |
     return MapPair(source.name, before.name, was, now)
 
 
-def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
-    site = load_site(site_path)
-    with FuelSource.open(store, site) as map_:
-        layers, empty = map_.layers, map_.empty if since is None else map_.at(since)
-        prior, climate = map_.prior, map_.climate
-        system = system_of(prior)
-        grid, terrain = site.in_map(map_.geometry), map_.terrain()
-        spare, seen = spare_heights(site, grid), map_.canopy(None, terrain).seen
-        now = make_landscape(
-            layers, prior, terrain.ground, site.frame, map_.geometry, climate, system, spare=spare, seen=seen
-        )  # fmt: skip
-        was = with_fuel(now, empty, prior, climate)
-        made = map_.provenance(layers, terrain.version, None, system, now)
-    earlier = "prior map" if since is None else since
-    return MapPair(site.name, earlier, was, now, made)
-
-
 def run_fires(pair: MapPair, scenario: FireScenario, progress: Callable[[str], None]) -> FireResult:
     """Run the fires. Raises ConfigError if no fire model is installed."""
-    seconds, runs = [], []
-    with Pyretechnics() as model:
-        for name, landscape in (("before the update", pair.before), ("after the update", pair.after)):
-            progress(f"the fire on the map {name}")
-            started = time.monotonic()
-            runs.append(model.spread(landscape, scenario))
-            seconds.append(time.monotonic() - started)
-        version = f"Pyretechnics {model.version}"
+    seconds, runs, version = [], [], ""
+    for name, landscape in (("before", pair.before), ("after", pair.after)):
+        progress(f"the fire on the map {name} the update")
+        started = time.monotonic()
+        run, version = spread(landscape, scenario)
+        runs.append(run)
+        seconds.append(time.monotonic() - started)
     changed, cell = changed_fuel(pair.before, pair.after), pair.after.geometry.resolution
-    return FireResult(FireEffect(runs[0], runs[1], changed, cell, scenario.hours), version, tuple(seconds))
+    effect = FireEffect(runs[0], runs[1], changed, cell, scenario.hours)
+    return FireResult(effect, f"Pyretechnics {version}", tuple(seconds))
 
 
 FILES = ("index.html", "fire.png", "fire.tif", "fire.kmz", "fire.json")
@@ -125,7 +109,14 @@ def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: Fire
     picture, legend = arrival_overlay(effect, pair.after)
     title = f"a simulated fire on the updated map of {pair.name}, no forecast"
     write_kmz(out / "fire.kmz", picture, geometry, title, legend, pair.made, "arrival of the fire")
-    write_figures(out / "fire.json", figures(pair, scenario, result))
+    figures = {
+        "areas_ha": [vars(area) for area in effect.areas()],
+        "first_contact_h": effect.first_contact(),
+        "edge_h": effect.after.reaches_edge(),
+        "seconds_per_fire": list(result.seconds),
+        "note": NO_FORECAST,
+    }
+    write_figures(out / "fire.json", told | figures)
     page = render_page(
         "fire.html",
         {},
@@ -162,24 +153,10 @@ def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str
     }
 
 
-def figures(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str, Any]:
-    effect = result.effect
-    return {
-        **facts(pair, scenario, result),
-        "areas_ha": [vars(area) for area in effect.areas()],
-        "first_contact_h": effect.first_contact(),
-        "edge_h": effect.after.reaches_edge(),
-        "seconds_per_fire": list(result.seconds),
-        "note": NO_FORECAST,
-    }
-
-
 def sentences(pair: MapPair, result: FireResult) -> list[str]:
     """Return sentences about the effect of the update."""
-    effect = result.effect
-    last = effect.areas()[-1]
-    contact, edge = effect.first_contact(), effect.after.reaches_edge()
-    said = []
+    effect, said = result.effect, list[str]()
+    last, contact, edge = effect.areas()[-1], effect.first_contact(), effect.after.reaches_edge()
     if not effect.changed.any():
         said.append("Fuel and canopy have not changed: both fires are the same.")
     elif contact is None:
@@ -192,7 +169,5 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
             f"{number(last.after)} ha on the updated map, {word} on the earlier map ({number(last.before)} ha)."
         )
     if edge is not None:
-        said.append(
-            f"It reaches the edge of the landscape after {edge:.1f} h; after that, the burned area is too small."
-        )
+        said.append(f"It reaches the edge of the landscape after {edge:.1f} h; then the burned area is too small.")
     return said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ConfigError, PoseError, RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Int16Array, UInt8Array
-from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.maps import MapCamera
@@ -27,42 +25,38 @@ from ltm_core.storage.tile_store_schema import CellChanges
 
 
 class ShownLayers:
-    """Life form and code as of the last refresh, (H, W) each; computing them for every frame would cost too much."""
+    """Life form and code as of the last refresh, and which cells are seen and changed, (H, W) each; computing them for
+    every frame would cost too much."""
 
     def __init__(self, evidence: EvidenceMap) -> None:
         self._evidence = evidence
         layers = evidence.layers()
         self.life_form: UInt8Array = layers.life_form
         self.code: Int16Array = layers.code
-        self._seen, self._changed = layers.evidence > 0, layers.changed
-
-    @property
-    def seen_cells(self) -> int:
-        """Return the number of cells with evidence."""
-        return int(self._seen.sum())
-
-    @property
-    def changed_cells(self) -> int:
-        """Return the number of changed cells (`changed_cells`)."""
-        return int(self._changed.sum())
-
-    @property
-    def unchanged(self) -> BoolArray:
-        """Return (H, W) which cells have evidence and agree with the prior map."""
-        return self._seen & ~self._changed
+        self.seen, self.changed = layers.evidence > 0, layers.changed
 
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
-        """Recompute these parts of the map; return what has changed."""
-        return [change for window in _merged(windows) for change in self._refresh(window)]
+        """Recompute these parts of the map, in one window unless they are far apart; return what has changed."""
+        if len(windows) > 1:
+            row, col = min(w[0] for w in windows), min(w[1] for w in windows)
+            height, width = max(w[0] + w[2] for w in windows) - row, max(w[1] + w[3] for w in windows) - col
+            if height * width <= sum(w[2] * w[3] for w in windows):
+                windows = [(row, col, height, width)]
+        found = []
+        for row, col, height, width in windows:
+            part = slice(row, row + height), slice(col, col + width)
+            layers = self._evidence.layers((row, col, height, width))
+            for name in JOURNALED:
+                shown, now = getattr(self, name)[part], getattr(layers, name)
+                found += _changes(name, shown, now, (row, col), self._evidence.newest_ns)
+                shown[...] = now
+            self.seen[part], self.changed[part] = layers.evidence > 0, layers.changed
+        return found
 
-    def follow(self, evidence: EvidenceMap) -> list[CellChanges]:
-        """Show another map of the same grid from now on; return what has changed."""
-        self._evidence = evidence
-        return self.refresh_all()
-
-    def refresh_all(self) -> list[CellChanges]:
+    def refresh_all(self, evidence: EvidenceMap | None = None) -> list[CellChanges]:
         """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows back on
-        burns."""
+        burns. `evidence`: another map of the same grid to show from now on."""
+        self._evidence = evidence or self._evidence
         return self.refresh([(0, 0, *self._evidence.geometry.shape)])
 
     def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
@@ -71,42 +65,19 @@ class ShownLayers:
         found = []
         for name in JOURNALED:
             recorded = journal.as_of(name, initial[name], 2**63 - 1)
-            found += self._changes(name, recorded, getattr(self, name), (0, 0), self._evidence.newest_ns + 1)
+            found += _changes(name, recorded, getattr(self, name), (0, 0), self._evidence.newest_ns + 1)
         return found
 
     def copies(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name).copy() for name in JOURNALED}
 
-    def _refresh(self, window: Window) -> list[CellChanges]:
-        row, col, height, width = window
-        part = slice(row, row + height), slice(col, col + width)
-        layers = self._evidence.layers(window)
-        found = []
-        for name in JOURNALED:
-            shown, now = getattr(self, name)[part], getattr(layers, name)
-            found += self._changes(name, shown, now, (row, col), self._evidence.newest_ns)
-            shown[...] = now
-        self._seen[part], self._changed[part] = layers.evidence > 0, layers.changed
-        return found
 
-    def _changes(
-        self, layer: str, old: NDArray[Any], new: NDArray[Any], corner: tuple[int, int], stamp: int
-    ) -> list[CellChanges]:
-        rows, cols = np.nonzero(old != new)
-        if len(rows) == 0:
-            return []
-        return [CellChanges(layer, stamp, rows + corner[0], cols + corner[1], old[rows, cols], new[rows, cols])]
-
-
-def _merged(windows: Sequence[Window]) -> list[Window]:
-    """Return one window over all, unless they are so far apart that it would be larger than their sum."""
-    if len(windows) < 2:
-        return list(windows)
-    row, col = min(w[0] for w in windows), min(w[1] for w in windows)
-    height, width = max(w[0] + w[2] for w in windows) - row, max(w[1] + w[3] for w in windows) - col
-    if height * width <= sum(w[2] * w[3] for w in windows):
-        return [(row, col, height, width)]
-    return list(windows)
+def _changes(
+    layer: str, old: NDArray[Any], new: NDArray[Any], corner: tuple[int, int], stamp: int
+) -> list[CellChanges]:
+    rows, cols = np.nonzero(old != new)
+    changes = CellChanges(layer, stamp, rows + corner[0], cols + corner[1], old[rows, cols], new[rows, cols])
+    return [changes] if len(rows) else []
 
 
 def places_of(site: Site, dem: Dem) -> list[MapCamera]:
@@ -170,11 +141,3 @@ def seen_window(
     west, east = max(min(xs) - margin, geometry.x_min), min(max(xs) + margin, geometry.x_max)
     south, north = max(min(ys) - margin, geometry.y_min), min(max(ys) + margin, geometry.y_max)
     return west, south, east, north
-
-
-def coverage_of(votes: Iterable[CellVotes], geometry: GridGeometry) -> CoverageMap:
-    """Return how often and how finely each camera has seen each cell of a fuel grid, in the map frame."""
-    coverage = CoverageMap(geometry)
-    for one in votes:
-        coverage.add(one)
-    return coverage

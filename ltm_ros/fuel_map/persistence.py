@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
-
-import numpy as np
+from typing import NamedTuple
 
 from ltm_core.base.errors import LtmError, StoreError
 from ltm_core.fuel.evidence import Window
@@ -45,8 +44,7 @@ class Counting(Enum):
     TOO_OLD = "too_old"
 
 
-@dataclass(frozen=True)
-class CountedFrame:
+class CountedFrame(NamedTuple):
     """A counted frame; `window`: cells that it may have changed, None for none."""
 
     record: FrameRecord
@@ -107,8 +105,8 @@ class FuelMapPersistence:
 
     def stored(self, source: str, stamp_ns: int) -> bool:
         """Return whether an already counted frame is on disk, so that it may be acknowledged again."""
-        in_memory = (source, stamp_ns) in self._in_batch
-        return not in_memory and self.store is not None and self.store.counted(source, stamp_ns)
+        counted = self.store is not None and self.store.counted(source, stamp_ns)
+        return counted and (source, stamp_ns) not in self._in_batch
 
     def count(self, votes: CellVotes, model: str = "") -> Counting:
         """Count a frame, once. Raises LtmError if it is rejected; then nothing of it is counted."""
@@ -147,8 +145,8 @@ class FuelMapPersistence:
         while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
             stamp_ns += 1
         if before is None:
-            reached = None if window is None else self.map.reached_from(window)
-            self._take(CountedFrame(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
+            record = FrameRecord(source, stamp_ns, sorted(tiles))
+            self._take(CountedFrame(record, window and self.map.reached_from(window)))
 
     def restart(self, frames: Sequence[CellVotes]) -> None:
         """Start again from the map that `make_map` returns now, and count these frames into it. Of the evidence until
@@ -159,13 +157,12 @@ class FuelMapPersistence:
             tile = before.tile_state(key)
             if tile["last_seen"].any() or tile["burned_at"].any():
                 self._dirty.add(key)
-                kept = {name: array if name == "burned_at" else np.zeros_like(array) for name, array in tile.items()}
-                self.map.load_tile(key, kept)
+                self.map.load_tile(key, self.map.tile_state(key) | {"burned_at": tile["burned_at"]})
         for votes in frames:
             if (window := self.map.add(votes)) is not None:
                 self._dirty.update(self.map.tiles_of(window))
         self._unshown = []
-        self._changes += self.shown.follow(self.map)
+        self._changes += self.shown.refresh_all(self.map)
         self._logged = LOGGED_FRAMES + 1  # no payload could restore this state
 
     def wait(self, seconds: float) -> None:
@@ -205,7 +202,10 @@ class FuelMapPersistence:
                 last,
             )
         except LtmError as error:
-            self._fail(error)
+            # The next attempt writes tiles, so payloads need not be kept.
+            self._failed, self._batch_bytes = True, 0
+            self._batch = [CountedFrame(replace(c.record, payload=b""), c.window) for c in self._batch]
+            self._trouble(error, f"{len(self._batch)} frames are in memory only")
             return []
         if (took := time.monotonic() - begun) > SLOW_S:
             self._health.trouble(
@@ -213,7 +213,19 @@ class FuelMapPersistence:
                 f"the disk took {took:.1f} s to store {len(self._batch)} frames: check its health (smartctl), and "
                 "what else writes to it",
             )
-        return self._succeed(bool(tiles))
+        self._changes, self._logged, self._logged_bytes = [], frames, size
+        if tiles:
+            self._dirty.clear()
+            self._logged = self._logged_bytes = 0
+        saved = self._taken()
+        self.saved_frames += len(saved)
+        if self._failed:
+            self._failed = False
+            self._pace.succeeded()
+            self._health.note("store_back")
+        if self.store.strain:
+            self._health.trouble("store", self.store.strain)
+        return saved
 
     def close(self) -> list[CountedFrame]:
         """Write everything, trying for `LAST_TRIES_S`, and close the store; return the frames to acknowledge.
@@ -230,43 +242,6 @@ class FuelMapPersistence:
             self.store.close()
         return saved
 
-    def _succeed(self, wrote_tiles: bool) -> list[CountedFrame]:
-        saved, self._batch = self._batch, []
-        self._in_batch.clear()
-        self._changes = []
-        if wrote_tiles:
-            self._dirty.clear()
-            self._logged = self._logged_bytes = 0
-        else:
-            self._logged += len(saved)
-            self._logged_bytes += self._batch_bytes
-        self._batch_bytes = 0
-        self.saved_frames += len(saved)
-        if self._failed:
-            self._failed = False
-            self._pace.succeeded()
-            self._health.note("store_back")
-        if self.store is not None and self.store.strain:
-            self._health.trouble("store", self.store.strain)
-        return saved
-
-    def _fail(self, error: LtmError) -> None:
-        """Record a failure; the next attempt writes tiles, so payloads need not be kept."""
-        self._failed, self.failure = True, str(error)
-        self._pace.failed()
-        self._batch = [CountedFrame(replace(c.record, payload=b""), c.window) for c in self._batch]
-        self._batch_bytes = 0
-        self._health.trouble(cause_of(error), f"{error}; {len(self._batch)} frames are in memory only")
-
-    def _take(self, counted: CountedFrame) -> None:
-        record = counted.record
-        self._batch.append(counted)
-        self._in_batch.add((record.source, record.stamp_ns))
-        self._batch_bytes += len(record.payload)
-        self._dirty.update(record.tiles)
-        if counted.window is not None:
-            self._unshown.append(counted.window)
-
     def _open(self) -> None:
         """Load the store; frames that were counted without it are counted into its map."""
         store = None
@@ -277,16 +252,10 @@ class FuelMapPersistence:
         except StoreError as error:
             if store is not None:
                 store.close()
-            self.failure = str(error)
-            self._pace.failed()
-            self._health.trouble(
-                cause_of(error), f"{error}; the map starts empty, {len(self._batch)} frames are in memory only"
-            )
+            self._trouble(error, f"the map starts empty, {len(self._batch)} frames are in memory only")
             return
         self._pace.succeeded()
-        before, self._batch = self._batch, []
-        self._in_batch.clear()
-        self._batch_bytes = 0
+        before = self._taken()
         self._unshown = []
         self.store, self.map, self._dirty = store, evidence, newer
         self._logged = LOGGED_FRAMES if newer else 0  # written with the next frames
@@ -295,12 +264,31 @@ class FuelMapPersistence:
         self._aged_ns = self.map.newest_ns
         self._changes = self.shown.missing_from(store, self._initial) if self._durable else []
         for counted in before:
-            if self.seen(counted.record.source, counted.record.stamp_ns) is None:
-                self._count_again(counted)
+            record = counted.record
+            if self.seen(record.source, record.stamp_ns) is None:
+                if record.payload:
+                    self.map.add(votes_of(record, self.map.geometry))
+                self._take(counted)
         if before:
             self._health.note("store_back")
 
-    def _count_again(self, counted: CountedFrame) -> None:
-        if counted.record.payload:
-            self.map.add(votes_of(counted.record, self.map.geometry))
-        self._take(counted)
+    def _take(self, counted: CountedFrame) -> None:
+        record = counted.record
+        self._batch.append(counted)
+        self._in_batch.add((record.source, record.stamp_ns))
+        self._batch_bytes += len(record.payload)
+        self._dirty.update(record.tiles)
+        if counted.window is not None:
+            self._unshown.append(counted.window)
+
+    def _taken(self) -> list[CountedFrame]:
+        """Return the frames that were counted since the last transaction, and begin a new batch."""
+        batch, self._batch = self._batch, []
+        self._in_batch.clear()
+        self._batch_bytes = 0
+        return batch
+
+    def _trouble(self, error: LtmError, what: str) -> None:
+        self.failure = str(error)
+        self._pace.failed()
+        self._health.trouble(cause_of(error), f"{error}; {what}")

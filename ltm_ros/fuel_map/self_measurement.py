@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.types import Float64Array
-from ltm_core.fuel.label_drift import LabelDrift
+from ltm_core.fuel.label_drift import LabelDrift, drift_sigmas
 from ltm_core.fuel.label_errors import ReliabilityRecord, record_of, write_record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -34,9 +32,8 @@ _SECTORS: Final = 24
 
 
 class SelfMeasurement:
-    """Collects one frame of each view (camera, viewing direction, period of `look_s`) and measures the labels by them.
-
-    It measures in a thread of its own, or at once on request. The result depends on the frames alone."""
+    """Collects one frame of each view (camera, viewing direction, period of `look_s`) and measures the labels by them,
+    in a thread of its own. The result depends on the frames alone."""
 
     def __init__(self, site: Site, geometry: GridGeometry, labels: LabelSet, folder: Path | None) -> None:
         """`folder`: of the fuel map, in which the record is written; None: it is not kept. Raises ModelError,
@@ -62,22 +59,19 @@ class SelfMeasurement:
         if self._running is not None:
             self._pending.append(votes)
             return
-        look = round(self._site.fuel.fusion.look_s * 1e9)
-        self._views.setdefault((votes.source, _sector(votes.visibility.bearing), votes.stamp_ns // look), votes)
+        look, bearing = round(self._site.fuel.fusion.look_s * 1e9), votes.visibility.bearing
+        mean = np.arctan2(np.sin(bearing).mean(), np.cos(bearing).mean())  # of the unit vectors to its cells
+        sector = int(np.floor(mean / (2 * np.pi) * _SECTORS)) % _SECTORS
+        self._views.setdefault((votes.source, sector, votes.stamp_ns // look), votes)
 
     def measured(self, at_once: bool) -> tuple[ReliabilityRecord, list[CellVotes]] | None:
         """Return a new record and the frames that the map counts again with it; None: there is none now. `at_once`:
-        measure in this call, or wait for the thread that does."""
+        wait for the thread that measures."""
         if self._running is None and self.wanted and len(self._views) >= self._waiting[0]:
             self._waiting = [number for number in self._waiting if number > len(self._views)]
-            frames = self._frames()
-            if at_once:
-                self._running = Future()
-                _settle(self._running, lambda: self._measure(frames))
-            else:
-                executor = ThreadPoolExecutor(1, "measure_labels")
-                self._running = executor.submit(self._measure, frames)
-                executor.shutdown(wait=False)
+            executor = ThreadPoolExecutor(1, "measure_labels")
+            self._running = executor.submit(self._measure, self._frames())
+            executor.shutdown(wait=False)
         if self._running is None or not (at_once or self._running.done()):
             return None
         done, self._running = self._running, None
@@ -100,11 +94,11 @@ class SelfMeasurement:
         return sorted(self._views.values(), key=lambda votes: (votes.stamp_ns, votes.source))
 
     def _measure(self, frames: list[CellVotes]) -> ReliabilityRecord:
-        site = self._site
+        site, width = self._site, np.int64(self._geometry.width)
         source = f"{len(frames)} views of site {site.name} against its prior map, while its fuel map ran"
         errors = measured_errors(site, self._geometry, self._labels, frames, source)
         day = datetime.fromtimestamp(frames[-1].stamp_ns // 10**9, UTC).date()
-        cells = len(np.unique(np.concatenate([f.rows * np.int64(self._geometry.width) + f.cols for f in frames])))
+        cells = len(np.unique(np.concatenate([f.rows * width + f.cols for f in frames])))
         live = f"{day}, {len(frames)} views, {cells} cells"
         about = {"network": Path(label_model(site)).stem, "labels": self._digest, "site": site.name, "live": live}
         return record_of(errors, source, **about)
@@ -127,9 +121,9 @@ class DriftWatch:
     def take(self, votes: CellVotes, model: str, shown: ShownLayers) -> None:
         """Take a counted frame; `shown`: layers of the map before it."""
         if self._drift.wants_reference(votes.stamp_ns):
-            if not shown.seen_cells:
+            if not shown.seen.any():
                 return
-            self._drift.set_reference(shown.life_form, shown.unchanged, votes.stamp_ns)
+            self._drift.set_reference(shown.life_form, shown.seen & ~shown.changed, votes.stamp_ns)
         if self._drift.take(votes, model):
             self._report()
             self.save()
@@ -140,7 +134,7 @@ class DriftWatch:
             if len(shares) > 1:
                 chart = " ".join(f"{share:.3f}" for share in shares[-_CHART_WEEKS:])
                 self._health.gauge(f"label_weeks.{camera}", chart)
-            self._health.gauge(f"label_drift_sigmas.{camera}", f"{self._drift.sigmas(camera):.2f}")
+            self._health.gauge(f"label_drift_sigmas.{camera}", f"{drift_sigmas(shares):.2f}")
         self._health.lasting(self._drift.problem())
 
     def save(self) -> None:
@@ -149,16 +143,3 @@ class DriftWatch:
             self._drift.save()
         except LtmError as error:
             self._health.trouble("label_drift", str(error))
-
-
-def _settle(future: Future[ReliabilityRecord], measure: Callable[[], ReliabilityRecord]) -> None:
-    try:
-        future.set_result(measure())
-    except LtmError as error:
-        future.set_exception(error)
-
-
-def _sector(bearing: Float64Array | np.ndarray) -> int:
-    """Return the viewing direction of a frame: that of the mean of the unit vectors to its cells."""
-    angle = np.arctan2(np.sin(bearing).mean(), np.cos(bearing).mean())
-    return int(np.floor(angle / (2 * np.pi) * _SECTORS)) % _SECTORS

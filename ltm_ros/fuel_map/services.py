@@ -1,32 +1,20 @@
-"""What the node `fuel_map` offers: its parameters, its topics, and its services (query a point, mark a region burned,
-write landscapes)."""
+"""What the node `fuel_map` offers: its parameters and topics, and its services (query a point, burn a region)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ltm_core.base.errors import ImageError, MessageError
-from ltm_core.base.types import BoolArray, Int16Array
-from ltm_core.fuel.cell_state import TILE
+from ltm_core.base.types import BoolArray
 from ltm_core.fuel.codes import fuel_models
-from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.export.companion_files_io import write_item
-from ltm_core.fuel.export.export_grid import make_landscape
-from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
-from ltm_core.fuel.export.provenance import landscape_units
+from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import system_of
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_fuel import provenance_of, site_canopy, spare_heights
-from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.raster.dem import Dem
-from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.vision.labels import LabelSet
@@ -68,9 +56,8 @@ class FuelPublisher:
                     self._persistence.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
                 )
                 self._outlet.publish(FUEL_MAP_UPDATE, tile)
-        unsaved = self._persistence.unsaved_frames
-        self._map_due |= unsaved > 0
-        self._cells_due |= unsaved > 0
+        if (unsaved := self._persistence.unsaved_frames) > 0:
+            self._map_due = self._cells_due = True
         self._health.gauge("frames", self._persistence.saved_frames)
         self._health.gauge("unsaved_frames", unsaved)
 
@@ -88,8 +75,8 @@ class FuelPublisher:
         self._map_due, self._since_map = False, 0.0
         shown = self._persistence.shown
         self._health.gauge("cells.all", shown.life_form.size)
-        self._health.gauge("cells.seen", shown.seen_cells)
-        self._health.gauge("cells.changed", shown.changed_cells)
+        self._health.gauge("cells.seen", int(shown.seen.sum()))
+        self._health.gauge("cells.changed", int(shown.changed.sum()))
         self._outlet.publish(FUEL_MAP, classes_to_msg(shown.life_form, self._geometry, self._persistence.map.newest_ns))
 
     def send_cells(self) -> None:
@@ -121,31 +108,27 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
     geometry = evidence.geometry
     if not (math.isfinite(x) and math.isfinite(y)):
         raise MessageError(f"query at ({x}, {y}): give finite coordinates")
-    fractional = geometry.to_grid(x, y)
-    row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in fractional)
+    row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in geometry.to_grid(x, y))
     if not geometry.contains(row, col):
         raise MessageError(f"query at ({x}, {y}) is outside the fuel map, {geometry.bounds} in the map frame")
-    layers = evidence.layers((row, col, 1, 1))
-    models = fuel_models()
-
-    def code_of(layer: Int16Array) -> dict[str, Any] | None:
-        code = int(layer[0, 0])
-        return None if code == NODATA else {"code": code, "name": models.name(code)}
-
-    p_max = float(layers.p_max[0, 0])
+    cell = {name: layer.item() for name, layer in vars(evidence.layers((row, col, 1, 1))).items()}
+    prior, fuel = (
+        None if code == NODATA else {"code": code, "name": fuel_models().name(code)}
+        for code in (cell["prior"], cell["code"])
+    )
     touches = [] if store is None else store.touches((row // TILE, col // TILE))
     return {
         "row": row,
         "col": col,
-        "prior": code_of(layers.prior),
-        "fuel": code_of(layers.code),
-        "life_form": classes.name_of(int(layers.life_form[0, 0])),
-        "p_max": None if math.isnan(p_max) else round(p_max, 4),
-        "entropy": round(float(layers.entropy[0, 0]), 4),
-        "evidence": round(float(layers.evidence[0, 0]), 3),
-        "changed": bool(layers.changed[0, 0]),
-        "last_seen_ns": int(layers.last_seen[0, 0]),
-        "seen_by": int(layers.seen_by[0, 0]),
+        "prior": prior,
+        "fuel": fuel,
+        "life_form": classes.name_of(cell["life_form"]),
+        "p_max": None if math.isnan(cell["p_max"]) else round(cell["p_max"], 4),
+        "entropy": round(cell["entropy"], 4),
+        "evidence": round(cell["evidence"], 3),
+        "changed": prior is not None and cell["code"] != cell["prior"],
+        "last_seen_ns": cell["last_seen"],
+        "seen_by": cell["seen_by"],
         "tile": [
             {"camera": t.source, "model": t.model, "frames": t.frames, "first_ns": t.first_ns, "last_ns": t.last_ns}
             for t in touches
@@ -172,26 +155,20 @@ class DrawnRegion:
 def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
     """Return the cells in a PolygonStamped. Raises MessageError for another frame, an invalid polygon, or one without
     cells."""
+    from rasterio.features import geometry_mask
+
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
         raise MessageError(f"region is in frame {message.header.frame_id!r}, expected 'map'")
     if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
         raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
-    cells = _cells_in(corners, geometry)
+    shape = {"type": "Polygon", "coordinates": [[*corners, corners[0]]]}
+    cells = np.asarray(geometry_mask([shape], geometry.shape, geometry.transform(), invert=True), np.bool_)
     if not cells.any():
         raise MessageError(
             f"region from {corners[0]} on contains no cell of the map, {geometry.bounds} in the map frame"
         )
     return DrawnRegion(cells, stamp_of(message))
-
-
-def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> BoolArray:
-    """Return (H, W): cells whose centres lie inside."""
-    from rasterio.features import geometry_mask
-
-    shape = {"type": "Polygon", "coordinates": [[*polygon, polygon[0]]]}
-    inside = geometry_mask([shape], geometry.shape, geometry.transform(), invert=True)
-    return np.asarray(inside, np.bool_)
 
 
 def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, Tile]:
@@ -200,33 +177,5 @@ def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, 
         evidence.burn(cells, stamp_ns)
     except ImageError as error:
         raise MessageError(str(error)) from error
-    return {key: evidence.tile_state(key) for key in _tiles_of(cells)}
-
-
-def _tiles_of(cells: BoolArray) -> list[Key]:
-    return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
-
-
-def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
-    """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. `state`: folder of
-    its store, and of the confirmed surface if used. Raises ConfigError, RasterError, StoreError."""
-    system = system_of(evidence.prior)
-    layers, terrain = evidence.layers(), exported_terrain(site, state)
-    canopy = site_canopy(site, evidence.geometry, layers, evidence.prior, evidence.climate, terrain, evidence, state)
-    landscape = make_landscape(
-        layers,
-        evidence.prior,
-        terrain.ground,
-        site.frame,
-        site.in_crs(evidence.geometry),
-        evidence.climate,
-        system,
-        spare=spare_heights(site, evidence.geometry),
-        seen=canopy.seen,
-    )
-    made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version, prior=evidence.prior)
-    lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())
-    tif = write_landscape(folder / "landscape.tif", landscape, made.tags() | landscape_units())
-    for path, files in ((lcp, [lcp, lcp.with_suffix(".prj")]), (tif, [tif])):
-        write_item(path, files, landscape.geometry, made)
-    return [lcp, tif]
+    keys = sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
+    return {key: evidence.tile_state(key) for key in keys}

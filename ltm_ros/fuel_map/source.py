@@ -5,24 +5,23 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.resources import config_path
+from ltm_core.fuel.canopy import seen_canopy
 from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
+from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
-from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.prior_io import load_prior
-from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.prior import FuelPrior, load_prior, system_of
 from ltm_core.geometry.geodesy import same_crs
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_fuel import SiteCanopy, provenance_of, site_canopy, site_evidence_map
+from ltm_core.pipeline.site_fuel import provenance_of, site_evidence_map
 from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.networks import with_live_record
@@ -32,6 +31,7 @@ from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.fuel_map.layers import layers_as_of, when
 
 ACCURACY_FILE: Final = "accuracy.json"
 """File beside an assessed map's store; exports of the map carry its line as a tag."""
@@ -40,8 +40,8 @@ _LARGEST_ACCURACY: Final = 4096
 
 @dataclass(frozen=True, eq=False)
 class FuelSource:
-    """A context manager. `geometry`: in the site's CRS. `empty`: the layers without evidence. `evidence`, `store`,
-    `folder`: only for a store; `folder` contains it."""
+    """A context manager. `geometry`: in the site's CRS. `empty`: the layers without evidence. `store`, `folder`: only
+    for a store; `folder` contains it."""
 
     site: Site
     labels: LabelSet
@@ -49,7 +49,6 @@ class FuelSource:
     prior: FuelPrior | None
     layers: FuelLayers
     empty: FuelLayers
-    evidence: LivingFuelMap | None = None
     store: TileStore | None = None
     folder: Path | None = None
 
@@ -59,13 +58,10 @@ class FuelSource:
         labels = LabelSet.load(config_path(site.labels))
         if path.suffix == ".ltm":
             site = with_live_record(site, path.parent)
-            geometry = site.fuel_geometry(site.open_dem())
-            evidence = site_evidence_map(site, geometry, labels)
+            evidence = site_evidence_map(site, site.fuel_geometry(site.open_dem()), labels)
             prior, empty = evidence.prior, evidence.layers()
-            store = open_stored_map(path, site, evidence)
-            return cls(
-                site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store, path.parent
-            )
+            store, grid = open_stored_map(path, site, evidence), site.in_crs(evidence.geometry)
+            return cls(site, labels, grid, prior, evidence.layers(), empty, store, path.parent)
         if path.suffix.lower() in (".tif", ".tiff"):
             classes, grid = read_fuel_map(path)
             if not same_crs(grid.crs, site.crs):
@@ -76,8 +72,7 @@ class FuelSource:
             classes, grid, _ = last_fuel_map(path, site)
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
         climate = FuelClimate.named(site.fuel.climate)
-        nothing = np.full(classes.shape, UNSEEN, np.uint8)
-        shown, empty = (layers_of_classes(one, prior, climate) for one in (classes, nothing))
+        shown, empty = (layers_of_classes(one, prior, climate) for one in (classes, np.full_like(classes, UNSEEN)))
         return cls(site, labels, grid, prior, shown, empty)
 
     @property
@@ -90,30 +85,25 @@ class FuelSource:
             return self.layers
         if self.store is None:
             raise ConfigError(f"the map as of {moment} needs a store (.ltm), which keeps its history")
-        from ltm_ros.fuel_map.layers import layers_as_of, when
-
         return layers_as_of(self.store, self.empty, when(moment))
 
     def terrain(self, moment: str | None = None) -> ConfirmedTerrain:
         """Return the terrain: the surface in use at that time, if the site uses the confirmed one and keeps it beside
         the store. Raises ConfigError as `at`, StoreError."""
-        from ltm_ros.fuel_map.layers import when
-
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
 
-    def canopy(self, moment: str | None, terrain: ConfirmedTerrain) -> SiteCanopy:
-        """Return the measured canopy; for an earlier time, only from the confirmed surface. Raises as `at`."""
-        now = moment is None
-        return site_canopy(
-            self.site,
-            self.site.in_map(self.geometry),
-            self.at(moment),
-            self.prior,
-            self.climate,
-            terrain,
-            self.evidence if now else None,
-            self.folder if now else None,
+    def landscape(
+        self, system: FuelSystem, moment: str | None = None, target: GridGeometry | None = None
+    ) -> tuple[Landscape, Provenance, list[str]]:
+        """Return the landscape now, or as of a time, on the map's grid or on `target`, its provenance, and notes about
+        its heights. Raises as `at` and `terrain`."""
+        site, layers, terrain = self.site, self.at(moment), self.terrain(moment)
+        landscape = make_landscape(
+            *(layers, self.prior, terrain.ground, site.frame, self.geometry, self.climate, system, target),
+            seen_canopy(terrain, site.in_map(self.geometry)),
         )
+        made = self.provenance(layers, terrain.version, moment, system, landscape)
+        return landscape, made, [terrain.note] if terrain.note else []
 
     def provenance(
         self,
@@ -123,12 +113,8 @@ class FuelSource:
         system: FuelSystem | None = None,
         landscape: Landscape | None = None,
     ) -> Provenance:
-        """Return the provenance of an export; `layers`: as `at` returns them; `surface`: version of the heights, if
-        any."""
-        from ltm_ros.fuel_map.layers import when
-
-        as_of = None if moment is None else when(moment)
-        system = system or system_of(self.prior)
+        """Return the provenance of an export; `layers`: as `at` returns them; `surface`: version of the heights."""
+        as_of, system = None if moment is None else when(moment), system or system_of(self.prior)
         made = provenance_of(self.site, layers, system, as_of, landscape, surface, self.prior)
         return replace(made, accuracy=self._accuracy())
 
@@ -145,8 +131,6 @@ class FuelSource:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: Any) -> None:
         if self.store is not None:
             self.store.close()

@@ -23,10 +23,9 @@ from ltm_ros.runtime.topics import TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_SURFACE
 
 
 class SurfaceFollower:
-    """Passes each new terrain to `take` once it is loaded; until then, or if that fails, the previous one stays.
-
-    The manifest in `folder` (empty: not used) names the version in use; a message only announces a change, so no sender
-    can choose the file."""
+    """Passes each new terrain to `take` once it is loaded; until then, or if that fails, the previous one stays. The
+    manifest in `folder` (empty: not used) names the version in use; a message only announces a change, so no sender can
+    choose the file."""
 
     def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:
         self._site, self._take, self._health = site, take, health
@@ -74,12 +73,8 @@ class TerrainPublisher:
         geometry = self._site.in_crs(self._map.reference.geometry)
         info = TerrainInfo(
             kinds={kind.name.lower(): int(kind) for kind in ChangeKind},
+            **{name: getattr(geometry, name) for name in ("x_min", "y_max", "resolution", "width", "height")},
             crs=geometry.crs or "",
-            x_min=geometry.x_min,
-            y_max=geometry.y_max,
-            resolution=geometry.resolution,
-            width=geometry.width,
-            height=geometry.height,
             threshold=self._map.config.threshold,
             canopy_known=self._map.reference.canopy_known,
             cameras=list(self._map.cameras),
@@ -88,10 +83,10 @@ class TerrainPublisher:
 
     def update(self, changed: Changed) -> None:
         """Publish cells whose change is new."""
-        heights = self._map.heights_at(changed)
-        self._outlet.publish(
-            TERRAIN_UPDATE, changed_to_msg(changed, heights, self._map.reference.geometry, self._map.newest_ns)
+        message = changed_to_msg(
+            changed, self._map.heights_at(changed), self._map.reference.geometry, self._map.newest_ns
         )
+        self._outlet.publish(TERRAIN_UPDATE, message)
 
     def grid(self) -> None:
         """Publish all changes in the observed window, latched; nothing if no cell was observed."""
@@ -102,16 +97,14 @@ class TerrainPublisher:
         self._outlet.publish(TERRAIN_CHANGE, change_to_msg(layers, self._map.newest_ns))
         self._health.gauge("cells.seen", int((layers.frames > 0).sum()))
         self._health.gauge("cells.judged", int(layers.observed.sum()))
-        for kind in ChangeKind:
-            if kind is not ChangeKind.NONE:
-                self._health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
+        for kind in set(ChangeKind) - {ChangeKind.NONE}:
+            self._health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
 
 
 class Confirmation:
-    """Makes versions of the confirmed surface in `folder`, if the site uses them.
-
-    The frames' stamps alone decide when a version is due, so that a replay makes the same versions. If one cannot be
-    written, the previous version stays in use, and it is tried again."""
+    """Makes versions of the confirmed surface in `folder`, if the site uses them. The frames' stamps alone decide when
+    a version is due, so that a replay makes the same versions. If one cannot be written, the previous version stays in
+    use, and it is tried again."""
 
     def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
         assert site.terrain is not None  # nosec B101 # tells the type checker what holds
@@ -123,65 +116,58 @@ class Confirmation:
         self._looked_ns = 0
         self._current: ConfirmedSurface | None = None
         self._manifest = SurfaceManifest(site=site.name)
-        self._read()
         self._pace = Backoff()
+        try:
+            self._read()
+        except StoreError as error:
+            health.trouble(cause_of(error), str(error))
 
     def start(self) -> None:
         """Publish the version in use."""
-        self._tell()
+        self._outlet.publish(TERRAIN_SURFACE, manifest_to_msg(self._manifest))
+        entry = self._manifest.entry(self._manifest.current)
+        self._health.gauge("surface", "as given" if entry is None else entry.version)
+        self._health.gauge("surface.changed_share", f"{0.0 if entry is None else entry.changed_share:.4f}")
 
     def follow(self) -> None:
         """Make a version when it is due: the first at the first change, later ones not too often."""
         since = self._map.newest_ns - self._looked_ns
         due = (since > 0 and since >= self._every_ns) or (self.news and not self._manifest.current)
         if due and self._pace.due:
-            self._try()
+            self.finish()
 
     def passed(self, seconds: float) -> None:
         """Advance time."""
         self._pace.passed(seconds)
 
     def finish(self) -> None:
-        """Make a last version of everything known, for later runs."""
-        self._try()
-
-    def _read(self) -> None:
-        """Read the version in use from the folder; if that fails, none is in use until one is made."""
+        """Make a version of everything known, if it differs from the one in use."""
         try:
-            self._manifest, told = self._versions.manifest_of_writer()
-        except StoreError as error:
-            told, cause = str(error), cause_of(error)
-        else:
-            cause = "surfaces"
-        if told:
-            self._health.trouble(cause, told)
-
-    def _try(self) -> None:
-        try:
-            self._put_aside_what_is_broken()
-            self._renew()
+            if self._read():
+                self.start()
+            found, seen = confirmed_surface(self._map)
+            before = self._in_use()
+            if len(found) > 0 if before is None else found.differs_from(before, self._least):
+                self._map.commit()
+                self._versions.add(found, self._map.newest_ns, seen)
+                self._manifest, self._current = self._versions.manifest(), found
+                self.start()
+            self.news, self._looked_ns = False, self._map.newest_ns
             self._pace.succeeded()
         except StoreError as error:
             self._pace.failed()
             self._health.trouble(cause_of(error), f"{error}; the previous surface stays in use")
 
-    def _put_aside_what_is_broken(self) -> None:
-        """Move invalid files aside; other programs may write into the folder while the node runs."""
-        manifest, told = self._versions.manifest_of_writer()
+    def _read(self) -> bool:
+        """Read the manifest, because other programs may write into the folder; return whether an invalid one was moved
+        aside."""
+        self._manifest, told = self._versions.manifest_of_writer()
         if told:
+            self._current = None
             self._health.trouble("surfaces", told)
-            self._manifest, self._current = manifest, None
-            self._tell()
+        return bool(told)
 
-    def _renew(self) -> None:
-        """Make a version if there is anything new."""
-        found, seen = confirmed_surface(self._map)
-        before = self._counting()
-        if len(found) > 0 if before is None else found.differs_from(before, self._least):
-            self._add(found, seen)
-        self.news, self._looked_ns = False, self._map.newest_ns
-
-    def _counting(self) -> ConfirmedSurface | None:
+    def _in_use(self) -> ConfirmedSurface | None:
         """Return the version in use; None without one, or if its file is lost: then it is written again."""
         entry = self._manifest.entry(self._manifest.current)
         if self._current is None and entry is not None:
@@ -190,16 +176,3 @@ class Confirmation:
             except StoreError as error:
                 self._health.trouble(cause_of(error), str(error))
         return self._current
-
-    def _add(self, found: ConfirmedSurface, seen: int) -> None:
-        self._put_aside_what_is_broken()
-        self._map.commit()
-        self._versions.add(found, self._map.newest_ns, seen)
-        self._manifest, self._current = self._versions.manifest(), found
-        self._tell()
-
-    def _tell(self) -> None:
-        self._outlet.publish(TERRAIN_SURFACE, manifest_to_msg(self._manifest))
-        entry = self._manifest.entry(self._manifest.current)
-        self._health.gauge("surface", "as given" if entry is None else entry.version)
-        self._health.gauge("surface.changed_share", f"{0.0 if entry is None else entry.changed_share:.4f}")

@@ -6,6 +6,7 @@ import json
 import secrets
 import threading
 import webbrowser
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from http import HTTPStatus
@@ -64,16 +65,13 @@ class _Shapes(StrictModel):
 
 class LabelSession:
     """The labels of one folder. Photos are identified only by number, so that no name from a page becomes a path.
-
     Thread-safe. Raises RecordingError if there are no photos, ConfigError for photos whose label images would have the
     same name, and for an invalid polygons.json."""
 
     def __init__(self, folder: Path, segmenter: Segmenter | None = None) -> None:
         self.folder = folder
         self._paths = pictures_in(folder)
-        stems = [path.stem for path in self._paths]
-        twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-        if twice:
+        if twice := [stem for stem, count in Counter(path.stem for path in self._paths).items() if count > 1]:
             raise ConfigError(f"{folder}: several photos are named {twice[0]}, and would share {twice[0]}_labels.png")
         self.labels = LabelSet.load() if segmenter is None else segmenter.labels
         self._segmenter = segmenter
@@ -88,15 +86,11 @@ class LabelSession:
         """Return JSON-ready: photos with their number of areas, classes with colours, whether there is a network."""
         with self._lock:
             counts = [sum(area.image == path.name for area in self._areas) for path in self._paths]
-        classes = [
-            {"name": name, "color": list(color)}
-            for name, color in zip(self.labels.names, self.labels.colors, strict=True)
-        ]
-        classes += [{"name": MASKED, "color": [20, 20, 24]}]
+        named = *zip(self.labels.names, self.labels.colors, strict=True), (MASKED, (20, 20, 24))
         return {
             "folder": self.folder.resolve().name,
             "photos": [{"name": path.name, "areas": count} for path, count in zip(self._paths, counts, strict=True)],
-            "classes": classes,
+            "classes": [{"name": name, "color": list(color)} for name, color in named],
             "erased": ERASED,
             "network": self._segmenter is not None,
         }
@@ -121,16 +115,17 @@ class LabelSession:
         return _shapes(areas_of(path.name, found.labels, self.labels.names))
 
     def save(self, number: int, content: object) -> list[dict[str, Any]]:
-        """Write polygons.json and NAME_labels.png; return the stored areas, strokes as outlines.
-
-        Raises ConfigError for another format, and for unknown classes."""
+        """Write polygons.json and NAME_labels.png; return the stored areas, strokes as outlines. Raises ConfigError for
+        another format, and for unknown classes."""
         path = self._path(number)
         shapes = checked(_Shapes, content, "areas").shapes
         known = {*self.labels.names, MASKED, ERASED}
-        unknown = sorted({shape.name for shape in shapes} - known)
-        if unknown:
+        if unknown := sorted({shape.name for shape in shapes} - known):
             raise ConfigError(f"unknown class {unknown[0]!r}; classes: {', '.join(sorted(known))}")
-        width, height = _size(path)
+        data = read_picture(path)
+        width, height = stated_size(data, str(path))
+        if orientation(data, path) in (5, 6, 7, 8):
+            width, height = height, width
         areas: list[NamedArea] = []
         for shape in shapes:
             if isinstance(shape, _Stroke):
@@ -155,13 +150,6 @@ def _shapes(areas: Sequence[NamedArea]) -> list[dict[str, Any]]:
     return [{"kind": "polygon", "name": area.kind, "points": np.array(area.polygon).tolist()} for area in areas]
 
 
-def _size(path: Path) -> tuple[int, int]:
-    """Return width and height of a photo, upright by its EXIF."""
-    data = read_picture(path)
-    width, height = stated_size(data, str(path))
-    return (height, width) if orientation(data, path) in (5, 6, 7, 8) else (width, height)
-
-
 MOST_BYTES = 8 << 20
 """Size limit of a request."""
 REQUEST_S = 600.0
@@ -169,11 +157,9 @@ REQUEST_S = 600.0
 
 
 class PageServer(WebServer):
-    """Serve a page and its data on the loopback interface; its `url` holds a random token.
-
-    `page`: HTML in which NONCE marks its own script and style. `routes`: by method and path below the page, as
-    "GET photos". `tiles`: origin of a map that the page may load images from, such as https://tiles.example; "": none.
-    """
+    """Serve a page and its data on the loopback interface; its `url` holds a random token. `page`: HTML in which NONCE
+    marks its own script and style. `routes`: by method and path below the page, as "GET photos". `tiles`: origin of a
+    map that the page may load images from, such as https://tiles.example; "": none."""
 
     def __init__(self, page: str, routes: Mapping[str, Route], port: int = 0, tiles: str = "") -> None:
         root = f"/{secrets.token_urlsafe(24)}/"
@@ -215,34 +201,29 @@ def serve(make: Callable[[int], PageServer], port: int, browser: bool) -> None:
 
 def json_route(make: Callable[[], object]) -> Route:
     """Return the handler that sends a value as JSON."""
-    return lambda _: _checked(lambda: WebResponse.json(make()))
+    return _checked(lambda _: WebResponse.json(make()))
 
 
 def jpeg_route(make: Callable[[], bytes]) -> Route:
     """Return the handler that sends a JPEG."""
-    return lambda _: _checked(lambda: WebResponse(make(), "image/jpeg"))
+    return _checked(lambda _: WebResponse(make(), "image/jpeg"))
 
 
 def save_route(save: Callable[[object], object]) -> Route:
     """Return the handler that saves the JSON it receives, and sends what is stored."""
+    return _checked(lambda body: WebResponse.json(save(json.loads(body))))
 
+
+def _checked(route: Route) -> Route:
     def respond(body: bytes) -> WebResponse:
         try:
-            content: object = json.loads(body)
-        except (ValueError, RecursionError) as error:
-            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"not JSON ({error})")
-        return _checked(lambda: WebResponse.json(save(content)))
+            return route(body)
+        except (LtmError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+            return WebResponse.error(HTTPStatus.BAD_REQUEST, str(error))
+        except OSError as error:
+            return WebResponse.error(HTTPStatus.INSUFFICIENT_STORAGE, f"cannot be written: {error.strerror}")
 
     return respond
-
-
-def _checked(respond: Callable[[], WebResponse]) -> WebResponse:
-    try:
-        return respond()
-    except LtmError as error:
-        return WebResponse.error(HTTPStatus.BAD_REQUEST, str(error))
-    except OSError as error:
-        return WebResponse.error(HTTPStatus.INSUFFICIENT_STORAGE, f"cannot be written: {error.strerror}")
 
 
 def _page(page: str, tiles: str) -> WebResponse:

@@ -24,6 +24,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.json_topics import FuelMapAnswer, FuelMapInfo, msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.fuel_map.export import write_landscapes
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.self_measurement import DriftWatch, SelfMeasurement
 from ltm_ros.fuel_map.services import (
@@ -33,7 +34,6 @@ from ltm_ros.fuel_map.services import (
     answer,
     burned,
     region_of,
-    write_landscapes,
 )
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
 from ltm_ros.runtime import topics

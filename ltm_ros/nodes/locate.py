@@ -10,8 +10,7 @@ from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.base.types import Float64Array
-from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior import FuelPrior, load_prior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.answer import LocateResult, answer, as_geojson

@@ -14,8 +14,7 @@ from pyproj import Transformer
 from ltm_core.base.errors import RasterError
 from ltm_core.fuel.fuel_bands_io import quantity_of
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import CANOPY_BANDS, PriorConfig
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior import CANOPY_BANDS, PriorConfig, load_prior
 from ltm_core.geometry.geodesy import name_of, read_crs, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Bounds, Dem

@@ -14,7 +14,7 @@ from scenes.small_site import NAME, SmallSite
 
 from chaos.cameras import CAMERAS, PHASES, Photos, Sent
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import JOURNALED, STORE_FILE, open_stored_map
 from ltm_core.vision.labels import LabelSet

@@ -16,9 +16,8 @@ from ltm_core.fire.effect import read_landscape
 from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
 from ltm_core.fuel.fuel_bands_io import quantity_of
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.overlays_io import barrier_codes
-from ltm_core.fuel.prior import BarrierConfig, PriorConfig
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.overlays_io import BarrierConfig, barrier_codes
+from ltm_core.fuel.prior import PriorConfig, load_prior
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem, read_around
 from ltm_core.vision.labels import LabelSet

@@ -309,7 +309,7 @@ def test_burns_are_told_when_they_come(small_site: SmallSite, tmp_path: Path) ->
     shutil.copy(tmp_path / "out" / STORE_FILE, tmp_path / "unburned.ltm")
     planned = look_through(replace(options, burns=tmp_path / "burns.json"), lambda done, total: None)
     summary = run(planned, serial, lambda done, total: None)
-    assert (summary.worked, summary.merged) == (2 * 5, unburned.merged)
+    assert (summary.worked, summary.merged) == (0, unburned.merged), "votes do not depend on burns"
     labels = LabelSet.load(config_path(site.labels))
     live, votes = site_evidence_map(site, geometry, labels), []
     rules, reader = planned.settings, ArchiveImageReader()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from ltm_core.fuel.cell_state import EPOCH_S
-from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.evidence import EPOCH_S, EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors, stated_errors
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior

@@ -18,7 +18,6 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.topodepth import fuse
-from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.kernels import KERNELS
@@ -33,14 +32,13 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
-from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.vision.labels import LabelSet
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.simulator.run import make_site, rasters_at
 from ltm_lab.tracers.march import march
 from ltm_lab.training.fusion_samples import frame_samples
 from scenes import mountain_view
 from scenes.depth_scene import depth_scene
-from scenes.evidence_scene import HOUR, NOW, fuel_map, votes
 from scenes.rasters import rough_terrain, standing
 from scenes.small_scenario import small_scenario
 from scenes.terrain_frames import write_fusing_site
@@ -82,16 +80,6 @@ def _fusion_of_a_photo(_: str) -> None:
     fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
 
 
-def _parts_of_an_archive(_: str) -> None:
-    """Compile the merging of evidence that was counted in parts."""
-    part, other = (
-        PartialEvidence({name: np.array([second * 10**9])}, {(0, 0): fuel_map(seen).tile_state((0, 0))})
-        for name, second in (("north", NOW), ("south", NOW + HOUR))
-        for seen in [votes(Label.GRASS, second, name)]
-    )
-    part.merged(other)
-
-
 def _samples(_: str) -> None:
     """Compile the samples that fusion is fitted to."""
     scene, step = depth_scene(), 2
@@ -109,7 +97,6 @@ ALL = NODES | {
     "poses": _poses,
     "rays": _rays,
     "fusion of a photo": _fusion_of_a_photo,
-    "parts of an archive": _parts_of_an_archive,
     "samples": _samples,
 }
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
-from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EvidenceMap
 from ltm_ros.fuel_map.services import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
@@ -40,8 +39,7 @@ class Node:
 
 
 def state(evidence: EvidenceMap) -> dict[str, np.ndarray]:
-    keys = [(row, col) for row in range(evidence.tiles[0]) for col in range(evidence.tiles[1])]
-    tiles = [evidence.tile_state(key) for key in keys]
+    tiles = [evidence.tile_state(key) for key in evidence.tiles_of((0, 0, *evidence.geometry.shape))]
     return {name: np.stack([tile[name] for tile in tiles]) for name in EVIDENCE_FIELDS}
 
 

@@ -106,8 +106,7 @@ def write_region_scene(folder: Path, port: int = 8883, **changes: Any) -> Region
 
 def same_map(one: LivingFuelMap, other: LivingFuelMap) -> bool:
     """Return whether all cells of two maps, and the time of their newest frames, are the same to the bit."""
-    rows, cols = one.tiles
-    for key in [(row, col) for row in range(rows) for col in range(cols)]:
+    for key in one.tiles_of((0, 0, *one.geometry.shape)):
         mine, theirs = one.tile_state(key), other.tile_state(key)
         if any(not np.array_equal(mine[name], theirs[name]) for name in mine):
             return False

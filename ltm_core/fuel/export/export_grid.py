@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array
+from ltm_core.base.types import Float64Array
 from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
@@ -21,8 +22,6 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 
-_LIKE_HEIGHTS = 50.0
-"""Median difference in metres up to which a prior's elevations are in the same unit as the DEM."""
 _MOST_SAMPLES = 8
 """Maximum number of DEM samples per side of a fuel cell for its mean height."""
 
@@ -48,30 +47,21 @@ class GridTransfer:
         moved = {f.name: self.layer(getattr(layers, f.name), outside.get(f.name, 0)) for f in fields(layers)}
         return FuelLayers(**moved)
 
-    def prior(self, prior: FuelPrior) -> FuelPrior:
-        canopy = None if prior.canopy is None else self.layer(prior.canopy, NODATA)
-        beside = None if prior.fbfm13 is None else self.layer(prior.fbfm13, NODATA)
-        codes = self.layer(prior.codes, NODATA)
-        return replace(prior, codes=codes, geometry=self.target, canopy=canopy, fbfm13=beside)
-
     def heights(self, dem: Dem, frame: SiteFrame) -> Float64Array:
         """Return mean heights (H + 2, W + 2) of the target's cells and of a border of one cell, from a DEM in the map
         frame: over the known part of the cell; NaN where nothing is known."""
-        g = self.target
-        around = GridGeometry(
-            g.x_min - g.resolution, g.y_max + g.resolution, g.resolution, g.width + 2, g.height + 2, g.crs
-        )
+        g, cell = self.target, self.target.resolution
+        around = GridGeometry(g.x_min - cell, g.y_max + cell, cell, g.width + 2, g.height + 2, g.crs)
         count = int(np.clip(round(g.resolution / dem.geometry.resolution), 1, _MOST_SAMPLES))
         offsets = (np.arange(count) + 0.5) / count - 0.5
         to_site = Transformer.from_crs(g.crs, frame.crs, always_xy=True)
         total, known = np.zeros(around.shape), np.zeros(around.shape)
         rows, cols = np.indices(around.shape)
-        for down in offsets:
-            for right in offsets:
-                x, y = to_site.transform(*around.to_map(rows + down, cols + right))
-                found = _height(dem, np.asarray(x) - frame.x_origin, np.asarray(y) - frame.y_origin)
-                total += np.nan_to_num(found)
-                known += np.isfinite(found)
+        for down, right in product(offsets, offsets):
+            x, y = to_site.transform(*around.to_map(rows + down, cols + right))
+            found = _height(dem, np.asarray(x) - frame.x_origin, np.asarray(y) - frame.y_origin)
+            total += np.nan_to_num(found)
+            known += np.isfinite(found)
         return np.where(known > 0, total / np.maximum(known, 1), np.nan)
 
 
@@ -79,11 +69,9 @@ def _height(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
     """Of the ground, out to the edges of the DEM's outer cells: interpolated between the centres of cells, and half a
     cell beyond the last one is still that cell's."""
     g = dem.geometry
-    inside = (x >= g.x_min) & (x <= g.x_max) & (y >= g.y_min) & (y <= g.y_max)
-    half = 0.5001 * g.resolution
-    x_in = np.where(inside, np.clip(x, g.x_min + half, g.x_max - half), x)
-    y_in = np.where(inside, np.clip(y, g.y_min + half, g.y_max - half), y)
-    return np.asarray(dem.elevation_at(x_in, y_in), np.float64)
+    half, inside = 0.5001 * g.resolution, (x >= g.x_min) & (x <= g.x_max) & (y >= g.y_min) & (y <= g.y_max)
+    x_in, y_in = np.clip(x, g.x_min + half, g.x_max - half), np.clip(y, g.y_min + half, g.y_max - half)
+    return np.where(inside, dem.elevation_at(x_in, y_in), np.nan).astype(np.float64)
 
 
 def make_landscape(
@@ -95,7 +83,6 @@ def make_landscape(
     climate: FuelClimate,
     system: FuelSystem,
     target: GridGeometry | None = None,
-    spare: Float32Array | None = None,
     seen: SeenCanopy | None = None,
 ) -> Landscape:
     """Return the landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
@@ -104,35 +91,17 @@ def make_landscape(
     Args:
         source: the grid of layers and prior, in the site's CRS.
         dem: in the map frame of `frame`.
-        spare: (H, W) elevations that came with the prior, for cells that the DEM does not reach; moved by the median
-            difference to the DEM, and left aside where that is more than 50 m.
         seen: the canopy that was measured, on the grid of the layers; None: nowhere."""
     transfer = GridTransfer(source, source if target is None else target)
-    bands = canopy_bands(layers, prior, climate)
+    canopy = canopy_bands(layers, prior, climate)
     if seen is not None:
-        bands = with_seen_canopy(bands, seen, layers.code, climate.forest)
-    canopy = transfer.layer(bands, NODATA)
+        canopy = with_seen_canopy(canopy, seen, layers.code, climate.forest)
     codes = transfer.layer(surface_codes(layers, prior, climate, system), NODATA)
-    heights, filled = transfer.heights(dem, frame), np.zeros(codes.shape, np.bool_)
-    if spare is not None:
-        heights, filled = _filled(heights, transfer.layer(spare, np.nan))
-    bands = np.concatenate([terrain_bands(heights, source.resolution), codes[None], canopy]).astype(np.int16)
+    terrain = terrain_bands(transfer.heights(dem, frame), source.resolution)
+    bands = np.concatenate([terrain, codes[None], transfer.layer(canopy, NODATA)]).astype(np.int16)
     dropped = (bands[0] == NODATA) & (codes != NODATA)
     bands[:, dropped] = NODATA
-    return Landscape(bands, transfer.target, system, int((filled & (codes != NODATA)).sum()), int(dropped.sum()))
-
-
-def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64Array, BoolArray]:
-    """Return the heights (H + 2, W + 2), and where (H, W) they are those of `spare` (H, W)."""
-    own = heights[1:-1, 1:-1]
-    both = np.isfinite(own) & np.isfinite(spare)
-    shift = float(np.median((own - spare)[both])) if both.any() else np.inf
-    wanted = np.isnan(own) & np.isfinite(spare)
-    if abs(shift) > _LIKE_HEIGHTS or not wanted.any():
-        return heights, np.zeros(own.shape, np.bool_)
-    filled = heights.copy()
-    filled[1:-1, 1:-1] = np.where(wanted, spare + shift, own)
-    return filled, wanted
+    return Landscape(bands, transfer.target, system, int(dropped.sum()))
 
 
 def with_fuel(landscape: Landscape, layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Landscape:

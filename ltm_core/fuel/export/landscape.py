@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float64Array, Int16Array
-from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models, to_fbfm40
+from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior, system_of
@@ -29,24 +29,17 @@ _ENOUGH_CELLS = 20
 class Landscape:
     """`bands`: (8, H, W) int16 in the order of `LANDSCAPE_BANDS` and in LANDFIRE's units, NODATA where unknown: m;
     degrees; degrees clockwise from grid north, downhill, -1 flat; fuel code; cover %; heights m x 10; kg/m3 x 100.
-    `geometry` names its CRS. `filled`: cells whose height the site's terrain does not have, which came from the prior
-    map's own elevations; `dropped`: cells with a code, of which no height is known: they have no data in any band.
-    Raises RasterError where the CRS is missing, or shapes disagree."""
+    `geometry` names its CRS. `dropped`: cells with a code, of which no height is known: they have no data in any
+    band. Raises RasterError where the CRS is missing, or shapes disagree."""
 
     bands: Int16Array
     geometry: GridGeometry
     system: FuelSystem = FuelSystem.FBFM40
-    filled: int = 0
     dropped: int = 0
 
     def terrain_note(self) -> str:
         """Return a note about heights that the site's terrain lacks; empty if it has all."""
-        parts = []
-        if self.filled:
-            parts.append(f"{self.filled} cells have the elevations of the prior map")
-        if self.dropped:
-            parts.append(f"{self.dropped} cells with a code have no elevation and are nodata")
-        return "; ".join(parts)
+        return f"{self.dropped} cells with a code have no elevation and are nodata" if self.dropped else ""
 
     def __post_init__(self) -> None:
         if self.bands.shape != (len(LANDSCAPE_BANDS), *self.geometry.shape) or self.bands.dtype != np.int16:
@@ -62,10 +55,9 @@ class Landscape:
 
 
 def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Float64Array, Float64Array]:
-    """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
-
-    Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
-    north, FLAT where the ground is level; both are NaN beside unknown heights."""
+    """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border. Source:
+    Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid north, FLAT
+    where the ground is level; both are NaN beside unknown heights."""
     from scipy import ndimage
 
     # Sobel's operator is Horn's weights, times 8.
@@ -109,11 +101,10 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
 
 
 def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Int16Array:
-    """Return cover, height, base height and bulk density (4, H, W) for the layers' codes.
-
-    The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
-    their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
-    lacks are the climate's under trees, none elsewhere."""
+    """Return cover, height, base height and bulk density (4, H, W) for the layers' codes. The prior's stay where its
+    code stays. Cells that have become trees get the median of the prior's own cells of their code or, where there are
+    few, the climate's canopy; cells that have lost them get none. Bands that the prior lacks are the climate's under
+    trees, none elsewhere."""
     c = climate.canopy
     new = np.array([c.cover, 10 * c.height, 10 * c.base_height, 100 * c.bulk_density])
     shape = layers.code.shape
@@ -136,29 +127,20 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClima
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, system: FuelSystem) -> Int16Array:
-    """Return the layers' codes in a system, with the fuel type that they have in their own.
-
-    Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
-    take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
-    (`ltm_core.fuel.codes`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
-    and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`)."""
+    """Return the layers' codes in a system, with the fuel type that they have in their own. Cells that have changed, or
+    never had a prior, take what the climate has for such cells in that system. The others take the FBFM13 map that came
+    with the prior where one did (`PriorConfig.own_fbfm13`), else the climate's crosswalk. An analyst's own models, 14
+    to 89, stay, and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`)."""
     own = system_of(prior)
     if system is own:
         return layers.code
-    if system is FuelSystem.FBFM40:
-        crossed = to_fbfm40(climate.crosswalk_back, layers.code)
-    else:
-        cover = None if prior is None or prior.canopy is None else prior.canopy[0]
-        crosswalk = climate.as_crosswalk()
-        if prior is not None and prior.fbfm13 is not None:
-            crosswalk = crosswalk.learned(prior.codes, prior.fbfm13, cover)
-        crossed = crosswalk.to_fbfm13(layers.code, cover)
-        if prior is not None and prior.fbfm13 is not None:
-            crossed = np.where(prior.fbfm13 != NODATA, prior.fbfm13, crossed)
-    crossed = np.where(
-        (crossed == NODATA) & ~np.isin(layers.code, list(fuel_models().codes(own))), layers.code, crossed
-    )
+    cover = None if prior is None or prior.canopy is None else prior.canopy[0]
+    crossed, given = climate.crossed(layers.code, system, cover), None if prior is None else prior.fbfm13
+    if given is not None:
+        crossed = np.where(given != NODATA, given, crossed)
+    unknown = ~np.isin(layers.code, list(fuel_models().codes(own)))
+    crossed = np.where((crossed == NODATA) & unknown, layers.code, crossed)
     new = layers.changed | (layers.prior == NODATA)
     changed = climate.changed_codes(layers.code, own, system)
-    fallback = crossed if system is FuelSystem.FBFM40 else climate.as_crosswalk().to_fbfm13(layers.code)
+    fallback = climate.crossed(layers.code, system)
     return np.where(new, np.where(changed != NODATA, changed, fallback), crossed).astype(np.int16)

@@ -27,21 +27,18 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.storage.disk_io import make_folder, written_whole
 from ltm_core.vision.labels import LabelSet
 
-_WITH_CROWN: Final = 21
-_WITHOUT_GROUND: Final = 20
+_YES, _NO = 21, 20
 _LISTED: Final = 99
 """Number of classes in a band's list of 100; its first entry is padding."""
 _UNITS: Final = (0, 0, 2, 0, 1, 3, 3, 3, 0, 0)
 """Units of the bands: m; degrees; azimuth; codes; %; m x 10; m x 10; kg/m3 x 100; duff and woody fuel, which are
 absent."""
-_METRES: Final = 0
 
 
 def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> Path:
     """Write the eight bands, the CRS to a .prj of the same name, and a QGIS style. `description`: of which the header
-    takes 511 characters of ASCII. The file appears whole or not at all.
-
-    Raises ConfigError where it cannot be written."""
+    takes 511 characters of ASCII. The file appears whole or not at all. Raises ConfigError where it cannot be
+    written."""
     path = Path(path)
     cells = np.ascontiguousarray(np.moveaxis(landscape.bands, 0, -1), "<i2")
     with written_whole(path) as partial:
@@ -56,11 +53,11 @@ def lcp_header(landscape: Landscape, description: str = "") -> bytes:
     g = landscape.geometry
     to_degrees = Transformer.from_crs(g.crs, "EPSG:4326", always_xy=True)
     _, latitude = to_degrees.transform((g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2)
-    parts = [struct.pack("<3i4d", _WITH_CROWN, _WITHOUT_GROUND, int(latitude), g.x_min, g.x_max, g.y_min, g.y_max)]
+    parts = [struct.pack("<3i4d", _YES, _NO, int(latitude), g.x_min, g.x_max, g.y_min, g.y_max)]
     parts += [_classes(band) for band in landscape.bands]
     parts += [_classes(np.zeros(0, np.int16))] * 2
     parts.append(struct.pack("<2i4d", g.width, g.height, g.x_max, g.x_min, g.y_max, g.y_min))
-    parts.append(struct.pack("<i2d10h", _METRES, g.resolution, g.resolution, *_UNITS))
+    parts.append(struct.pack("<i2d10h", 0, g.resolution, g.resolution, *_UNITS))
     names = [*(f"{name} of the fuel grid" for name in LANDSCAPE_BANDS), "", ""]
     parts += [struct.pack("<256s", name.encode("ascii", "replace")) for name in names]
     parts.append(struct.pack("<512s", description.encode("ascii", "replace")[:511]))
@@ -70,26 +67,18 @@ def lcp_header(landscape: Landscape, description: str = "") -> bytes:
 def _classes(band: Int16Array) -> bytes:
     """Return the least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
     values = np.unique(band[band != NODATA]).astype(int).tolist()
-    if not values:
-        return struct.pack("<103i", *[0] * 103)
-    if len(values) > _LISTED:
-        return struct.pack("<103i", values[0], values[-1], -1, *[0] * 100)
-    listed = [0, *values, *[0] * (_LISTED - len(values))]
-    return struct.pack("<103i", values[0], values[-1], len(values), *listed)
+    listed = [0, *values] if values and len(values) <= _LISTED else []
+    count = len(values) if len(values) <= _LISTED else -1
+    return struct.pack("<103i", *(values[:1] or [0]), *(values[-1:] or [0]), count, *listed, *[0] * (100 - len(listed)))
 
 
 MOST_CELLS: Final = 60_000_000
 MOST_NODATA: Final = 0.5
 """Maximum share of nodata cells; with a higher share, FlamMap and IFTDSS reject a GeoTIFF landscape."""
 _ELMFIRE: Final[Mapping[str, str]] = {
-    "dem": "elevation",
-    "slp": "slope",
-    "asp": "aspect",
-    "cc": "cover",
-    "ch": "height",
-    "cbh": "base_height",
-    "cbd": "bulk_density",
-}
+    "dem": "elevation", "slp": "slope", "asp": "aspect",
+    "cc": "cover", "ch": "height", "cbh": "base_height", "cbd": "bulk_density",
+}  # fmt: skip
 _LAYER_UNITS: Final[Mapping[str, str]] = {
     "prior": "code",
     "code": "code",
@@ -104,36 +93,30 @@ _LAYER_UNITS: Final[Mapping[str, str]] = {
 
 
 def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
-    """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it.
-
-    Raises RasterError for a landscape that they would reject, ConfigError where it cannot be written."""
+    """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it. Raises
+    RasterError for a landscape that they would reject, ConfigError where it cannot be written."""
     path = Path(path)
     cells = landscape.geometry.width * landscape.geometry.height
     if cells >= MOST_CELLS:
         raise RasterError(f"{path}: {cells} cells; FlamMap reads fewer than {MOST_CELLS}: export a smaller area")
     unknown = float((landscape.bands == NODATA).any(axis=0).mean())
     if unknown > MOST_NODATA:
+        shares = {name: float((landscape.band(name) == NODATA).mean()) for name in LANDSCAPE_BANDS}
+        gaps = ", ".join(f"{name} is unknown in {share:.0%}" for name, share in shares.items() if share > 0)
+        dem = shares["elevation"] >= shares["fuel"]
         raise RasterError(
-            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: "
-            + _gaps(landscape)
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: {gaps}; give "
+            f"the site {'a DEM that covers it' if dem else 'a prior fuel map without these gaps'}, a smaller DEM, or "
+            "export ELMFIRE layers (--format elmfire)"
         )
     write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
 
-def _gaps(landscape: Landscape) -> str:
-    """Return which bands lack data, and what to do."""
-    shares = {name: float((landscape.band(name) == NODATA).mean()) for name in LANDSCAPE_BANDS}
-    told = ", ".join(f"{name} is unknown in {share:.0%}" for name, share in shares.items() if share > 0)
-    remedy = "a DEM that covers it" if shares["elevation"] >= shares["fuel"] else "a prior fuel map without these gaps"
-    return f"{told}; give the site {remedy}, a smaller DEM, or export ELMFIRE layers (--format elmfire)"
-
-
 def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
-    """Write the rasters that ELMFIRE's inputs name: adjustment factors of 1 and nothing burning besides.
-
-    Raises ConfigError where the folder cannot be made."""
+    """Write the rasters that ELMFIRE's inputs name: adjustment factors of 1 and nothing burning besides. Raises
+    ConfigError where the folder cannot be made."""
     folder = Path(folder)
     make_folder(folder)
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
@@ -168,15 +151,9 @@ def write_raster(
 
 
 def write_layers(
-    folder: Path,
-    layers: FuelLayers,
-    geometry: GridGeometry,
-    tags: Mapping[str, str] | None = None,
-    palette: LabelSet | None = None,
+    folder: Path, layers: FuelLayers, geometry: GridGeometry, tags: Mapping[str, str], palette: LabelSet
 ) -> None:
-    """Write every layer as a Cloud Optimized GeoTIFF with its name, with its unit and a QGIS style; `palette`: of life
-    forms.
-
+    """Write every layer as a Cloud Optimized GeoTIFF with its name, unit and QGIS style; `palette`: of life forms.
     Raises ConfigError where it cannot be written."""
     make_folder(folder)
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
@@ -185,29 +162,21 @@ def write_layers(
         stored = layer.astype("uint8") if layer.dtype == bool else layer
         stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
         raster = folder / f"{name}.tif"
-        write_cog(raster, stored, geometry, nodata.get(name), {**(tags or {}), "unit": _LAYER_UNITS[name]}, name)
+        write_cog(raster, stored, geometry, nodata.get(name), {**tags, "unit": _LAYER_UNITS[name]}, name)
         if name in ("prior", "code"):
             write_palette_style(raster, code_entries(layer))
-        elif name == "life_form" and palette is not None:
-            write_palette_style(
-                raster, list(zip(range(len(palette.names)), palette.names, palette.colors, strict=True))
-            )
+        elif name == "life_form":
+            write_palette_style(raster, zip(range(len(palette.names)), palette.names, palette.colors, strict=True))
         else:
             known = stored[np.isfinite(stored)]
             write_grey_style(raster, 0.0, max(1.0, float(known.max())) if known.size else 1.0)
 
 
 def write_cog(
-    path: Path,
-    array: NDArray[Any],
-    geometry: GridGeometry,
-    nodata: float | None,
-    tags: Mapping[str, str] | None = None,
-    name: str = "",
+    path: Path, array: NDArray[Any], geometry: GridGeometry, nodata: float | None, tags: Mapping[str, str], name: str
 ) -> None:
-    """Write a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
-
-    Raises ConfigError where it cannot be written."""
+    """Write a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell. Raises ConfigError where it
+    cannot be written."""
     from rasterio.io import MemoryFile
     from rasterio.shutil import copy
 
@@ -216,7 +185,7 @@ def write_cog(
     with written_whole(path) as partial, MemoryFile() as memory:
         with memory.open(**profile) as sink:
             sink.write(array, 1)
-            sink.update_tags(**(tags or {}))
+            sink.update_tags(**tags)
             sink.set_band_description(1, name)
         with memory.open() as source:
             copy(source, partial, driver="COG", compress="deflate", resampling="nearest")

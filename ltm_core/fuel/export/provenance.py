@@ -59,11 +59,9 @@ class Provenance:
             "TIFFTAG_SOFTWARE": self.software,
             "TIFFTAG_IMAGEDESCRIPTION": self.line(),
         }
-        more = {"terrain": self.terrain, "surface": self.surface, "labels": self.labels, "own_fbfm13": self.own_fbfm13}
-        more["accuracy"] = self.accuracy
-        tags |= {name: text for name, text in more.items() if text}
-        moment = self.moment()
-        if moment is not None:
+        more = ("terrain", "surface", "labels", "own_fbfm13", "accuracy")
+        tags |= {name: text for name in more if (text := getattr(self, name))}
+        if (moment := self.moment()) is not None:
             tags["TIFFTAG_DATETIME"] = moment.strftime("%Y:%m:%d %H:%M:%S")
         return tags
 

@@ -57,14 +57,13 @@ def segmentation(
     from rich.console import Console
 
     from ltm_core.base.errors import RecordingError
-    from ltm_core.label_heads.head_trial import write_overlay
     from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, read_frames, without_classes
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.score_table import names_in
     from ltm_lab.cli.eval.segmentation_tables import print_confusion, print_scores
-    from ltm_lab.evaluation.segmentation.network_score import score_frames
+    from ltm_lab.evaluation.segmentation.network_score import score_frames, write_overlay
     from ltm_ros.pages import write_figures
 
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and _holds_frames(p)) if folder.is_dir() else []

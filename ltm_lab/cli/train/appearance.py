@@ -51,7 +51,7 @@ def appearance(
         source=source, network=name, labels=labels_digest(manifest), photos=0
     )
     about = source if record.source == source else f"{record.source.split('; cells')[0]}; {source}"
-    learnt_now = {"source": about, "correlation": learnt.correlation, "appearance": learnt.appearance.as_file()}
+    learnt_now = {"source": about, "correlation": learnt.correlation, "appearance": learnt.appearance.rounded()}
     file = write_record(record.model_copy(update=learnt_now), out or models_folder())
     for form, right, voted in learnt.right:
         console.print(

@@ -5,22 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.label_heads.head_trial import LabelledPhoto
+from ltm_core.label_heads.labelled_frames import Frame
+from ltm_core.pictures.legend import label_legend, to_png, with_legend
+from ltm_core.pictures.photo_overlays import overlay_labels
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
-from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline
 
 _LAND_AND_SKY = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
 _SKYLINE_WIDTH = 512  # pixels, to which skyline errors are brought
-
-
-Photo = TypeVar("Photo", bound=LabelledPhoto)
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ class LabelScore:
 
 def score_frames(
     segmenter: Segmenter,
-    frames: Sequence[Photo],
+    frames: Sequence[Frame],
     macro: tuple[int, ...] = _LAND_AND_SKY,
-    look: Callable[[Photo, Segmentation], None] = lambda frame, found: None,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> LabelScore:
     """Label each frame and compare with its truth, where that is known. `macro`: classes of the mean F1; `look` gets
     each answer, to draw it."""
@@ -123,3 +123,14 @@ def _truth_step(labels: UInt8Array) -> int:
 
 def _known(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def write_overlay(folder: Path, network: str, labels: LabelSet, frame: Frame, found: Segmentation) -> None:
+    """Write `<folder>/<set>_<frame>_<network>.png`: true labels on the left, the network's on the right."""
+    drawn = [overlay_labels(frame.image, each, labels) for each in (frame.labels, found.labels)]
+    sheet = np.concatenate(drawn, axis=1)
+    sheet = with_legend(sheet, label_legend(sheet.shape[1], labels))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = frame.path
+    name = f"{path.parent.resolve().name}_{path.stem}_{network.replace(' ', '_')}.png"
+    (folder / name).write_bytes(to_png(sheet))

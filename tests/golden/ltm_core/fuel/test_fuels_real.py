@@ -17,8 +17,7 @@ from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import FuelPrior, PriorConfig
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior import FuelPrior, PriorConfig, load_prior
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
@@ -122,7 +121,7 @@ def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, regio
     _, grid = raster(path)
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), grid)
     cover = None if prior.canopy is None else prior.canopy[0]
-    ways = [region.as_crosswalk().to_fbfm13(prior.codes, cover)]
+    ways = [region.crossed(prior.codes, FuelSystem.FBFM13, cover)]
     if prior.fbfm13 is not None:
         ways.append(exported(prior, region, within_fuel_type(prior)))
         both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
@@ -154,6 +153,6 @@ def test_agreement_with_landfires_own_fbfm13(
     assert prior.fbfm13 is not None
     both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
     cover = None if prior.canopy is None else prior.canopy[0]
-    table = region.as_crosswalk().to_fbfm13(prior.codes, cover)
+    table = region.crossed(prior.codes, FuelSystem.FBFM13, cover)
     assert (table == prior.fbfm13)[both].mean() > by_table
     assert (exported(prior, region, within_fuel_type(prior)) == prior.fbfm13)[both].mean() > by_export

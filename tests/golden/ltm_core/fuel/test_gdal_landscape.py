@@ -49,7 +49,7 @@ def test_an_lcp(tmp_path: Path) -> None:
 def test_a_cog(tmp_path: Path) -> None:
     layer = np.arange(700 * 600, dtype=np.int32).reshape(700, 600)
     geometry = GridGeometry(0.0, 21_000.0, 30.0, 600, 700, "EPSG:5070")
-    write_cog(tmp_path / "a.tif", layer, geometry, None)
+    write_cog(tmp_path / "a.tif", layer, geometry, None, {}, "layer")
     with rasterio.open(tmp_path / "a.tif") as source:
         assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert source.overviews(1)

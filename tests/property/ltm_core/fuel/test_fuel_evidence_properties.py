@@ -14,9 +14,8 @@ from scenes.any_votes import ASSUMED, BEGIN, CELLS, GRID, LABELS, counted, frame
 from scenes.examples import examples
 from scenes.traced_votes import cast_votes
 
-from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
-from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, UNIT, EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors, known_errors
 from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
 from ltm_core.fuel.rules import FusionRules

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.assessment.design import allocated, drawn
+from ltm_core.assessment.estimation import allocated, drawn
 from ltm_core.base.errors import ConfigError
 
 NAMES = ("sky", "grass", "shrub")

@@ -9,7 +9,7 @@ import pytest
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
-from ltm_core.fire.pyretechnics import VARIABLE, FireModelError, Pyretechnics
+from ltm_core.fire.pyretechnics import VARIABLE, FireModelError, spread
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
@@ -93,12 +93,11 @@ def test_a_place_where_nothing_can_start() -> None:
             ignition_cell(text, None, landscape())
 
 
-def test_a_model_that_has_gone_says_so_and_closes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_fails_is_reported_with_its_last_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = tmp_path / "python"
-    script.write_text('#!/bin/sh\necho \'{"version": "1.0"}\'\necho out of memory >&2\n')
+    script.write_text("#!/bin/sh\necho loading >&2\necho out of memory >&2\nexit 1\n")
     script.chmod(0o755)
     monkeypatch.setenv(VARIABLE, str(script))
-    codes = [101] * 100_000  # more than a pipe holds: writing it fails, and so would writing the rest at the end
-    with Pyretechnics() as model, pytest.raises(FireModelError, match="out of memory"):
-        model.head_rates(codes, Wind(10.0, 45.0), Moisture.parse("D1L1"))
-    assert model.version == "1.0"
+    scenario = FireScenario(1, 1, Wind(10.0, 45.0), Moisture.parse("D1L1"), 1.0)
+    with pytest.raises(FireModelError, match="out of memory"):
+        spread(landscape(), scenario)

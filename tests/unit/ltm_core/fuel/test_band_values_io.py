@@ -13,8 +13,7 @@ from ltm_core.base.errors import RasterError
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import PriorConfig
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior import PriorConfig, load_prior
 from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(300_015.0, 3_700_015.0, 30.0, 4, 1, "EPSG:32611")

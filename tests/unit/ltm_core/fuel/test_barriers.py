@@ -13,8 +13,8 @@ from pyproj import Transformer
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import beside
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import BarrierConfig, PriorConfig
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.overlays_io import BarrierConfig
+from ltm_core.fuel.prior import PriorConfig, load_prior
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 

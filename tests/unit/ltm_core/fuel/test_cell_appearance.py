@@ -30,10 +30,11 @@ def test_neighbours_are_those_along_the_sight() -> None:
 
 
 def test_likelihood_between_two_incidences() -> None:
-    weights = np.full((FORMS, 2, SEEN), np.nan)
-    weights[SHRUB], weights[TREE] = 0.0, 0.0
-    weights[TREE, :, 1 + TREE] = 1.0, 3.0  # of the share of pixels called tree
-    look = CellAppearanceModel(np.array([0.1, 0.5]), weights)
+    weights = np.zeros((2, SEEN))
+    weights[:, 1 + TREE] = 1.0, 3.0  # of the share of pixels called tree
+    look = CellAppearanceModel(
+        incidence=(0.1, 0.5), weights={"shrub": (0 * weights).tolist(), "tree": weights.tolist()}
+    )
     seen = what_is_seen(np.array([3]), np.array([5]), one_hot(TREE), np.zeros(1), None)
     for cosine, expected in ((0.0, 1.0), (0.1, 1.0), (0.2, 1.5), (0.5, 3.0), (0.9, 3.0)):
         found = look.log_likelihood(seen, np.array([cosine]))[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models, of_one_fuel_type, partners
+from ltm_core.fuel.codes import FUEL_TYPES, FuelClimate, FuelSystem, fuel_models, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
@@ -15,6 +15,10 @@ from ltm_core.geometry.grid import GridGeometry
 
 CLIMATES = ("dry", "humid")
 F13, F40 = FuelSystem.FBFM13, FuelSystem.FBFM40
+
+
+def partners(code: int) -> range:
+    return next((models for codes, models in FUEL_TYPES.items() if code in codes), range(0))
 
 
 def prior_of(codes: list[list[int]], **more: object) -> FuelPrior:
@@ -28,7 +32,7 @@ def prior_of(codes: list[list[int]], **more: object) -> FuelPrior:
 def test_every_code_stays_in_its_fuel_type(climate: str, cover: int | None) -> None:
     codes = np.array([[*fuel_models().fbfm40, *NONBURNABLE, 14, 55, 89, 0, 256, -5, NODATA]], np.int16)
     trees = None if cover is None else np.full(codes.shape, cover, np.int16)
-    found = FuelClimate.named(climate).as_crosswalk().to_fbfm13(codes, trees)[0]
+    found = FuelClimate.named(climate).crossed(codes, F13, trees)[0]
     for code, to in zip(codes[0].tolist(), found.tolist(), strict=True):
         if code in fuel_models().fbfm40:
             assert to in partners(code), (code, to)
@@ -38,18 +42,8 @@ def test_every_code_stays_in_its_fuel_type(climate: str, cover: int | None) -> N
 
 def test_grass_under_open_trees_is_timber_with_grass() -> None:
     codes, cover = np.array([[102, 102, 102, 102]], np.int16), np.array([[0, 9, 10, NODATA]], np.int16)
-    found = FuelClimate.named("dry").as_crosswalk().to_fbfm13(codes, cover)
+    found = FuelClimate.named("dry").crossed(codes, F13, cover)
     np.testing.assert_array_equal(found, [[1, 1, 2, 1]])
-
-
-def test_a_map_of_both_systems_teaches_its_own_pairs_of_the_same_fuel_type() -> None:
-    codes = np.repeat(np.array([[102, 147, 182]], np.int16), 60, axis=0)
-    theirs = codes.copy()
-    theirs[:, 0] = np.where(np.arange(60) < 35, 5, 3)  # to most of it the map says brush, to 25 cells tall grass
-    theirs[:, 1] = np.where(np.arange(60) < 50, 6, 1)
-    theirs[:, 2] = np.where(np.arange(60) < 15, 9, 1)  # 15 cells are too few
-    learned = FuelClimate.named("humid").as_crosswalk().learned(codes, theirs)
-    np.testing.assert_array_equal(learned.to_fbfm13(codes[:1]), [[3, 6, 8]])
 
 
 def test_fuel_types_of_two_maps() -> None:

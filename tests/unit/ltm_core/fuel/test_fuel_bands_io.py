@@ -11,8 +11,7 @@ from ltm_core.base.errors import RasterError
 from ltm_core.fire.effect import read_landscape
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.fuel_bands_io import meaning
-from ltm_core.fuel.prior import PriorConfig
-from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.prior import PriorConfig, load_prior, prior_heights
 from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(300_015.0, 3_700_015.0, 30.0, 4, 1, "EPSG:32611")

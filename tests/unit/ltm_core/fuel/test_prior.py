@@ -9,8 +9,7 @@ import rasterio
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Int16Array
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import PriorConfig
-from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.prior import PriorConfig, load_prior, prior_heights
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Int16Array
-from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, with_seen_canopy
+from ltm_core.fuel.canopy import SeenCanopy, crown_fuel, seen_canopy, with_seen_canopy
+from ltm_core.fuel.codes import ForestType
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.stand_allometry import ForestType, crown_fuel
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
@@ -51,35 +51,21 @@ def bands_of(cells: int) -> Int16Array:
 
 def test_base_and_density_follow_what_was_measured() -> None:
     nan = np.nan
-    seen = canopy([20.0, nan, 0.0, 30.0, 20.0, nan], [10.0, nan, 0.0, 25.0, 10.0, 10.0])
-    bands = bands_of(6)
+    seen = canopy([20.0, nan, 0.0, 30.0, 20.0], [10.0, nan, 0.0, 25.0, 10.0])
+    bands = bands_of(5)
     bands[:, 0, 3] = 0, 0, 0, 0
-    codes = np.array([[165, 165, 165, 165, 186, 165]], np.int16)
+    codes = np.array([[165, 165, 165, 165, 186]], np.int16)
     found = with_seen_canopy(bands, seen, codes)
     was, now = (crown_fuel(np.array(c), np.array(h), ForestType.MIXED_CONIFER) for c, h in ((60.0, 15.0), (20.0, 10.0)))
     assert found[:2, 0, 0].tolist() == [20, 100]
-    assert found[2, 0, 0] == round(30 * float(now.base / was.base))
-    assert found[3, 0, 0] == round(12 * float(now.density / was.density))
+    assert found[2, 0, 0] == round(30 * float(now[0] / was[0]))
+    assert found[3, 0, 0] == round(12 * float(now[1] / was[1]))
     assert found[:, 0, 1].tolist() == [60, 150, 30, 12], "nothing was measured: the prior's"
     assert found[:, 0, 2].tolist() == [0, 0, 0, 0], "no canopy is left"
     assert found[:, 0, 3].tolist() == [0, 0, 0, 0], "no trees: the code decides"
     assert found[:, 0, 4].tolist() == [20, 100, 30, 12], "no allometry of broadleaved stands"
-    assert found[:2, 0, 5].tolist() == [60, 100], "the height alone was measured"
     bands[:] = NODATA
     assert (with_seen_canopy(bands, seen, codes) == NODATA).all()
-
-
-def test_labels_and_depth_count_where_trees_are_new() -> None:
-    nan = np.nan
-    changed = canopy([40.0, nan, nan, nan, 0.0], [12.0, nan, nan, nan, 0.0])
-    trees = np.array([[True, True, True, False, True]])
-    new = np.array([[True, True, False, True, True]])
-    found = measured_canopy(trees, new, changed, np.full((1, 5), 30.0), np.full((1, 5), 9.0, np.float32))
-    np.testing.assert_allclose(found.cover, [[40.0, 30.0, nan, nan, 0.0]], rtol=1e-6)
-    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0]])
-    nothing = measured_canopy(trees, new, None, None, None)
-    assert np.isnan(nothing.cover).all()
-    assert np.isnan(nothing.height).all()
 
 
 @pytest.mark.parametrize(("said", "most"), [(11, 45), (60, 60)])
@@ -90,3 +76,19 @@ def test_a_stand_that_is_low_now_is_no_denser_than_stands_are(said: int, most: i
     found = with_seen_canopy(bands, SeenCanopy(cover, height), np.full((1, 1), 183, np.int16))
     assert found[:2].ravel().tolist() == [95, 30]
     assert found[3, 0, 0] == most
+
+
+def test_a_stand_by_hand() -> None:
+    """55 % and 14 m: crowns of 2.1 m, 0.7985 / 13.854 m2 = 576.4 stems/ha of 20 cm, 18.107 m2/ha."""
+    base, density = crown_fuel(np.array([55.0]), np.array([14.0]), ForestType.MIXED_CONIFER)
+    assert base[0] == pytest.approx(-1.463 + 0.578 * 14 + 0.026 * 18.107, abs=1e-3)
+    assert density[0] == pytest.approx(np.exp(-8.445) * 18.107**0.319 * 576.4**0.859, rel=1e-3)
+
+
+@pytest.mark.parametrize("forest", ForestType)
+def test_closer_stands_are_denser_and_taller_ones_have_higher_crowns(forest: ForestType) -> None:
+    cover, height = np.meshgrid([5.0, 30.0, 70.0, 100.0], [1.0, 2.0, 8.0, 20.0, 60.0])
+    base, density = crown_fuel(cover, height, forest)
+    assert (np.diff(density[:, :3], axis=1) > 0).all()
+    assert (np.diff(base, axis=0) > 0).all()
+    assert ((base > 0) & (base <= height) & np.isfinite(density)).all()

@@ -39,7 +39,7 @@ def test_counts_by_cell_and_class() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"cols": [0]}, "2 rows"),
+        ({"cols": [0]}, "differ in length"),
         ({"z": [1.0, 2.0, 3.0]}, "differ in length"),
         ({"counts": [[1, 2]]}, "differ in length"),
         ({"counts": [1, 2]}, "differ in length"),

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.label_errors import known_errors
-from ltm_core.label_heads.head_fit import FittedHead, PhotoSamples, by_area, fit_head, sites_of
+from ltm_core.label_heads.head_fit import PhotoSamples, by_area, fit_head, sites_of
 from ltm_core.label_heads.head_trial import teach_head
 from ltm_core.label_heads.labelled_frames import Frame, read_frames
 from ltm_core.vision.label_head import find_label_head, read_label_head
@@ -28,16 +28,16 @@ def _samples(features: list[list[float]], labels: list[int], shares: list[float]
     return PhotoSamples("a", np.array(labels, np.uint8), np.zeros((len(labels), 2)), values, np.array(shares))
 
 
-def _scores(head: FittedHead, samples: PhotoSamples) -> Float64Array:
-    return samples.scores + samples.features @ head.weights + head.bias
+def _scores(head: tuple[Float64Array, Float64Array], samples: PhotoSamples) -> Float64Array:
+    return samples.scores + samples.features @ head[0] + head[1]
 
 
 def test_a_head_tells_apart_what_its_map_does() -> None:
     samples = _samples([[1.0, 9.0], [1.2, 9.0], [-1.0, 9.0], [-1.1, 9.0]], [0, 0, 1, 1], [0.3, 0.3])
     head = fit_head([samples], {"last": 1, "s2": 1})
-    assert head.weights[0, 0] > 0 > head.weights[0, 1]
-    np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
-    np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
+    assert head[0][0, 0] > 0 > head[0][0, 1]
+    np.testing.assert_allclose(head[0][:, 0], -head[0][:, 1], atol=1e-4)
+    np.testing.assert_allclose(head[0][1], 0.0, atol=1e-4)  # of a map that is the same everywhere
     np.testing.assert_array_equal(_scores(head, samples).argmax(axis=1), [0, 0, 1, 1])
 
 

@@ -14,7 +14,7 @@ from ltm_core.site.sections import DemConfig
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
 from ltm_core.surface.surface_versions_io import FOLDER, ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.fuel_map.services import write_landscapes
+from ltm_ros.fuel_map.export import write_landscapes
 
 CELLS = np.arange(40, 52, dtype=np.int32)
 BEGIN = 1_700_000_000_000_000_000

@@ -26,7 +26,9 @@ def votes(week: int, shrub: int, tree: int) -> CellVotes:
 
 def test_the_node_reports_a_drift_and_again_after_a_restart(tmp_path: Path) -> None:
     shown: Any = SimpleNamespace(
-        seen_cells=3, life_form=np.full((2, 2), 2, np.uint8), unchanged=np.array([[True, False], [True, True]])
+        life_form=np.full((2, 2), 2, np.uint8),
+        seen=np.ones((2, 2), np.bool_),
+        changed=np.array([[False, True], [False, False]]),
     )
     health = Health()
     watch = DriftWatch(LabelSet.load(), tmp_path, health)

@@ -103,7 +103,7 @@ def test_the_last_export_has_what_was_not_yet_shown(tmp_path: Path, monkeypatch:
         service.aggregator.take("alta", scene.sealed("alta", number))
     service.step(0.0)
     assert service.aggregator.persistence.saved_frames == 4
-    assert service.aggregator.persistence.shown.seen_cells == 0
+    assert service.aggregator.persistence.shown.seen.sum() == 0
     stopping.set()
     service.run(stopping)
     with rasterio.open(tmp_path / "out/life_form.tif") as raster:

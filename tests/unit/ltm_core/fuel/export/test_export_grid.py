@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from ltm_core.base.types import Float32Array
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import make_landscape
@@ -20,15 +18,13 @@ TERRAIN = GridGeometry(0.0, 180.0, 10.0, 22, 15)
 """In the map frame: it covers columns 1 to 7 and half of row 0; of column 0 and rows 5 and 6 little or nothing."""
 
 
-def made(spare: Float32Array | None = None) -> Landscape:
+def made() -> Landscape:
     rows, cols = np.indices(TERRAIN.shape)
     heights = (500 + 2.0 * cols - 4.0 * rows).astype(np.float32)
     prior = FuelPrior(np.full(GRID.shape, 102, np.int16), GRID)
     climate = FuelClimate.named("dry")
     layers = layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, climate)
-    return make_landscape(
-        layers, prior, Dem(heights, TERRAIN), FRAME, GRID, climate, FuelSystem.FBFM40, spare=spare
-    )  # fmt: skip
+    return make_landscape(layers, prior, Dem(heights, TERRAIN), FRAME, GRID, climate, FuelSystem.FBFM40)
 
 
 def complete(landscape: Landscape) -> bool:
@@ -45,18 +41,3 @@ def test_a_cell_that_the_terrain_covers_in_part_has_its_height() -> None:
     # The plane rises 0.2 to the east and falls 0.4 to the south.
     assert set(np.unique(landscape.band("slope")[2:4, 2:6]).tolist()) == {24}
     assert (landscape.band("slope")[0, 2:6] > 10).all()
-
-
-@pytest.mark.parametrize(("offset", "taken"), [(12.0, True), (-30.0, True), (700.0, False)])
-def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bool) -> None:
-    rows, cols = np.indices(GRID.shape)
-    x, y = -25 + 30 * (cols + 0.5), 195 - 30 * (rows + 0.5)
-    plane = 500 + 0.2 * (x - 5) - 0.4 * (175 - y)
-    spare = (plane + offset).astype(np.float32)
-    landscape = made(spare)
-    assert complete(landscape)
-    assert (landscape.dropped == 0) == taken
-    assert (landscape.filled > 8) == taken
-    if taken:
-        np.testing.assert_allclose(landscape.band("elevation"), plane, atol=6)
-        assert "elevations of the prior map" in landscape.terrain_note()

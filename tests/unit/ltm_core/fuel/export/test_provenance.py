@@ -13,7 +13,7 @@ import rasterio
 
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
-from ltm_core.fuel.export.companion_files_io import style_path, write_item
+from ltm_core.fuel.export.companion_files_io import style_path, write_item, write_kmz
 from ltm_core.fuel.export.landscape import LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
 from ltm_core.fuel.export.provenance import (
@@ -24,7 +24,6 @@ from ltm_core.fuel.export.provenance import (
     landscape_units,
     software,
 )
-from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.life_form import NODATA, life_form_labels
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
