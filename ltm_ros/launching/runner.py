@@ -20,7 +20,6 @@ from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_js
 from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervised import supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
-from ltm_ros.launching.watchdog import GraphTraffic
 from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
@@ -81,7 +80,6 @@ class Runner:
         self._console = console
         self._policy = policy or RestartPolicy()
         self._stop_s = stop_s
-        self._traffic = GraphTraffic()
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
@@ -207,7 +205,6 @@ class Runner:
             console=self._say,
             policy=self._policy,
             watchdog=self.graph.watchdog,
-            traffic=self._traffic,
             on_end=shared_memory.remove_stale,
         )
 

@@ -22,7 +22,6 @@ from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.web_server import Route, WebResponse
@@ -57,7 +56,6 @@ class HealthNode(Node):  # type: ignore[misc]
         cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
         self._pictures = LastPictures(self, site, cameras, self._health)
         self.create_timer(1.0, self._pictures.tick, clock=DiagnosticsPublisher.steady_clock())
-        self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         own = {self.get_fully_qualified_name(): self._health}
         self._diagnostics = DiagnosticsPublisher(self, own, others=self._camera_states)
@@ -132,7 +130,6 @@ class HealthNode(Node):  # type: ignore[misc]
 
     def _hear(self, message: DiagnosticArray) -> None:
         now_s = time.monotonic()
-        self._heard.messages += 1
         with self._lock:
             for status in message.status:
                 values = {value.key: value.value for value in status.values}

@@ -22,7 +22,6 @@ from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimi
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, loss_report, with_info, writers_of
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
@@ -110,10 +109,7 @@ class Recorder(Node):  # type: ignore[misc]
         self.health.gauge("discovered", known)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
-        heard = TRAFFIC.listener(topic)
-
         def take(cdr: bytes, info: Any) -> None:
-            heard.messages += 1
             if losses and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, topic), lost)
             self._take(topic, type_name, cdr)

@@ -1,9 +1,8 @@
-"""Report once a second to the runner's watchdog what this process does, which of its nodes are ready, and what it has
-sent and received over DDS.
+"""Report once a second to the runner's watchdog what this process does, and which of its nodes are ready.
 
 A separate thread writes a line of JSON into a pipe, so it needs no DDS and works while a node loads and compiles. The
 thread itself shows that the process is scheduled and the interpreter's lock is free; the activities show that work
-progresses; the counts show that messages arrive. Uses only the standard library."""
+progresses. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -14,69 +13,6 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypedDict
-
-
-class TrafficCounts(TypedDict):
-    """Messages since the start of the process, by absolute topic."""
-
-    said: dict[str, int]
-    heard: dict[str, int]
-
-
-class TopicCount:
-    """Count of one publisher or subscription; written by one thread at a time."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.messages = 0
-
-
-class Traffic:
-    """Counts of one process; thread-safe."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._said: list[TopicCount] = []
-        self._heard: list[TopicCount] = []
-
-    def speaker(self, topic: str) -> TopicCount:
-        """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
-        message, too."""
-        return self._add(self._said, topic)
-
-    def listener(self, topic: str) -> TopicCount:
-        """Return the count of a subscription."""
-        return self._add(self._heard, topic)
-
-    def forget(self, counts: Iterable[TopicCount]) -> None:
-        """Remove these publishers and subscriptions."""
-        gone = set(counts)
-        with self._lock:
-            self._said[:] = [count for count in self._said if count not in gone]
-            self._heard[:] = [count for count in self._heard if count not in gone]
-
-    def counts(self) -> TrafficCounts:
-        with self._lock:
-            said, heard = list(self._said), list(self._heard)
-        return {"said": _by_topic(said), "heard": _by_topic(heard)}
-
-    def _add(self, counts: list[TopicCount], topic: str) -> TopicCount:
-        with self._lock:
-            counts.append(made := TopicCount(topic))
-        return made
-
-
-def _by_topic(counts: list[TopicCount]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for count in counts:
-        found[count.topic] = found.get(count.topic, 0) + count.messages
-    return found
-
-
-TRAFFIC = Traffic()
-"""Traffic of this process."""
-
 
 PERIOD_S = 1.0
 
@@ -113,10 +49,9 @@ class Activity:
 
 
 class Heartbeat:
-    """The activities of a process and its traffic, and the thread that reports them."""
+    """The activities of a process, and the thread that reports them."""
 
-    def __init__(self, traffic: Traffic | None = None) -> None:
-        self._traffic = traffic or Traffic()
+    def __init__(self) -> None:
         self._activities: list[Activity] = []
         self._ages: dict[Activity, tuple[int, float]] = {}
         self._ready: dict[str, None] = {}
@@ -174,10 +109,10 @@ class Heartbeat:
                 return
 
     def _lines(self, elapsed_s: float) -> bytes:
-        told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy()), **self._traffic.counts()}
+        told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy())}
         return f"{json.dumps(told)}\n".encode()
 
 
-HEARTBEAT = Heartbeat(TRAFFIC)
+HEARTBEAT = Heartbeat()
 """Heartbeat of this process."""
 STARTING = HEARTBEAT.activity("start")
