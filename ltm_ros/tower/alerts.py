@@ -107,25 +107,21 @@ class AlertQueue:
             self._wake.wait()
             self._wake.clear()
             while self._queue and not self._closing.is_set():
-                self._closing.wait(self._attempt(self._queue.popleft()))
-
-    def _attempt(self, content: bytes) -> float:
-        """Deliver a message, or queue it as the next one; return the pause in seconds."""
-        try:
-            self._deliver(content)
-        except LtmError as error:
-            why = str(error)
-        except Exception as error:  # a bug must not end the thread, and with it all later messages
-            print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
-            why = "internal error, see the log"
-        else:
-            self._backoff.succeeded()
-            self._health.note("alert_sent")
-            return 0.0
-        self._queue.appendleft(content)
-        pause_s = self._backoff.failed()
-        self._health.trouble("alert", f"{self._name}: {why}; next attempt in {pause_s:.0f} s")
-        return pause_s
+                content = self._queue.popleft()
+                try:
+                    self._deliver(content)
+                    self._backoff.succeeded()
+                    self._health.note("alert_sent")
+                    continue
+                except LtmError as error:
+                    why = str(error)
+                except Exception as error:  # a bug must not end the thread, and with it all later messages
+                    print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
+                    why = "internal error, see the log"
+                self._queue.appendleft(content)
+                pause_s = self._backoff.failed()
+                self._health.trouble("alert", f"{self._name}: {why}; next attempt in {pause_s:.0f} s")
+                self._closing.wait(pause_s)
 
 
 class AlertSender:

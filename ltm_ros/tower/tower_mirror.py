@@ -27,6 +27,7 @@ from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 from ltm_ros.tower.health_client import TowerPort
 from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE
+from ltm_ros.viewer.server import listens
 
 LONGEST_LINE: Final = 1024
 MOST_BYTES: Final = 2 << 20
@@ -248,7 +249,9 @@ class _Tunnel:
     """A process of SSH that forwards `place`, on loopback, to a port on the loopback of a host."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._host, self._here = host, _free_port()
+        self._host = host
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self._here = probe.getsockname()[1]
         self.place = f"127.0.0.1:{self._here}"
         options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
         self._command = ["ssh", "-N", "-T", *options, "-L", f"{self.place}:127.0.0.1:{port}", "--", host]
@@ -265,7 +268,7 @@ class _Tunnel:
                 "--connect needs the program ssh: install openssh-client, or give https://HOST"
             ) from error
         deadline = time.monotonic() + TUNNEL_S
-        while not _listens(self._here):
+        while not listens(self._here):
             if self._process.poll() is not None:
                 said = f"ended with exit code {self._process.returncode}"
                 raise ConfigError(f"ssh {self._host}: {said}; its message is above")
@@ -278,15 +281,3 @@ class _Tunnel:
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
