@@ -17,7 +17,7 @@ from types import TracebackType
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_json, parameters_yaml
-from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
+from ltm_ros.launching.service_manager import ServiceManager, in_words
 from ltm_ros.launching.supervised import supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 from ltm_ros.runtime.process_memory import Trimming
@@ -192,7 +192,8 @@ class Runner:
 
     def _report(self, manager: ServiceManager, ready: bool) -> None:
         processes = self.processes.values()
-        watched = all_watched(processes)
+        # Where each is supervised, restarting or given up, another start of the runner would not help.
+        watched = all(process.watched for process in processes)
         state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
         manager.report(state + in_words(processes), ready, watched)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -66,13 +67,11 @@ class ProcessState(Enum):
 def describe_exit(status: int) -> str:
     """Return an exit status in words: the signal's name, or what the code means."""
     if status < 0:
-        try:
+        with contextlib.suppress(ValueError):
             return f"killed by {signal.Signals(-status).name}"
-        except ValueError:
-            return f"killed by signal {-status}"
-    if status == EX_CONFIG:
-        return f"exit code {status}: its configuration is invalid"
-    return "ended normally (exit code 0)" if status == 0 else f"exit code {status}"
+        return f"killed by signal {-status}"
+    meaning = {EX_CONFIG: ": its configuration is invalid", 0: ", a normal end"}
+    return f"exit code {status}{meaning.get(status, '')}"
 
 
 def _end_group(group: int) -> None:
