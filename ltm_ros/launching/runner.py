@@ -42,6 +42,20 @@ def print_line(line: str) -> None:
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
 
 
+def _signalled_until_stopped(processes: list[NodeProcess], number: int, patience_s: float) -> list[NodeProcess]:
+    """Signal each new process of a node, because one may have been starting; return what runs after `patience_s`."""
+    deadline, signalled = time.monotonic() + patience_s, set[int]()
+    while alive := [process for process in processes if not process.wait_stopped(0)]:
+        if time.monotonic() > deadline:
+            break
+        for process in alive:
+            if (pid := process.pid) is not None and pid not in signalled:
+                signalled.add(pid)
+                process.signal(number, whole_group=number == signal.SIGKILL)
+        alive[0].wait_stopped(0.02)
+    return alive
+
+
 def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
     """Return the command of a supervised process, and write the description of its nodes into `folder`."""
     file = folder / spec.label.replace("/", ".")
@@ -141,16 +155,13 @@ class Runner:
         Python's exception can get lost during imports."""
         self._stopping.set()
         with self._lock:
-            processes = list(self.processes.values())
-            for process in processes:
+            alive = list(self.processes.values())
+            for process in alive:
                 process.request_stop()
             for number, patience_s in ((signal.SIGTERM, self._stop_s), (signal.SIGKILL, 5.0)):
-                alive = [process for process in processes if not process.wait_stopped(0)]
-                if not alive:
-                    break
-                if number != signal.SIGTERM:
-                    self._say(f"-- {signal.Signals(number).name} to {', '.join(p.label for p in alive)}, still running")
-                self._signal_until_stopped(alive, number, patience_s)
+                if alive and number == signal.SIGKILL:
+                    self._say(f"-- SIGKILL to {', '.join(process.label for process in alive)}, still running")
+                alive = _signalled_until_stopped(alive, number, patience_s)
             if self._folder is not None:
                 self._remove_shared_memory()
                 shutil.rmtree(self._folder, ignore_errors=True)
@@ -212,21 +223,6 @@ class Runner:
     def _environment(self, busy: bool) -> dict[str, str]:
         base = os.environ | self._extra_environment
         return ros_environment(base, domain_id=self._domain_id, busy=busy)
-
-    def _signal_until_stopped(self, processes: list[NodeProcess], number: int, patience_s: float) -> None:
-        """Signal a node again when a new process of it appears, because one may have been starting."""
-        deadline = time.monotonic() + patience_s
-        signalled: set[int] = set()
-        while time.monotonic() < deadline:
-            alive = [process for process in processes if not process.wait_stopped(0)]
-            if not alive:
-                return
-            for process in alive:
-                pid = process.pid
-                if pid is not None and pid not in signalled:
-                    signalled.add(pid)
-                    process.signal(number, whole_group=number == signal.SIGKILL)
-            alive[0].wait_stopped(0.02)
 
     def _obituaries(self, lost: list[str]) -> list[str]:
         """Return in words which nodes or processes are lost, and the state and last output of their processes."""

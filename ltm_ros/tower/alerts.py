@@ -183,10 +183,8 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
     tls = url.scheme == "mqtts"
     client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"ltm-{site}-alerts", protocol=mqtt.MQTTv5)
     client.connect_timeout = TIMEOUT_S
-    rejected: list[str] = []
-    client.on_connect = lambda _client, _data, _flags, reason, _properties: (
-        rejected.append(str(reason)) if reason.is_failure else None
-    )
+    answers: list[Any] = []
+    client.on_connect = lambda _client, _data, _flags, reason, _properties: answers.append(reason)
     try:
         if config.user is not None:
             client.username_pw_set(config.user, read_secret(config.password).reveal() if config.password else None)
@@ -200,6 +198,7 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
         sent = client.publish(f"ltm/{site}/alerts", content, qos=1)
         sent.wait_for_publish(TIMEOUT_S)
         if not sent.is_published():
+            rejected = [str(reason) for reason in answers if reason.is_failure]
             raise MessageError(f"rejected: {rejected[0]}" if rejected else f"no acknowledgement in {TIMEOUT_S:.0f} s")
     except (OSError, ValueError, RuntimeError) as error:
         raise MessageError(f"not reachable ({type(error).__name__}: {error})") from None
