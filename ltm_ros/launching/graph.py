@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
-import yaml
+from pydantic import Field, TypeAdapter, ValidationError
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import WatchdogConfig
@@ -17,6 +17,11 @@ from ltm_core.site.site import Site
 from ltm_core.surface.surface_versions_io import FOLDER
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+_Item = TypeVar("_Item")
+_Items = Annotated[list[_Item], Field(min_length=1)]
+_PARAMETER: TypeAdapter[ParameterValue] = TypeAdapter(
+    bool | int | float | str | _Items[bool] | _Items[int] | _Items[float] | _Items[str]
+)
 
 NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
@@ -108,6 +113,9 @@ class ProcessSpec:
         return not self.shared and self.nodes[0].busy
 
 
+_Part = TypeVar("_Part", NodeSpec, ProcessSpec)
+
+
 @dataclass(frozen=True)
 class Graph:
     """All nodes of a site. Labels are unique."""
@@ -132,11 +140,7 @@ class Graph:
 
     def process(self, label: str) -> ProcessSpec:
         """Return a process by label. Raises ConfigError that lists the processes."""
-        for process in self.processes:
-            if process.label == label:
-                return process
-        there = ", ".join(process.label for process in self.processes)
-        raise ConfigError(f"no process {label!r} in the graph of {self.site}; it has {there}")
+        return self._labelled(label, self.processes, "process")
 
     def __iter__(self) -> Iterator[NodeSpec]:
         return iter(self.nodes)
@@ -146,10 +150,14 @@ class Graph:
 
     def node(self, label: str) -> NodeSpec:
         """Return a node by label. Raises ConfigError that lists the nodes."""
-        for node in self.nodes:
-            if node.label == label:
-                return node
-        raise ConfigError(f"no node {label!r} in the graph of {self.site}; it has {', '.join(n.label for n in self)}")
+        return self._labelled(label, self.nodes, "node")
+
+    def _labelled(self, label: str, parts: Sequence[_Part], what: str) -> _Part:
+        for part in parts:
+            if part.label == label:
+                return part
+        there = ", ".join(part.label for part in parts)
+        raise ConfigError(f"no {what} {label!r} in the graph of {self.site}; it has {there}")
 
 
 def describe(
@@ -234,12 +242,10 @@ def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
-    """Return a ROS parameters file for a node of any name. Strings are quoted, or bare `y` and `on` would become
-    booleans."""
-    lines = ["/**:", "  ros__parameters:"]
-    for name, value in parameters.items():
-        lines.append(f"    {name}: {_scalar_or_list(value)}")
-    return "\n".join(lines) + "\n"
+    """Return a ROS parameters file for a node of any name. Values are JSON, which quotes strings: bare `y` and `on`
+    would become booleans."""
+    lines = [f"    {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in parameters.items()]
+    return f"/**:\n  ros__parameters:\n{''.join(lines)}"
 
 
 def nodes_json(nodes: Sequence[NodeSpec]) -> str:
@@ -249,19 +255,6 @@ def nodes_json(nodes: Sequence[NodeSpec]) -> str:
 
 def nodes_of_json(text: str) -> tuple[NodeSpec, ...]:
     return tuple(NodeSpec(**given) for given in json.loads(text))
-
-
-def _scalar_or_list(value: ParameterValue) -> str:
-    if isinstance(value, list):
-        return f"[{', '.join(_scalar(item) for item in value)}]"
-    return _scalar(value)
-
-
-def _scalar(value: bool | int | float | str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    text: str = yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None, width=1 << 30)
-    return text.removesuffix("\n").removesuffix("\n...")
 
 
 def _overrides(
@@ -292,14 +285,9 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _ros_value(value: object, place: str) -> ParameterValue:
     """Return a ROS parameter: boolean, integer, float, string or non-empty list of one type. Raises ConfigError."""
-    if isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, list | tuple) and value:
-        items = list(value)
-        if all(isinstance(item, bool) for item in items) or all(isinstance(item, str) for item in items):
-            return items
-        if all(isinstance(item, int | float) and not isinstance(item, bool) for item in items):
-            return items if all(isinstance(item, int) for item in items) else [float(item) for item in items]
-    raise ConfigError(
-        f"{place} = {value!r}: a parameter is a boolean, integer, float, string or non-empty list of one of these"
-    )
+    try:
+        return _PARAMETER.validate_python(value, strict=True)
+    except ValidationError:
+        raise ConfigError(
+            f"{place} = {value!r}: a parameter is a boolean, integer, float, string or non-empty list of one of these"
+        ) from None

@@ -17,10 +17,9 @@ from types import TracebackType
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_json, parameters_yaml
-from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
+from ltm_ros.launching.service_manager import ServiceManager, in_words
 from ltm_ros.launching.supervised import supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
-from ltm_ros.launching.watchdog import GraphTraffic
 from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
@@ -41,6 +40,20 @@ def print_line(line: str) -> None:
         # Unbuffered: a buffer that cannot be flushed makes the process exit with an error.
         sys.stdout.flush()
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
+
+
+def _signalled_until_stopped(processes: list[NodeProcess], number: int, patience_s: float) -> list[NodeProcess]:
+    """Signal each new process of a node, because one may have been starting; return what runs after `patience_s`."""
+    deadline, signalled = time.monotonic() + patience_s, set[int]()
+    while alive := [process for process in processes if not process.wait_stopped(0)]:
+        if time.monotonic() > deadline:
+            break
+        for process in alive:
+            if (pid := process.pid) is not None and pid not in signalled:
+                signalled.add(pid)
+                process.signal(number, whole_group=number == signal.SIGKILL)
+        alive[0].wait_stopped(0.02)
+    return alive
 
 
 def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
@@ -81,7 +94,6 @@ class Runner:
         self._console = console
         self._policy = policy or RestartPolicy()
         self._stop_s = stop_s
-        self._traffic = GraphTraffic()
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
@@ -143,16 +155,13 @@ class Runner:
         Python's exception can get lost during imports."""
         self._stopping.set()
         with self._lock:
-            processes = list(self.processes.values())
-            for process in processes:
+            alive = list(self.processes.values())
+            for process in alive:
                 process.request_stop()
             for number, patience_s in ((signal.SIGTERM, self._stop_s), (signal.SIGKILL, 5.0)):
-                alive = [process for process in processes if not process.wait_stopped(0)]
-                if not alive:
-                    break
-                if number != signal.SIGTERM:
-                    self._say(f"-- {signal.Signals(number).name} to {', '.join(p.label for p in alive)}, still running")
-                self._signal_until_stopped(alive, number, patience_s)
+                if alive and number == signal.SIGKILL:
+                    self._say(f"-- SIGKILL to {', '.join(process.label for process in alive)}, still running")
+                alive = _signalled_until_stopped(alive, number, patience_s)
             if self._folder is not None:
                 self._remove_shared_memory()
                 shutil.rmtree(self._folder, ignore_errors=True)
@@ -194,7 +203,8 @@ class Runner:
 
     def _report(self, manager: ServiceManager, ready: bool) -> None:
         processes = self.processes.values()
-        watched = all_watched(processes)
+        # Where each is supervised, restarting or given up, another start of the runner would not help.
+        watched = all(process.watched for process in processes)
         state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
         manager.report(state + in_words(processes), ready, watched)
 
@@ -207,28 +217,12 @@ class Runner:
             console=self._say,
             policy=self._policy,
             watchdog=self.graph.watchdog,
-            traffic=self._traffic,
             on_end=shared_memory.remove_stale,
         )
 
     def _environment(self, busy: bool) -> dict[str, str]:
         base = os.environ | self._extra_environment
         return ros_environment(base, domain_id=self._domain_id, busy=busy)
-
-    def _signal_until_stopped(self, processes: list[NodeProcess], number: int, patience_s: float) -> None:
-        """Signal a node again when a new process of it appears, because one may have been starting."""
-        deadline = time.monotonic() + patience_s
-        signalled: set[int] = set()
-        while time.monotonic() < deadline:
-            alive = [process for process in processes if not process.wait_stopped(0)]
-            if not alive:
-                return
-            for process in alive:
-                pid = process.pid
-                if pid is not None and pid not in signalled:
-                    signalled.add(pid)
-                    process.signal(number, whole_group=number == signal.SIGKILL)
-            alive[0].wait_stopped(0.02)
 
     def _obituaries(self, lost: list[str]) -> list[str]:
         """Return in words which nodes or processes are lost, and the state and last output of their processes."""

@@ -27,24 +27,15 @@ SIGNS_A_LIMIT = 3
 def in_words(processes: Iterable[NodeProcess]) -> str:
     """Return which processes do not run, and why; else how many run."""
     seen = list(processes)
-    down = [process for process in seen if not process.running]
+    down = [
+        f"{one.label} ({'given up, ' * (one.state is ProcessState.GIVEN_UP)}{one.last_exit or 'starts'})"
+        for one in seen
+        if not one.running
+    ]
     if not down:
         return f"all {len(seen)} processes run"
-    told = ", ".join(_one(process) for process in down)
-    line = f"{len(seen) - len(down)} of {len(seen)} processes run; down: {told}"
+    line = f"{len(seen) - len(down)} of {len(seen)} processes run; down: {', '.join(down)}"
     return line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..."
-
-
-def all_watched(processes: Iterable[NodeProcess]) -> bool:
-    """Return whether each process is supervised, restarting, or given up, so that restarting the runner would not help.
-    Camera data does not count."""
-    return all(process.watched for process in processes)
-
-
-def _one(process: NodeProcess) -> str:
-    if process.state is ProcessState.GIVEN_UP:
-        return f"{process.label} (given up, {process.last_exit})"
-    return f"{process.label} ({process.last_exit or 'starts'})"
 
 
 class ServiceManager:

@@ -82,13 +82,11 @@ def _take_locks(paths: list[Path], held: contextlib.ExitStack) -> bool:
 def _mapped_names(folder: Path) -> set[str]:
     """Return the base names of the objects that visible processes have mapped; senders map ports without a lock."""
     names: set[str] = set()
-    prefix = f"{folder}/fastrtps_"
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with contextlib.suppress(OSError):
             for line in maps.read_text(errors="replace").splitlines():
-                path = line[line.find("/") :] if prefix in line else ""
-                match = _OBJECT.match(Path(path).name) if path and not path.endswith("(deleted)") else None
-                if match:
+                _, found, name = line.partition(f"{folder}/")
+                if found and not name.endswith("(deleted)") and (match := _OBJECT.match(name)):
                     names.add(match["base"])
     return names
 

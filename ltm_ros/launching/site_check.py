@@ -10,13 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from types import ModuleType
 
 from pydantic import BaseModel
 
 from ltm_core.base.errors import ConfigError, LtmError, SiteFinding, SiteVerdict
 from ltm_core.raster.dem import prepare_heights
-from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_check import SiteCheck, check_site
 from ltm_core.site.site_io import load_site
@@ -102,32 +100,23 @@ def exit_status(findings: Sequence[SiteFinding]) -> int:
 
 
 def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
-    """Check a graph that is about to start; a large DEM is prepared first."""
-    prepared = list(_prepare(path))
+    """Check a graph that is about to start; a large DEM is prepared first, so that its processes share it. The check
+    reports errors of the site or the raster."""
+    prepared: list[SiteFinding] = []
+    with suppress(LtmError):
+        dem = load_site(path).dem
+        try:
+            if (place := prepare_heights(dem.path, dem.crs)) is not None:
+                prepared.append(_machine("dem", f"prepared in {place}: the processes share it"))
+        except OSError as error:
+            why = error.strerror or error
+            prepared.append(_machine("dem", f"no file beside {dem.path} ({why}): each process loads its own copy"))
     return [*examine(path, wanted).findings, *prepared]
 
 
-def _prepare(path: Path) -> Iterator[SiteFinding]:
-    """Prepare rasters so that the graph's processes share them. The check reports errors of the site or the raster."""
-    with suppress(LtmError):
-        dem = load_site(path).dem
-        raster = dem.path
-        try:
-            prepared = prepare_heights(raster, dem.crs)
-        except OSError as error:
-            why = error.strerror or error
-            yield SiteFinding(
-                MACHINE, "dem", SiteVerdict.OK, f"no file beside {raster} ({why}): each process loads its own copy"
-            )
-        else:
-            if prepared is not None:
-                yield SiteFinding(MACHINE, "dem", SiteVerdict.OK, f"prepared in {prepared}: the processes share it")
-
-
-def _config_of(module: ModuleType) -> type[BaseModel]:
-    """Return the parameter class of a node; the recorder has no handler."""
-    model: type[BaseModel] = module.NODE.config if hasattr(module, "NODE") else module.CONFIG
-    return model
+def _machine(name: str, said: str, fine: bool = True, bad: SiteVerdict = SiteVerdict.DOUBTFUL) -> SiteFinding:
+    """Return a finding about the machine."""
+    return SiteFinding(MACHINE, name, SiteVerdict.OK if fine else bad, said)
 
 
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
@@ -148,23 +137,24 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     wrong = False
     for spec in {spec.module: spec for spec in graph}.values():
         given = {name: value for name, value in spec.parameters.items() if name != "use_sim_time"}
+        module = importlib.import_module(spec.module)
+        config: type[BaseModel] = module.NODE.config if hasattr(module, "NODE") else module.CONFIG
         try:
-            checked(_config_of(importlib.import_module(spec.module)), given, f"nodes.{spec.executable}")
+            checked(config, given, f"nodes.{spec.executable}")
             if name := given.get("model"):
                 NetworkManifest.find(str(name)).require(spec.executable == "topodepth")
         except LtmError as error:
             wrong = True
             yield SiteFinding.of("site", "nodes", error)
+    count = len(graph.processes)
     if not wrong:
-        said = f"{len(graph)} nodes in {len(graph.processes)} processes, parameters are valid"
+        said = f"{len(graph)} nodes in {count} processes, parameters are valid"
         yield SiteFinding("site", "nodes", SiteVerdict.OK, said)
-    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
+    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (count + 1), shared_memory.free_bytes()
     if free is not None:
-        said = f"{free >> 20} MB free, {len(graph.processes)} processes need {needed >> 20} MB"
-        if free < needed:
-            said += ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
-        verdict = SiteVerdict.OK if free >= needed else SiteVerdict.DOUBTFUL
-        yield SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), verdict, said)
+        remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)" * (free < needed)
+        said = f"{free >> 20} MB free, {count} processes need {needed >> 20} MB{remedy}"
+        yield _machine(str(shared_memory.SHM_FOLDER), said, free >= needed)
 
 
 def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
@@ -180,9 +170,17 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         for name, usual in (("web_port", 9090), ("grpc_port", 9876)):
             port = given.get(name, usual)
             if isinstance(port, int) and port:
-                yield _port(name, port)
-    if wanted.health is not None and site.health is not None and site.health.port:
-        yield _health_port(site.health)
+                error = bind_error(_LOOPBACK, port)
+                why = f"in use ({error.strerror}): end the program that uses it, or set another" if error else "free"
+                said = f"port {port} on {_LOOPBACK} is {why}{f' (nodes.viewer.{name})' if error else ''}"
+                yield _machine(name, said, error is None, SiteVerdict.WRONG)
+    if wanted.health is not None and (health := site.health) is not None and health.port:
+        # Only a warning, because the tower runs without it and retries.
+        error = bind_error(health.address, health.port)
+        said = f"{health.port} on {health.address} is free"
+        if error is not None:
+            said = f"{refusal(health.address, health.port, error)}; the tower runs, and retries"
+        yield _machine("health", said, error is None)
 
 
 def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
@@ -191,13 +189,11 @@ def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         moving, _ = transform_topics(site.cameras[name])
         if moving and TF is None:
             lacks = f"{moving} is read in replays only: tf2_msgs is not installed; use ROS 2 from apt, or another pose"
-            yield SiteFinding(MACHINE, f"pose of {name}", SiteVerdict.DOUBTFUL, lacks)
-        source = site.cameras[name].source
-        if source is None:
+            yield _machine(f"pose of {name}", lacks, False)
+        if (source := site.cameras[name].source) is None:
             continue
         doubts = list(doubts_of(source))
-        for doubt in doubts:
-            yield SiteFinding(MACHINE, f"source of {name}", SiteVerdict.DOUBTFUL, doubt)
+        yield from (_machine(f"source of {name}", doubt, False) for doubt in doubts)
         if not doubts:
             yield SiteFinding("cameras", f"source of {name}", SiteVerdict.OK, source.kind)
 
@@ -211,7 +207,7 @@ def _alerts(site: Site) -> Iterator[SiteFinding]:
             if given is not None:
                 read_secret(given)
         except LtmError as error:
-            yield SiteFinding(MACHINE, f"alerts.{name}", SiteVerdict.DOUBTFUL, str(error))
+            yield _machine(f"alerts.{name}", str(error), False)
 
 
 def _folder(what: str, folder: Path) -> SiteFinding:
@@ -222,25 +218,6 @@ def _folder(what: str, folder: Path) -> SiteFinding:
     free = free_bytes(folder.expanduser())
     said = f"{folder}: {free / 1e9:.1f} GB free"
     if free >= SCARCE_SPACE:
-        return SiteFinding(MACHINE, what, SiteVerdict.OK, said)
-    verdict = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
-    return SiteFinding(MACHINE, what, verdict, f"{said}: free some space, or give a folder on another disk")
-
-
-def _port(name: str, port: int) -> SiteFinding:
-    error = bind_error(_LOOPBACK, port)
-    if error is None:
-        return SiteFinding(MACHINE, name, SiteVerdict.OK, f"{port} on {_LOOPBACK} is free")
-    said = f"port {port} on {_LOOPBACK} is in use ({error.strerror}): set another with `"
-    return SiteFinding(
-        MACHINE, name, SiteVerdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end the program that uses it"
-    )
-
-
-def _health_port(config: HealthConfig) -> SiteFinding:
-    """Check the health port; only a warning, because the tower runs without it and retries."""
-    error = bind_error(config.address, config.port)
-    if error is None:
-        return SiteFinding(MACHINE, "health", SiteVerdict.OK, f"{config.port} on {config.address} is free")
-    said = refusal(config.address, config.port, error)
-    return SiteFinding(MACHINE, "health", SiteVerdict.DOUBTFUL, f"{said}; the tower runs, and retries")
+        return _machine(what, said)
+    bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
+    return _machine(what, f"{said}: free some space, or give a folder on another disk", False, bad)

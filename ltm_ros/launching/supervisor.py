@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -15,7 +16,7 @@ from typing import IO
 
 from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
-from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
+from ltm_ros.launching.watchdog import HangWatch, process_use
 from ltm_ros.runtime.handler import EX_CONFIG
 from ltm_ros.runtime.retry import Backoff
 
@@ -66,13 +67,11 @@ class ProcessState(Enum):
 def describe_exit(status: int) -> str:
     """Return an exit status in words: the signal's name, or what the code means."""
     if status < 0:
-        try:
+        with contextlib.suppress(ValueError):
             return f"killed by {signal.Signals(-status).name}"
-        except ValueError:
-            return f"killed by signal {-status}"
-    if status == EX_CONFIG:
-        return f"exit code {status}: its configuration is invalid"
-    return "ended normally (exit code 0)" if status == 0 else f"exit code {status}"
+        return f"killed by signal {-status}"
+    meaning = {EX_CONFIG: ": its configuration is invalid", 0: ", a normal end"}
+    return f"exit code {status}{meaning.get(status, '')}"
 
 
 def _end_group(group: int) -> None:
@@ -101,8 +100,6 @@ class NodeProcess:
     policy: RestartPolicy = field(default_factory=RestartPolicy)
     watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
     """Limits after which it counts as hung."""
-    traffic: GraphTraffic = field(default_factory=GraphTraffic)
-    """Traffic of all processes of the graph, to detect a process that receives nothing."""
     on_end: Callable[[], object] = lambda: None
     """Called when the process has ended: each crash leaves 70 MB of shared memory."""
 
@@ -122,8 +119,6 @@ class NodeProcess:
         self._tail: deque[str] = deque(maxlen=12)
         self._restarts = RestartDelay(self.policy)
         self._slow_starts = 0
-        self._deaf_runs = 0
-        """Number of consecutive runs that received nothing; each doubles the next run's limit."""
         self._look_due = time.monotonic()
         self._hang = ""
         """Reason why the last run was killed as hung, if it was."""
@@ -217,10 +212,7 @@ class NodeProcess:
     def _follow(self, pid: int, heartbeat: int) -> str:
         """Wait until the process has ended; return why it was killed, if it hung. It is not reaped here, so that its
         process id cannot be reused."""
-        self.traffic.begin(self.label)
-        patience_s = self.watchdog.deaf * 2.0 ** min(self._deaf_runs, 10)
-        hearing = HearingWatch(self.label, self.traffic, patience_s)
-        watch = HangWatch(self.watchdog, self._slow_starts, hearing)
+        watch = HangWatch(self.watchdog, self._slow_starts)
         hang = ""
         end = os.pidfd_open(pid)
         poll = select.poll()
@@ -246,7 +238,6 @@ class NodeProcess:
             os.close(heartbeat)
         self.ready = frozenset()
         self._slow_starts = self._slow_starts + 1 if hang and not watch.started else 0
-        self._deaf_runs = self._deaf_runs + 1 if hearing.deaf and not hearing.heard else 0
         return hang
 
     def _kill_hung(self, hang: str, end: int) -> None:

@@ -18,19 +18,17 @@ from rclpy.node import Node
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.status import status_message
-from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.web_server import Route, WebResponse
-from ltm_ros.tower import machine
 from ltm_ros.tower.alerts import AlertSender
 from ltm_ros.tower.health_client import PatientServer
 from ltm_ros.tower.last_pictures import LastPictures
 from ltm_ros.tower.live_stream import KINDS, LiveStream
+from ltm_ros.tower.machine import Machine
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.tower_status import CameraStatus, TowerStatus, TowerWatch, camera_of
@@ -58,7 +56,6 @@ class HealthNode(Node):  # type: ignore[misc]
         steady = DiagnosticsPublisher.steady_clock()
         self._pictures = LastPictures(self, site, cameras, self._health)
         self.create_timer(1.0, self._pictures.tick, clock=steady)
-        self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         own = {self.get_fully_qualified_name(): self._health}
         self._diagnostics = DiagnosticsPublisher(self, own, others=self._camera_states)
@@ -115,9 +112,9 @@ class HealthNode(Node):  # type: ignore[misc]
     def status(self) -> TowerStatus:
         """Return the current status; thread-safe."""
         now = time.monotonic(), self.get_clock().now().nanoseconds / 1e9
-        disks, versions, memory = machine.disks(self._folders), machine.versions(), machine.memory()
+        machine = Machine.read(self._folders)
         with self._lock:
-            return self._watch.status(*now, versions=versions, clock=kernel_clock(), disks=disks, memory=memory)
+            return self._watch.status(*now, machine)
 
     def _camera_states(self) -> list[DiagnosticStatus]:
         """Return the status of each camera, named `/SITE/CAMERA`."""
@@ -127,7 +124,6 @@ class HealthNode(Node):  # type: ignore[misc]
 
     def _hear(self, message: DiagnosticArray) -> None:
         now_s = time.monotonic()
-        self._heard.messages += 1
         with self._lock:
             for status in message.status:
                 values = {value.key: value.value for value in status.values}

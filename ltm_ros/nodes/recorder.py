@@ -22,7 +22,6 @@ from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimi
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher, LossCounter, with_info
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
@@ -107,10 +106,9 @@ class Recorder(Node):  # type: ignore[misc]
         self.health.gauge("discovered", known)
 
     def _taker(self, topic: str, type_name: str, latched: bool) -> Callable[[bytes, Any], None]:
-        heard, losses = TRAFFIC.listener(topic), LossCounter(self, topic, self.health)
+        losses = LossCounter(self, topic, self.health)
 
         def take(cdr: bytes, info: Any) -> None:
-            heard.messages += 1
             if not latched:
                 losses.take(info)
             self._take(topic, type_name, cdr)

@@ -206,11 +206,9 @@ class RegionExports:
 
     def look(self, now_s: float, changed: bool) -> None:
         """Start an export if the map has changed and the last one is old enough."""
-        self._due |= changed
-        if self._work is not None and not self._work.done():
-            return
-        self._judge()
-        if self._due and now_s >= self._next_s:
+        if changed:
+            self._due = True
+        if (self._work is None or self._work.done()) and self._due and now_s >= self._next_s:
             self._due, self._next_s = False, now_s + self._config.every
             self._work = self._pool.submit(self._write, self._source())
 
@@ -218,27 +216,8 @@ class RegionExports:
         """Write the last state if it is not written yet; `changed`: since the last `look`."""
         self._due |= changed
         self._pool.shutdown()
-        self._judge()
         if self._due:
-            try:
-                self._write(self._source())
-            except Exception as error:
-                self._tell(error)
-
-    def _judge(self) -> None:
-        """Check the result of the last export; after a failure, the map is due again."""
-        work, self._work = self._work, None
-        error = None if work is None else work.exception()
-        if error is not None:
-            self._due = True
-            self._tell(error)
-
-    def _tell(self, error: BaseException) -> None:
-        if isinstance(error, LtmError):
-            self._health.trouble(cause_of(error), f"the map was not exported: {error}")
-        else:  # an internal error, or one of a library
-            sys.excepthook(type(error), error, error.__traceback__)
-            self._health.trouble("export", f"the map was not exported ({type(error).__name__}: {error}); see the log")
+            self._write(self._source())
 
     def _source(self) -> FuelSource:
         """Return the current map, with copies of its layers."""
@@ -249,5 +228,16 @@ class RegionExports:
         return FuelSource(aggregator.site, aggregator.labels, geometry, evidence.prior, layers, self._empty)
 
     def _write(self, source: FuelSource) -> None:
-        export_site(source, self._config.folder, None, "layers", system_of(source.prior).value, None, None)
-        self._health.note("exported")
+        """Write the export; if it fails, report why, and the map is due again."""
+        kind = system_of(source.prior).value
+        try:
+            export_site(source, self._config.folder, None, "layers", kind, None, None)
+            self._health.note("exported")
+        except Exception as error:
+            self._due = True
+            if isinstance(error, LtmError):
+                cause, why = cause_of(error), str(error)
+            else:  # an internal error, or one of a library
+                sys.excepthook(type(error), error, error.__traceback__)
+                cause, why = "export", f"{type(error).__name__}: {error}; see the log"
+            self._health.trouble(cause, f"the map was not exported ({why})")

@@ -27,6 +27,7 @@ from ltm_ros.region.mqtt_link import LARGEST_PACKET, ROOT
 AUTHORITY: Final = "ca"
 BROKER: Final = "broker"
 _RESERVED: Final = (AUTHORITY, BROKER, AGGREGATOR)
+_Issuer = tuple[ec.EllipticCurvePrivateKey, x509.Certificate]
 _BACKDATED: Final = timedelta(minutes=5)
 """Backdating of certificates, so that a clock slightly behind accepts a new one."""
 
@@ -48,90 +49,75 @@ class TrialAuthority:
                     f"{name!r}: a name consists of a-z, 0-9 and _, begins with a letter, and is none of "
                     f"{', '.join(_RESERVED)}"
                 )
+        new: list[Path] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            return self._made(region, clients, hosts, address, port)
+            names = [n for n in (BROKER, AGGREGATOR, *clients) if not (self.folder / f"{n}.crt").exists()]
+            authority = self._authority(new) if names else None
+            for name in names:
+                server = name == BROKER
+                usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
+                extensions: list[x509.ExtensionType] = [x509.ExtendedKeyUsage([usage])]
+                extensions += [x509.SubjectAlternativeName([_host(host) for host in hosts])] if server else []
+                self._create(name, name, authority, extensions, new)
+            for name, text in (("acl", acl(region)), ("mosquitto.conf", self.configuration(address, port))):
+                path = self.folder / name
+                if not path.exists():
+                    path.write_text(text, encoding="utf-8")
+                    new.append(path)
         except OSError as error:
             raise ConfigError(f"{error.filename or self.folder}: cannot be written ({error.strerror})") from error
-
-    def _made(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
-        new: list[Path] = []
-        missing = [n for n in (BROKER, AGGREGATOR, *clients) if not (self.folder / f"{n}.crt").exists()]
-        if missing:
-            self._make_certificates(missing, hosts, new)
-        for name, text in (("acl", acl(region)), ("mosquitto.conf", self.configuration(address, port))):
-            path = self.folder / name
-            if not path.exists():
-                path.write_text(text, encoding="utf-8")
-                new.append(path)
         return new
 
-    def _make_certificates(self, names: Sequence[str], hosts: Sequence[str], new: list[Path]) -> None:
-        authority_key, authority = self._authority(new)
-        for name in names:
-            key = ec.generate_private_key(ec.SECP256R1())
-            usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
-            builder = (
-                self._builder(name)
-                .issuer_name(authority.subject)
-                .public_key(key.public_key())
-                .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-                .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
-                .add_extension(
-                    x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key.public_key()), critical=False
-                )
-            )
-            if name == BROKER:
-                builder = builder.add_extension(
-                    x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False
-                )
-            self._write(name, key, builder.sign(authority_key, hashes.SHA256()), new)
-
-    def _authority(self, new: list[Path]) -> tuple[ec.EllipticCurvePrivateKey, x509.Certificate]:
+    def _authority(self, new: list[Path]) -> _Issuer:
         key_file, certificate_file = self.folder / f"{AUTHORITY}.key", self.folder / f"{AUTHORITY}.crt"
-        if certificate_file.exists():
-            if not key_file.exists():
-                raise ConfigError(
-                    f"{key_file}: the authority's key is missing, but needed for new certificates; put it back "
-                    "while `ltm certs` runs, then remove it again"
-                )
-            try:
-                key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
-                certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
-            except ValueError as error:
-                raise ConfigError(f"{self.folder}: contains no authority made by `ltm certs`") from error
-            if not isinstance(key, ec.EllipticCurvePrivateKey):
-                raise ConfigError(f"{key_file}: not made by `ltm certs`; give another folder")
-            return key, certificate
-        made = ec.generate_private_key(ec.SECP256R1())
-        certificate = (
-            self._builder("ltm trial authority")
-            .issuer_name(_subject("ltm trial authority"))
-            .public_key(made.public_key())
-            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(x509.SubjectKeyIdentifier.from_public_key(made.public_key()), critical=False)
-            .sign(made, hashes.SHA256())
-        )
-        self._write(AUTHORITY, made, certificate, new)
-        return made, certificate
+        if not certificate_file.exists():
+            return self._create(AUTHORITY, "ltm trial authority", None, [], new)
+        if not key_file.exists():
+            raise ConfigError(
+                f"{key_file}: the authority's key is missing, but needed for new certificates; put it back while "
+                "`ltm certs` runs, then remove it again"
+            )
+        try:
+            key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
+            certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
+        except ValueError as error:
+            raise ConfigError(f"{self.folder}: contains no authority made by `ltm certs`") from error
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise ConfigError(f"{key_file}: not made by `ltm certs`; give another folder")
+        return key, certificate
 
-    def _builder(self, name: str) -> x509.CertificateBuilder:
-        now = datetime.now(UTC)
-        return (
-            x509.CertificateBuilder()
-            .subject_name(_subject(name))
-            .serial_number(x509.random_serial_number())
-            .not_valid_before(now - _BACKDATED)
-            .not_valid_after(now + timedelta(days=self.days))
-        )
+    def _create(
+        self, name: str, subject: str, issuer: _Issuer | None, extensions: list[x509.ExtensionType], new: list[Path]
+    ) -> _Issuer:
+        """Create and write a key and its certificate, which `issuer` signs (None: the key itself, for an authority).
 
-    def _write(
-        self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
-    ) -> None:
-        """Write the key first, readable only by its owner, because a certificate would count as complete; each file
+        The key is written first, readable only by its owner, because a certificate would count as complete; each file
         completely or not at all. Raises ConfigError if there is a key, which may be in use elsewhere."""
         if (self.folder / f"{name}.key").exists():
             raise ConfigError(f"{self.folder / name}.key has no certificate; move it away, then both are created")
+        key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+        signer = issuer[0] if issuer else key
+        identifier = (
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
+            if issuer
+            else x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+        )
+        constraints = x509.BasicConstraints(ca=issuer is None, path_length=None if issuer else 0)
+        own_name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, subject)])
+        builder = (
+            x509.CertificateBuilder()
+            .subject_name(own_name)
+            .issuer_name(issuer[1].subject if issuer else own_name)
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(now - _BACKDATED)
+            .not_valid_after(now + timedelta(days=self.days))
+            .add_extension(constraints, critical=True)
+        )
+        for extension in (identifier, *extensions):
+            builder = builder.add_extension(extension, critical=False)
+        certificate = builder.sign(signer, hashes.SHA256())
         secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
@@ -146,6 +132,7 @@ class TrialAuthority:
                 os.fsync(descriptor)
             partial.replace(self.folder / file_name)
             new.append(self.folder / file_name)
+        return key, certificate
 
     def configuration(self, address: str, port: int) -> str:
         """Return mosquitto's configuration; clients are identified by their certificates, which are required."""
@@ -184,10 +171,6 @@ pattern write {ROOT}/{region}/votes/%u
 pattern read {ROOT}/{region}/ack/%u
 pattern read {ROOT}/{region}/aggregator
 """
-
-
-def _subject(name: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
 
 
 def _host(host: str) -> x509.GeneralName:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ssl
-from collections import OrderedDict
-from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -25,27 +24,6 @@ _REMEMBERED: Final = 256
 _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 
-@dataclass(frozen=True)
-class _Believed:
-    """Contents of a certificate, read once. `key`: None for another kind of key; valid from `begin` to `end`."""
-
-    name: str
-    key: ec.EllipticCurvePublicKey | None
-    begin: datetime
-    end: datetime
-
-    @classmethod
-    def of(cls, certificate: x509.Certificate) -> _Believed:
-        """Read a certificate. Raises ValueError or UnsupportedAlgorithm."""
-        key = certificate.public_key()
-        return cls(
-            common_name(certificate),
-            key if isinstance(key, ec.EllipticCurvePublicKey) else None,
-            certificate.not_valid_before_utc,
-            certificate.not_valid_after_utc,
-        )
-
-
 class Identity:
     """Signs envelopes, and checks those of others. `name`: the common name of its certificate. Raises ConfigError for
     invalid files."""
@@ -63,7 +41,7 @@ class Identity:
             raise ConfigError(
                 f"{config.certificate} belongs to {found!r}, not to {name!r}: give the certificate of {name!r}"
             )
-        self._believed: OrderedDict[bytes, _Believed] = OrderedDict()
+        self._issued = lru_cache(_REMEMBERED)(self._checked)
 
     def tls(self) -> ssl.SSLContext:
         """Return the TLS context for the broker: TLS 1.2 or newer, with certificates of both sides."""
@@ -83,47 +61,43 @@ class Identity:
     def opened(self, content: bytes, name: str) -> Envelope:
         """Return the content of an envelope signed by `name`. Raises MessageError for any other."""
         envelope = unpacked(content)
-        signer = self._believable(envelope.certificate)
-        if signer.name != name:
-            raise MessageError(f"an envelope of {name!r} is signed by {signer.name!r}")
-        if signer.key is None:
-            raise MessageError(f"the certificate of {name!r} has no elliptic curve key: make one with `ltm certs`")
+        certificate, key = self._issued(envelope.certificate)
+        begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        signer = common_name(certificate)
+        if not begin <= datetime.now(UTC) <= end:
+            raise MessageError(
+                f"the certificate of {signer!r} is valid from {begin} to {end}: renew it, or set the clock"
+            )
+        if signer != name:
+            raise MessageError(f"an envelope of {name!r} is signed by {signer!r}")
         try:
-            signer.key.verify(envelope.signature, envelope.signed, _HASH)
+            key.verify(envelope.signature, envelope.signed, _HASH)
         except InvalidSignature as error:
             raise MessageError(f"an envelope of {name!r} was modified after signing") from error
         return envelope
 
-    def _believable(self, content: bytes) -> _Believed:
-        """Return the owner of a certificate that is valid now and signed by one of our authorities."""
-        believed = self._believed.get(content)
-        if believed is None:
-            try:
-                certificate = x509.load_der_x509_certificate(content)
-                self._check_issuer(certificate)
-                believed = _Believed.of(certificate)
-            except (ValueError, TypeError, x509.InvalidVersion, UnsupportedAlgorithm) as error:
-                raise MessageError(f"an envelope's certificate cannot be read ({error})") from error
-            self._believed[content] = believed
-            if len(self._believed) > _REMEMBERED:
-                self._believed.popitem(last=False)
-        if not believed.begin <= datetime.now(UTC) <= believed.end:
-            raise MessageError(
-                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew "
-                "it, or set the clock"
-            )
-        return believed
+    def _checked(self, content: bytes) -> tuple[x509.Certificate, ec.EllipticCurvePublicKey]:
+        """Return a certificate that one of our authorities has signed, and its key. Raises MessageError."""
+        try:
+            certificate = x509.load_der_x509_certificate(content)
+            name, key = common_name(certificate), certificate.public_key()
+            # Reading the period shows whether it can be read.
+            _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        except (ValueError, TypeError, x509.InvalidVersion, UnsupportedAlgorithm) as error:
+            raise MessageError(f"an envelope's certificate cannot be read ({error})") from error
+        if not any(_issued_by(certificate, authority) for authority in self._authorities):
+            raise MessageError(f"an envelope's certificate, of {name!r}, is not from an authority in {self._config.ca}")
+        if not isinstance(key, ec.EllipticCurvePublicKey):
+            raise MessageError(f"the certificate of {name!r} has no elliptic curve key: make one with `ltm certs`")
+        return certificate, key
 
-    def _check_issuer(self, certificate: x509.Certificate) -> None:
-        for authority in self._authorities:
-            try:
-                certificate.verify_directly_issued_by(authority)
-            except (ValueError, TypeError, InvalidSignature):
-                continue
-            return
-        raise MessageError(
-            f"an envelope's certificate, of {common_name(certificate)!r}, is not from an authority in {self._config.ca}"
-        )
+
+def _issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
+        return False
+    return True
 
 
 def common_name(certificate: x509.Certificate) -> str:

@@ -19,11 +19,10 @@ from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.launching.runner import print_line
 from ltm_ros.region.aggregator import Aggregator, RegionExports
 from ltm_ros.region.mqtt_link import Inbox, MqttLink, ack_topic, presence_topic, votes_topic
-from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.web_server import WebResponse
-from ltm_ros.tower import machine
+from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower.health_client import PatientServer
+from ltm_ros.tower.machine import Machine
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
@@ -34,40 +33,34 @@ SHOWN_SHARE: Final = 0.1
 
 
 class RegionService:
-    """Counts, stores and sends until stopped. Raises LtmError for an invalid site, store or certificate. `make_link`:
-    makes the connection; replaced in tests."""
+    """Counts, stores and sends until stopped. Raises LtmError for an invalid site, store or certificate."""
 
-    def __init__(
-        self,
-        config: RegionConfig,
-        health: Health,
-        now_ns: Callable[[], int] = time.time_ns,
-        make_link: type[MqttLink] = MqttLink,
-    ) -> None:
+    def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int] = time.time_ns) -> None:
         self._config, self._health = config, health
         self.aggregator = Aggregator(config, health, now_ns)
-        _prepare(self.aggregator)
+        # Loaded before the first frame, so that towers do not wait for it after an outage.
+        compile_kernels("fuel_map", self.aggregator.site)
+        serialize_message(PointCloud2())
         self._inbox = Inbox(config.towers, health)
         self._life = secrets.token_hex(8).encode()
         self._presence = presence_topic(config.name)
-        self._link = make_link(
+        self._link = MqttLink(
             config.broker,
             self.aggregator.identity,
             f"{config.name}-{AGGREGATOR}",
             [votes_topic(config.name, "+")],
-            self._offer,
+            lambda topic, payload: self._inbox.put(topic.rpartition("/")[2], payload),
             health,
             will=(self._presence, b""),
         )
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
-        self._last = 0.0
+        self._last = time.monotonic()
         self._shown_at, self._showing_s = 0.0, 0.0
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, acknowledge and send until stopped; then store the rest."""
         self._link.start()
-        self._last = time.monotonic()
         try:
             while not stopping.is_set():
                 self.step(SETTLE_S)
@@ -82,7 +75,10 @@ class RegionService:
     def step(self, patience_s: float) -> None:
         """Run one turn: count frames, for `SETTLE_S` at most, until none has come for `patience_s`; then store and
         acknowledge them."""
-        self._count_for(patience_s)
+        until = time.monotonic() + SETTLE_S
+        while (wait_s := until - time.monotonic()) > 0 and (came := self._inbox.get(min(wait_s, patience_s))):
+            self.aggregator.take(*came)
+        self._health.gauge("waiting_bytes", self._inbox.size)
         now = time.monotonic()
         self.aggregator.persistence.wait(now - self._last)
         self._last = now
@@ -102,14 +98,6 @@ class RegionService:
         self._showing_s = self._shown_at - now_s
         return changed
 
-    def _count_for(self, patience_s: float) -> None:
-        until = time.monotonic() + SETTLE_S
-        while (wait := until - time.monotonic()) > 0:
-            if (came := self._inbox.get(min(wait, patience_s))) is None:
-                break
-            self.aggregator.take(*came)
-        self._health.gauge("waiting_bytes", self._inbox.bytes)
-
     def _greet(self) -> None:
         """Publish the aggregator's presence on each new connection, because the broker may have lost it."""
         if self._link.connected.is_set() and self._connections != self._link.connections:
@@ -122,16 +110,6 @@ class RegionService:
             for content in sealed:
                 # A lost acknowledgement is requested again when the frame is repeated.
                 self._link.send(ack_topic(self._config.name, tower), content)
-
-    def _offer(self, topic: str, payload: bytes) -> None:
-        """Queue a message from the connection's thread."""
-        self._inbox.put(topic.rpartition("/")[2], payload)
-
-
-def _prepare(aggregator: Aggregator) -> None:
-    """Load what the first frame needs, so that towers do not wait for it after an outage."""
-    compile_kernels("fuel_map", aggregator.site)
-    serialize_message(PointCloud2())
 
 
 SAID_EVERY_S: Final = 60.0
@@ -151,15 +129,13 @@ def run_region(config: RegionConfig) -> None:
     health = Health()
     service = RegionService(config, health)
     watch = RegionWatch(config, service, health)
-    print_line(
-        f"-- {config.name}: {len(config.towers)} towers, "
-        f"{service.aggregator.persistence.saved_frames} frames in {config.folder}"
-    )
+    frames = service.aggregator.persistence.saved_frames
+    _say(f"{config.name}: {len(config.towers)} towers, {frames} frames in {config.folder}")
     threading.Thread(target=watch.run, args=(stopping,), name="watch", daemon=True).start()
     service.run(stopping)
     watch.close()
     lost = service.aggregator.persistence.unsaved_frames
-    print_line(f"-- {config.name} has ended; {lost} frames were not stored, which their towers send again")
+    _say(f"{config.name} has ended; {lost} frames were not stored, which their towers send again")
 
 
 class RegionWatch:
@@ -173,44 +149,28 @@ class RegionWatch:
         self._lock = threading.Lock()
         self._server: PatientServer | None = None
         if site.health is not None:
-            self._server = PatientServer(
-                site.health,
-                {
-                    "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
-                    "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
-                },
-                health,
-                _say,
-                _say,
-            )
+            routes: dict[str, Route] = {
+                "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
+                "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
+            }
+            self._server = PatientServer(site.health, routes, health, _say, _say)
 
     def status(self) -> TowerStatus:
         """Return the current status."""
         health, now_s = self._health, time.monotonic()
         with self._lock:
             self._watch.hear(self._name, health.troubled, health.message, health.summary(), now_s)
-            return self._watch.status(
-                now_s,
-                time.time(),
-                versions=machine.versions(),
-                clock=kernel_clock(),
-                disks=machine.disks([str(self._config.folder)]),
-                memory=machine.memory(),
-            )
+            return self._watch.status(now_s, time.time(), Machine.read([str(self._config.folder)]))
 
     def run(self, stopping: threading.Event) -> None:
         said = ""
         while not stopping.wait(SAID_EVERY_S):
             summary = self._health.summary()
-            drops = {
-                key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")
-            }
-            line = (
-                f"-- {summary.get('frames', '0')} frames; dropped: {drops or 'nothing'}; last: {summary['last_error']}"
-            )
+            drops = {key.removeprefix("dropped."): n for key, n in summary.items() if key.startswith("dropped.")}
+            line = f"{summary.get('frames', '0')} frames; dropped: {drops or 'nothing'}; last: {summary['last_error']}"
             if line != said:
                 said = line
-                print_line(line)
+                _say(line)
 
     def close(self) -> None:
         if self._server is not None:

@@ -17,19 +17,11 @@ from typing import Final
 from pydantic import ValidationError
 
 from ltm_core.base.errors import MessageError, StoreError
-from ltm_core.uplink.config import UplinkConfig
-from ltm_core.uplink.envelope import Outcome, VotesGrid
+from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
+from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
 from ltm_ros.region.identity import Identity
-from ltm_ros.region.mqtt_link import (
-    MqttLink,
-    ack_topic,
-    outcomes_heard,
-    presence_topic,
-    sealed_votes,
-    tell_what_waits,
-    votes_topic,
-)
+from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S, Backoff
@@ -61,17 +53,9 @@ Clock = Callable[[], int | None]
 
 class TowerLink:
     """`offer` takes frames from any thread; a separate thread stores and sends them. `grid`: the fuel grid of the
-    votes. `clock`: for the age of frames. `make_link`: replaced in tests."""
+    votes. `clock`: for the age of frames."""
 
-    def __init__(
-        self,
-        config: UplinkConfig,
-        grid: VotesGrid,
-        outbox: Path,
-        health: Health,
-        clock: Clock,
-        make_link: type[MqttLink] = MqttLink,
-    ) -> None:
+    def __init__(self, config: UplinkConfig, grid: VotesGrid, outbox: Path, health: Health, clock: Clock) -> None:
         """Open the link. Raises ConfigError for an invalid certificate, key or outbox. If its disk fails, frames wait
         in memory, and it is tried again."""
         self._config, self._grid, self._health, self._clock = config, grid, health, clock
@@ -79,8 +63,6 @@ class TowerLink:
         self._file = outbox
         self._outbox: Outbox | None = None
         self._open_due = 0.0
-        self.kept = 0
-        """Number of frames of `offer` that are in the outbox, in order."""
         self._offered: deque[OutboxFrame] = deque()
         self._held = 0
         self._lock = threading.Lock()
@@ -98,18 +80,13 @@ class TowerLink:
         self._wake, self._stopping = threading.Event(), threading.Event()
         topics = [ack_topic(config.name, config.tower), presence_topic(config.name)]
         name = f"{config.name}-{config.tower}"
-        self._link = make_link(config.broker, self._identity, name, topics, self._take, health)
+        self._link = MqttLink(config.broker, self._identity, name, topics, self._take, health)
         try:
             self._open()
         except StoreError as error:
             health.trouble(cause_of(error), str(error))
         self._activity = HEARTBEAT.activity("uplink")
         self._thread = threading.Thread(target=self._run, name="uplink", daemon=True)
-
-    @property
-    def waiting(self) -> int:
-        """Return the number of frames in the queue and the outbox."""
-        return len(self._offered) + (0 if self._outbox is None else self._outbox.frames)
 
     def start(self) -> None:
         self._link.start()
@@ -132,17 +109,12 @@ class TowerLink:
         self._stopping.set()
         self._wake.set()
         self._thread.join(LAST_TRIES_S + 2.0)
-        lost = len(self._offered)
-        if lost:
+        if lost := len(self._offered):
             self._health.drop("outbox_full", f"{lost} frames could not be written before the end", lost)
-        self.close()
-        return not lost
-
-    def close(self) -> None:
-        """Close the connection and the outbox without writing queued frames, as a crash would."""
         self._link.stop()
         if self._outbox is not None:
             self._outbox.close()
+        return not lost
 
     def step(self, now_s: float) -> None:
         """Run one turn of the thread's work. Raises StoreError if the disk fails; frames in the outbox are still sent,
@@ -158,20 +130,17 @@ class TowerLink:
         try:
             self._keep(outbox)
         finally:
-            self._pass_on(outbox, now_s)
+            self._hear_acks(outbox, now_s)
+            if now_s >= self._bound_due or outbox.bytes > self._config.outbox_bytes:
+                self._bound_due = now_s + BOUND_S
+                self._bound(outbox)
+            self._send(outbox, now_s)
+            self._state()
 
     def _open(self) -> None:
         self._outbox = Outbox(self._file, self._config.outbox_bytes, self._config.outbox_days * 86_400)
         if self._outbox.damage:
             self._health.drop("outbox_damaged", self._outbox.damage)
-
-    def _pass_on(self, outbox: Outbox, now_s: float) -> None:
-        self._hear_acks(outbox, now_s)
-        if now_s >= self._bound_due or outbox.bytes > self._config.outbox_bytes:
-            self._bound_due = now_s + BOUND_S
-            self._bound(outbox)
-        self._send(outbox, now_s)
-        self._state()
 
     def _run(self) -> None:
         stop_at = 0.0
@@ -204,7 +173,6 @@ class TowerLink:
         if (took := time.monotonic() - begun) > SLOW_S:
             words = "check its health (smartctl), and what else writes to it"
             self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to store {len(frames)} frames: {words}")
-        self.kept += len(frames)
         with self._lock:
             for frame in frames:
                 self._offered.popleft()
@@ -234,8 +202,13 @@ class TowerLink:
 
     def _outcomes(self, content: bytes) -> list[Outcome]:
         """Return the outcomes of an acknowledgement by the aggregator for this tower; invalid ones are counted."""
+        here = self._config.name, self._config.tower, VERSION
         try:
-            return outcomes_heard(self._identity, self._config, content)
+            envelope = self._identity.opened(content, AGGREGATOR)
+            header = header_of(AckHeader, envelope)
+            if (found := (header.region, header.tower, header.version)) != here:
+                raise MessageError(f"an acknowledgement is for region, tower and version {found}; this is {here}")
+            return outcomes_of(envelope)
         except MessageError as error:
             self._health.drop(cause_of(error), str(error))
             return []
@@ -273,11 +246,10 @@ class TowerLink:
         for key, size in outbox.waiting(frames, now_s, self._on_their_way):
             if size > room and self._on_their_way:
                 return
-            frame = outbox.frame(key)
-            if frame is None:
+            if (frame := outbox.frame(key)) is None:
                 continue
             try:
-                content = sealed_votes(self._identity, self._config, self._grid, frame)
+                content = self._sealed(frame)
             except (MessageError, ValidationError) as error:
                 outbox.acknowledge([frame.key])
                 self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
@@ -287,6 +259,18 @@ class TowerLink:
             self._on_their_way[key] = now_s + self._resend.pause_s, size
             room -= size
 
+    def _sealed(self, frame: OutboxFrame) -> bytes:
+        """Return a frame's envelope. Raises MessageError if it is too large, ValidationError for invalid names."""
+        header = VotesHeader(
+            region=self._config.name,
+            tower=self._config.tower,
+            camera=frame.camera,
+            stamp_ns=frame.stamp_ns,
+            model=frame.model,
+            grid=self._grid,
+        )
+        return self._identity.sealed(header.model_dump_json().encode(), frame.message)
+
     def _state(self) -> None:
         """Report the frames in the outbox, or in memory while its disk fails."""
         if (outbox := self._outbox) is not None:
@@ -295,8 +279,12 @@ class TowerLink:
             with self._lock:
                 frames, size = len(self._offered), self._held
                 oldest = min((frame.stamp_ns for frame in self._offered), default=None)
-        up = bool(self._presence and self._link.connected.is_set())
-        tell_what_waits(self._health, frames, size, oldest, self._clock() or time.time_ns(), up)
+        now_ns = self._clock() or time.time_ns()
+        age_s = 0.0 if oldest is None else max(0.0, (now_ns - oldest) / 1e9)
+        self._health.gauge("outbox_frames", frames)
+        self._health.gauge("outbox_bytes", size)
+        self._health.gauge("outbox_age_s", f"{age_s:.1f}")
+        self._health.gauge("link_up", int(bool(self._presence and self._link.connected.is_set())))
 
     def _take(self, topic: str, payload: bytes) -> None:
         """Receive a message in the connection's thread."""

@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ltm_msgs_py.status import status_message
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.heartbeat import HEARTBEAT, TRAFFIC
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 
 
 def with_info(take: Callable[[Any, Any], None]) -> Callable[..., None]:
@@ -127,7 +127,6 @@ class DiagnosticsPublisher:
     ) -> None:
         self._node, self._healths, self._hardware_id, self._others = node, healths, hardware_id, others
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._said = TRAFFIC.speaker("/diagnostics")
         node.create_timer(1.0, self.publish, clock=self.steady_clock())
 
     @staticmethod
@@ -139,7 +138,6 @@ class DiagnosticsPublisher:
         array.status.extend(self._others())
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
-        self._said.messages += 1
         HEARTBEAT.ready(self._healths)
 
     def _status(self, name: str, health: Health) -> DiagnosticStatus:

@@ -1,9 +1,8 @@
-"""Report once a second to the runner's watchdog what this process does, which of its nodes are ready, and what it has
-sent and received over DDS.
+"""Report once a second to the runner's watchdog what this process does, and which of its nodes are ready.
 
 A separate thread writes a line of JSON into a pipe, so it needs no DDS and works while a node loads and compiles. The
 thread itself shows that the process is scheduled and the interpreter's lock is free; the activities show that work
-progresses; the counts show that messages arrive. Uses only the standard library."""
+progresses. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -14,56 +13,6 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Literal
-
-
-class TopicCount:
-    """Count of one publisher or subscription (`way`: said or heard); written by one thread at a time."""
-
-    def __init__(self, topic: str, way: Literal["said", "heard"]) -> None:
-        self.topic, self.way, self.messages = topic, way, 0
-
-
-class Traffic:
-    """Counts of one process; thread-safe."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._counts: list[TopicCount] = []
-
-    def speaker(self, topic: str) -> TopicCount:
-        """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
-        message, too."""
-        return self._add(TopicCount(topic, "said"))
-
-    def listener(self, topic: str) -> TopicCount:
-        """Return the count of a subscription."""
-        return self._add(TopicCount(topic, "heard"))
-
-    def forget(self, counts: Iterable[TopicCount]) -> None:
-        """Remove these publishers and subscriptions."""
-        gone = set(counts)
-        with self._lock:
-            self._counts = [count for count in self._counts if count not in gone]
-
-    def counts(self) -> dict[str, dict[str, int]]:
-        """Return the messages said and heard since the start of the process, by absolute topic."""
-        found: dict[str, dict[str, int]] = {"said": {}, "heard": {}}
-        with self._lock:
-            for count in self._counts:
-                of_way = found[count.way]
-                of_way[count.topic] = of_way.get(count.topic, 0) + count.messages
-        return found
-
-    def _add(self, made: TopicCount) -> TopicCount:
-        with self._lock:
-            self._counts.append(made)
-        return made
-
-
-TRAFFIC = Traffic()
-"""Traffic of this process."""
-
 
 PERIOD_S = 1.0
 
@@ -100,10 +49,9 @@ class Activity:
 
 
 class Heartbeat:
-    """The activities of a process and its traffic, and the thread that reports them."""
+    """The activities of a process, and the thread that reports them."""
 
-    def __init__(self, traffic: Traffic | None = None) -> None:
-        self._traffic = traffic or Traffic()
+    def __init__(self) -> None:
         self._activities: list[Activity] = []
         self._ages: dict[Activity, tuple[int, float]] = {}
         self._ready: dict[str, None] = {}
@@ -144,7 +92,7 @@ class Heartbeat:
             wait_s, now = PERIOD_S, time.monotonic()
             # At most the possible duration: this process or the machine may have been paused.
             elapsed_s, last = min(now - last, 2 * PERIOD_S), now
-            told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy()), **self._traffic.counts()}
+            told = {"activities": self.look(elapsed_s), "ready": list(self._ready.copy())}
             # The rest of an incomplete line must be sent first, or the next line would be invalid.
             lines = rest or f"{json.dumps(told)}\n".encode()
             try:
@@ -156,6 +104,6 @@ class Heartbeat:
         reader_gone()
 
 
-HEARTBEAT = Heartbeat(TRAFFIC)
+HEARTBEAT = Heartbeat()
 """Heartbeat of this process."""
 STARTING = HEARTBEAT.activity("start")

@@ -26,7 +26,6 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, unheard, with_info
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.heartbeat import TRAFFIC, TopicCount
 
 WIRING_S = 5.0
 """Seconds between two checks for published topics that do not reach a node."""
@@ -51,8 +50,6 @@ class OutletNode(Node):  # type: ignore[misc]
         self.config: Any = read_parameters(self, node_type.config)
         self.health = Health()
         self._publishers_by_topic: dict[Topic, Any] = {}
-        self._said: dict[Topic, TopicCount] = {}
-        self._heard: list[TopicCount] = []
         self._reliable: dict[str, tuple[Any, Topic, Callable[..., None]]] = {}
         """Subscriptions by absolute topic, with the function that takes messages."""
         self._unheard: dict[str, str] = {}
@@ -86,25 +83,18 @@ class OutletNode(Node):  # type: ignore[misc]
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""
         quality = stream_qos(topic.latched, topic.depth)
-        publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, quality)
-        if not topic.latched:
-            self._said[topic] = TRAFFIC.speaker(publisher.topic_name)
+        self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, quality)
 
     def send(self, topic: Topic, message: Any) -> None:
         """Publish to other processes, by DDS."""
         self._publishers_by_topic[topic].publish(message)
-        if (said := self._said.get(topic)) is not None:
-            said.messages += 1
 
     def listen(self, topic: Topic, offer: Callable[[Any], None]) -> None:
         """Pass messages of a topic to `offer`; lost messages are counted."""
         name = topic.name
         losses = LossCounter(self, name, self.health)
-        heard = TRAFFIC.listener(self.resolve_topic_name(name))
-        self._heard.append(heard)
 
         def take(message: Any, info: Any) -> None:
-            heard.messages += 1
             if not topic.latched:  # of these only the last message counts
                 losses.take(info)
             offer(message)
@@ -130,10 +120,6 @@ class OutletNode(Node):  # type: ignore[misc]
             elif offered:
                 supported = ", ".join(POSE_TYPES)
                 self.health.trouble("type", f"{name} has type {', '.join(sorted(offered))}; supported: {supported}")
-
-    def destroy_node(self) -> None:
-        TRAFFIC.forget([*self._said.values(), *self._heard])
-        super().destroy_node()
 
     def state_listeners(self) -> None:
         """Report the number of subscribers of each publisher; called every half second."""

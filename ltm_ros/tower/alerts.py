@@ -107,25 +107,21 @@ class AlertQueue:
             self._wake.wait()
             self._wake.clear()
             while self._queue and not self._closing.is_set():
-                self._closing.wait(self._attempt(self._queue.popleft()))
-
-    def _attempt(self, content: bytes) -> float:
-        """Deliver a message, or queue it as the next one; return the pause in seconds."""
-        try:
-            self._deliver(content)
-        except LtmError as error:
-            why = str(error)
-        except Exception as error:  # a bug must not end the thread, and with it all later messages
-            print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
-            why = "internal error, see the log"
-        else:
-            self._backoff.succeeded()
-            self._health.note("alert_sent")
-            return 0.0
-        self._queue.appendleft(content)
-        pause_s = self._backoff.failed()
-        self._health.trouble("alert", f"{self._name}: {why}; next attempt in {pause_s:.0f} s")
-        return pause_s
+                content = self._queue.popleft()
+                try:
+                    self._deliver(content)
+                    self._backoff.succeeded()
+                    self._health.note("alert_sent")
+                    continue
+                except LtmError as error:
+                    why = str(error)
+                except Exception as error:  # a bug must not end the thread, and with it all later messages
+                    print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
+                    why = "internal error, see the log"
+                self._queue.appendleft(content)
+                pause_s = self._backoff.failed()
+                self._health.trouble("alert", f"{self._name}: {why}; next attempt in {pause_s:.0f} s")
+                self._closing.wait(pause_s)
 
 
 class AlertSender:
@@ -187,10 +183,8 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
     tls = url.scheme == "mqtts"
     client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"ltm-{site}-alerts", protocol=mqtt.MQTTv5)
     client.connect_timeout = TIMEOUT_S
-    rejected: list[str] = []
-    client.on_connect = lambda _client, _data, _flags, reason, _properties: (
-        rejected.append(str(reason)) if reason.is_failure else None
-    )
+    answers: list[Any] = []
+    client.on_connect = lambda _client, _data, _flags, reason, _properties: answers.append(reason)
     try:
         if config.user is not None:
             client.username_pw_set(config.user, read_secret(config.password).reveal() if config.password else None)
@@ -204,6 +198,7 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
         sent = client.publish(f"ltm/{site}/alerts", content, qos=1)
         sent.wait_for_publish(TIMEOUT_S)
         if not sent.is_published():
+            rejected = [str(reason) for reason in answers if reason.is_failure]
             raise MessageError(f"rejected: {rejected[0]}" if rejected else f"no acknowledgement in {TIMEOUT_S:.0f} s")
     except (OSError, ValueError, RuntimeError) as error:
         raise MessageError(f"not reachable ({type(error).__name__}: {error})") from None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import importlib.util
 import json
 import os
+import platform
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -44,7 +45,6 @@ def examine(site: Path | None = None) -> list[DoctorFinding]:
     """Run all checks, in the order in which a user would fix them. `site`: the tower's file. Default: the installed
     one, if any."""
     return [
-        *check_python(),
         *check_packages(),
         *check_ros(),
         *check_transport(),
@@ -66,64 +66,43 @@ def healthy(findings: list[DoctorFinding]) -> bool:
 
 def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
     """Merge the working packages of one area into one line."""
-    lines: list[DoctorFinding] = []
-    for finding in findings:
-        if not finding.area.startswith("packages") or finding.state is not DoctorState.OK:
-            lines.append(finding)
-            continue
-        part = f"{finding.name} {finding.detail}"
-        if lines and (lines[-1].area, lines[-1].state, lines[-1].name) == (finding.area, DoctorState.OK, ""):
-            lines[-1] = DoctorFinding(finding.area, "", DoctorState.OK, f"{lines[-1].detail}, {part}")
-        else:
-            lines.append(DoctorFinding(finding.area, "", DoctorState.OK, part))
-    return lines
+    merged: dict[str, list[str]] = {}
+    for one in findings:
+        if one.area.startswith("packages") and one.state is DoctorState.OK:
+            merged.setdefault(one.area, []).append(f"{one.name} {one.detail}")
+    lines = [DoctorFinding(area, "", DoctorState.OK, ", ".join(parts)) for area, parts in merged.items()]
+    return lines + [one for one in findings if one.area not in merged or one.state is not DoctorState.OK]
 
 
 def requirements() -> dict[str, list[Requirement]]:
-    """Return the project's requirements by extra, "" for the basic ones, from the installed package or the checkout."""
-    source = Path(ltm_core.__file__).resolve().parents[1] / "pyproject.toml"
+    """Return the requirements of the installed package by extra; "" for the basic ones."""
     by_extra: dict[str, list[Requirement]] = {"": []}
-    if source.is_file():
-        project = tomllib.loads(source.read_text(encoding="utf-8"))["project"]
-        groups: dict[str, list[str]] = {"": project["dependencies"], **project.get("optional-dependencies", {})}
-        return {extra: [Requirement(line) for line in lines] for extra, lines in groups.items()}
-    for line in importlib.metadata.requires("ltm") or []:
-        requirement = Requirement(line)
-        extras = [e for e in importlib.metadata.metadata("ltm").get_all("Provides-Extra") or [] if f'"{e}"' in line]
-        by_extra.setdefault(extras[0] if extras else "", []).append(requirement)
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # a checkout on PYTHONPATH
+        package = importlib.metadata.distribution("ltm")
+        extras = package.metadata.get_all("Provides-Extra") or []
+        for line in package.requires or []:
+            extra = next((extra for extra in extras if f'"{extra}"' in line), "")
+            by_extra.setdefault(extra, []).append(Requirement(line))
     return by_extra
 
 
-def check_python() -> Iterator[DoctorFinding]:
-    version, remedy = ".".join(map(str, sys.version_info[:3])), "install Python 3.11 or newer, then `make demo`"
-    fine = sys.version_info >= (3, 11)
-    yield DoctorFinding.judged("python", "Python", fine, f"{version} in {sys.prefix}", remedy, DoctorState.MISSING)
-
-
 def check_packages() -> Iterator[DoctorFinding]:
+    yield DoctorFinding("python", "Python", DoctorState.OK, f"{platform.python_version()} in {sys.prefix}")
     for extra, needed in requirements().items():
-        for requirement in needed:
-            if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
+        area, absent = (f"packages [{extra}]", DoctorState.OPTIONAL) if extra else ("packages", DoctorState.MISSING)
+        for one in needed:
+            version = _version(one.name)
+            if (one.marker is not None and not one.marker.evaluate({"extra": extra})) or (
+                extra == "ros" and version is None  # the ROS part checks what is present, because it may come from apt
+            ):
                 continue
-            area = f"packages [{extra}]" if extra else "packages"
-            absent = DoctorState.OPTIONAL if extra else DoctorState.MISSING
-            if extra == "ros" and _distribution(requirement.name) is None:
-                # The ROS part checks what is present instead, because it may come from apt.
-                continue
-            yield _package(area, requirement, absent)
+            fine = version is not None and one.specifier.contains(version, prereleases=True)
+            said = version if fine else f"{version}, needed {one.specifier}" if version else "not installed"
+            remedy = f"{INSTALL} '{one.name}{one.specifier}'"
+            yield DoctorFinding.judged(area, one.name, fine, str(said), remedy, absent)
 
 
-def _package(area: str, requirement: Requirement, absent: DoctorState) -> DoctorFinding:
-    version = _distribution(requirement.name)
-    remedy = f"{INSTALL} '{requirement.name}{requirement.specifier}'"
-    if version is None:
-        return DoctorFinding(area, requirement.name, absent, "not installed", remedy)
-    if not requirement.specifier.contains(version, prereleases=True):
-        return DoctorFinding(area, requirement.name, absent, f"{version}, needed {requirement.specifier}", remedy)
-    return DoctorFinding(area, requirement.name, DoctorState.OK, version)
-
-
-def _distribution(name: str) -> str | None:
+def _version(name: str) -> str | None:
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -136,8 +115,7 @@ def check_ros() -> Iterator[DoctorFinding]:
     if spec is None or spec.origin is None:
         yield DoctorFinding("ros", "rclpy", DoctorState.MISSING, "not found", remedy)
         return
-    place = Path(spec.origin).parent
-    wheel = _distribution("ros-jazzy-rclpy")
+    place, wheel = Path(spec.origin).parent, _version("ros-jazzy-rclpy")
     from_wheels = wheel is not None and place.is_relative_to(sys.prefix)
     kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', '(unknown distribution)')}"
     yield DoctorFinding("ros", "rclpy", DoctorState.OK, f"{kind}, {place}")
@@ -161,7 +139,9 @@ def check_transport() -> Iterator[DoctorFinding]:
     yield DoctorFinding.judged("transport", "profile", fine, said, f"unset {given}", DoctorState.MISSING)
     domain, reach = environment.get("ROS_DOMAIN_ID", "0"), environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
     yield DoctorFinding("transport", "discovery", DoctorState.OK, f"domain {domain}, range {reach}")
-    yield _participant(environment)
+    fine, said = _participant(environment)
+    remedy = f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'"
+    yield DoctorFinding.judged("transport", "participant", fine, said, remedy, DoctorState.MISSING)
 
 
 _START = """
@@ -176,20 +156,18 @@ rclpy.try_shutdown()
 """
 
 
-def _participant(environment: Mapping[str, str]) -> DoctorFinding:
-    """Start ROS in a process of its own."""
-    area, name, wanted = "transport", "participant", environment["RMW_IMPLEMENTATION"]
-    remedy = f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'"
+def _participant(environment: Mapping[str, str]) -> tuple[bool, str]:
+    """Start ROS in a process of its own; return whether it did, and its middleware or the error."""
     try:
         ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
             [sys.executable, "-c", _START], env=dict(environment), capture_output=True, text=True, timeout=60
         )
     except subprocess.TimeoutExpired:
-        return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: did not start within 60 s")
+        return False, f"{environment['RMW_IMPLEMENTATION']}: did not start within 60 s"
     if ran.returncode == 0 and (said := ran.stdout.split()):
-        return DoctorFinding(area, name, DoctorState.OK, said[-1])
+        return True, said[-1]
     last = (ran.stderr.strip() or f"exit code {ran.returncode}").splitlines()[-1]
-    return DoctorFinding(area, name, DoctorState.MISSING, f"{wanted}: {last}", remedy)
+    return False, f"{environment['RMW_IMPLEMENTATION']}: {last}"
 
 
 def check_shared_memory() -> Iterator[DoctorFinding]:
@@ -210,20 +188,18 @@ def check_models() -> Iterator[DoctorFinding]:
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
-    names = shipped_names()
-    for name in dict.fromkeys([DEFAULT_MODEL, *names]):
+    for name in dict.fromkeys([DEFAULT_MODEL, *shipped_names()]):
         absent = DoctorState.MISSING if name == DEFAULT_MODEL else DoctorState.OPTIONAL
         try:
             model = OnnxModel(NetworkManifest.find(name))
         except LtmError as error:
-            yield DoctorFinding(
-                "models", name, absent, str(error), "put the file at the path above, or set LTM_MODEL_PATH"
-            )
+            remedy = "put the file at the path above, or set LTM_MODEL_PATH"
+            yield DoctorFinding("models", name, absent, str(error), remedy)
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
-        told = f"{model.path}{role}, checksum matches its manifest"
         state = "" if model.manifest.output.is_depth else f"; its labels are {known_errors(name).state}"
-        yield DoctorFinding("models", name, DoctorState.OK, f"{told}{state}")
+        told = f"{model.path}{role}, checksum matches its manifest{state}"
+        yield DoctorFinding("models", name, DoctorState.OK, told)
 
 
 def check_machine() -> Iterator[DoctorFinding]:
@@ -247,13 +223,8 @@ def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
 def _memory_gb() -> float:
     """Return the memory that this process may use in GB: the machine's, or the container's if that is less."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for limit in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        try:
-            text = Path(limit).read_text().strip()
-        except OSError:
-            continue
-        if text.isdigit():
-            total = min(total, int(text))
+    with contextlib.suppress(OSError, ValueError):
+        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()))
     return total / 1e9
 
 

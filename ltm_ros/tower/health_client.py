@@ -28,10 +28,6 @@ LEAST_TOKEN: Final = 16
 """Minimum length of a token in characters."""
 
 
-class PortError(ConfigError):
-    """The port cannot be opened now; a later attempt may work."""
-
-
 def read_token(path: Path) -> str:
     """Return the token in a file. Raises ConfigError, whose message never repeats the file's content."""
     try:
@@ -48,26 +44,18 @@ def read_token(path: Path) -> str:
 def open_health_server(config: HealthConfig, routes: Mapping[str, Route]) -> WebServer:
     """Open the server that the section `health` describes.
 
-    Raises PortError if the address cannot be bound, ConfigError if the certificate, key or token cannot be read."""
-    token = None if config.token is None else read_token(config.token)
-    try:
-        return WebServer(routes, config.address, config.port, token=token, tls=_tls(config))
-    except OSError as error:
-        raise PortError(refusal(config.address, config.port, error)) from error
-
-
-def _tls(config: HealthConfig) -> ssl.SSLContext | None:
-    if config.certificate is None or config.key is None:
-        return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        context.load_cert_chain(secret(config.certificate), secret(config.key))
-    except (OSError, ssl.SSLError) as error:
-        raise ConfigError(
-            f"health: certificate {config.certificate} and key {config.key} cannot be used ({error})"
-        ) from error
-    return context
+    Raises OSError if the address cannot be bound, ConfigError if the certificate, key or token cannot be read."""
+    token, context = None if config.token is None else read_token(config.token), None
+    if config.certificate is not None and config.key is not None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            context.load_cert_chain(secret(config.certificate), secret(config.key))
+        except OSError as error:
+            raise ConfigError(
+                f"health: certificate {config.certificate} and key {config.key} cannot be used ({error})"
+            ) from error
+    return WebServer(routes, config.address, config.port, token=token, tls=context)
 
 
 class PatientServer:
@@ -89,10 +77,9 @@ class PatientServer:
         self._health, self._tell, self._warn, self._retry_s = health, tell, warn, retry_s
         self._closing = threading.Event()
         self._server: WebServer | None = None
-        self._refused = False
-        self._thread: threading.Thread | None = None
-        if not self._listen():
-            self._thread = threading.Thread(target=self._try_again, name="health port", daemon=True)
+        self._thread = threading.Thread(target=self._try_again, name="health port", daemon=True)
+        if (why := self._refusal()) is not None:
+            self._warn(f"monitoring cannot reach this tower, everything else runs: {why}")
             self._thread.start()
 
     @property
@@ -102,28 +89,25 @@ class PatientServer:
 
     def close(self) -> None:
         self._closing.set()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
         if self._server is not None:
             self._server.close()
 
-    def _listen(self) -> bool:
+    def _refusal(self) -> str | None:
+        """Open the server; return why that is not possible now."""
         try:
             self._server = open_health_server(self._config, self._routes)
-        except PortError as error:
-            said = f"{error}; retrying every {self._retry_s:g} s"
-            self._health.trouble("port", said)
-            if not self._refused:
-                self._warn(f"monitoring cannot reach this tower, everything else runs: {said}")
-            self._refused = True
-            return False
+        except OSError as error:
+            why = f"{refusal(self._config.address, self._config.port, error)}; retrying every {self._retry_s:g} s"
+            self._health.trouble("port", why)
+            return why
         self._tell(f"health port: {self._server.url}")
-        return True
+        return None
 
     def _try_again(self) -> None:
-        while not self._closing.wait(self._retry_s):
-            if self._listen():
-                return
+        while not self._closing.wait(self._retry_s) and self._refusal() is not None:
+            pass
 
 
 class DoctorState(StrEnum):
@@ -246,30 +230,25 @@ def ask(config: HealthConfig, path: str) -> Any:
 
 def check_health_port(path: Path) -> Iterator[DoctorFinding]:
     """Check that the tower can answer monitoring systems; it runs without that."""
-    name = "health port"
+    area, name = "machine", "health port"
     try:
         site = load_site(path)
     except LtmError as error:
-        yield DoctorFinding("machine", name, DoctorState.WARNING, str(error), f"ltm check {path}")
+        yield DoctorFinding(area, name, DoctorState.WARNING, str(error), f"ltm check {path}")
         return
     health = site.health
     if health is None or health.port == 0:
         return
-    taken = bind_error(health.address, health.port)
-    if taken is None:
-        yield DoctorFinding(
-            "machine", name, DoctorState.OK, f"{health.address}:{health.port} is free: no tower is running"
-        )
+    place = f"{health.address}:{health.port}"
+    if (taken := bind_error(health.address, health.port)) is None:
+        yield DoctorFinding(area, name, DoctorState.OK, f"{place} is free: no tower is running")
         return
     try:
-        said = ask(health, "/status.json")
-        other = "" if said["site"] == site.name else f"used by the tower of {said['site']}"
+        found = ask(health, "/status.json")["site"]
+        other = "" if found == site.name else f"used by the tower of {found}"
     except LtmError as why:
         other = str(why)
     except (TypeError, KeyError):
         other = "another program answers on this port"
-    if other:
-        remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
-        yield DoctorFinding("machine", name, DoctorState.WARNING, other, remedy)
-    else:
-        yield DoctorFinding("machine", name, DoctorState.OK, f"{site.name} answers on {health.address}:{health.port}")
+    remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
+    yield DoctorFinding.judged(area, name, not other, other or f"{site.name} answers on {place}", remedy)

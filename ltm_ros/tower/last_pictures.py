@@ -10,11 +10,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ltm_core.base.errors import LtmError
@@ -75,30 +75,22 @@ class CameraPicture:
     full: bytes = b""
 
     def small(self) -> CameraPicture:
-        """Return every n-th pixel of all arrays, at most `WIDTH` wide, as copies."""
-        step = max(1, -(-self.photo.shape[1] // WIDTH))
-
-        def thin(values: NDArray[Any]) -> NDArray[Any]:
-            return values[::step, ::step].copy()
-
-        small = replace(self, photo=thin(self.photo), labels=thin(self.labels), depth=thin(self.depth))
-        return replace(small, full=to_jpeg(self.photo)) if step > 1 else small
+        """Return a copy at most `WIDTH` pixels wide, with the photo in full size as JPEG."""
+        small = self.resized(WIDTH)
+        return self if small is self else replace(small, full=to_jpeg(self.photo))
 
     def without_pixels(self) -> CameraPicture:
         """Return the same without the memory of its images, for marks alone."""
-        empty = np.zeros(1, np.uint8)
-        photo = np.broadcast_to(empty, self.photo.shape)
-        return replace(self, photo=photo, labels=photo[..., 0], depth=np.zeros((0, 0), np.float32), full=b"")
+        nothing = np.zeros((0, 0), np.uint8)
+        return replace(self, photo=nothing[..., None], labels=nothing, depth=nothing.astype(np.float32), full=b"")
 
     def pixel(self, across: float, down: float) -> tuple[float, float]:
-        """Return (u, v) in the camera's full image; `across` and `down` are shares of this one's width and height."""
-        rows, columns = self.photo.shape[:2]
-        step = -(-self.camera.width // columns)
-        u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
-        return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
+        """Return (u, v) in the camera's full image; `across` and `down` are shares of its width and height."""
+        width, height = self.camera.width, self.camera.height
+        return min(max(across * width - 0.5, 0.0), width - 1.0), min(max(down * height - 0.5, 0.0), height - 1.0)
 
     def resized(self, width: int) -> CameraPicture:
-        """Return it at most `width` pixels wide, for slow connections."""
+        """Return it at most `width` pixels wide."""
         rows, columns = self.photo.shape[:2]
         if columns <= width:
             return self
@@ -260,55 +252,41 @@ class _CameraFrames:
         self, node: Node, site: Site, name: str, health: Health, keep: Callable[[CameraPicture], None]
     ) -> None:
         self._node, self._site, self._name, self._health, self._keep = node, site, name, health, keep
-        depth = topics.FUSED_DEPTH if site.depth_model else topics.DEPTH_IMAGE
         self._topics = {
             "image": topics.POSED_IMAGE,
             "labels": topics.LABELS_IMAGE,
-            "depth": depth,
+            "depth": topics.FUSED_DEPTH if site.depth_model else topics.DEPTH_IMAGE,
             "info": topics.DEPTH_CAMERA_INFO,
             "pose": topics.POSED_POSE,
         }
-        self._join: StampJoin | None = None
+        # Other nodes report invalid frames; here an incomplete frame is only not shown.
+        self._join = StampJoin(tuple(self._topics), self._whole, health, WAITING, give_up=lambda *_: None)
         self._subscriptions: list[Any] = []
 
     def listen(self, wanted: bool) -> None:
-        if wanted == bool(self._subscriptions):
-            if self._join is not None:
-                self._join.tick(1.0)
-            return
+        self._join.tick(1.0)
         if not wanted:
             for subscription in self._subscriptions:
                 self._node.destroy_subscription(subscription)
-            self._subscriptions, self._join = [], None
-            return
-        # Other nodes report invalid frames; here an incomplete frame is only not shown.
-        self._join = StampJoin(tuple(self._topics), self._whole, self._health, WAITING, give_up=lambda *_: None)
-        self._subscriptions = [
-            self._node.create_subscription(
-                topic.type,
-                camera_topic(self._site.name, self._name, topic),
-                lambda message, part=part: self._take(part, message),
-                stream_qos(False, WAITING),
-            )
-            for part, topic in self._topics.items()
-        ]
+            self._subscriptions.clear()
+        elif not self._subscriptions:
+            self._subscriptions = [
+                self._node.create_subscription(
+                    topic.type,
+                    camera_topic(self._site.name, self._name, topic),
+                    partial(self._take, part),
+                    stream_qos(False, WAITING),
+                )
+                for part, topic in self._topics.items()
+            ]
 
     def _take(self, part: str, message: Any) -> None:
-        if self._join is None:
-            return
         try:
             self._join.add(part, stamp_of(message), message)
         except LtmError as error:
             self._health.drop(cause_of(error), str(error))
 
     def _whole(self, image: Any, labels: Any, depth: Any, info: Any, pose: Any) -> None:
-        picture = CameraPicture(
-            self._name,
-            stamp_of(image),
-            msg_to_rgb(image),
-            msg_to_array(labels, ("mono8",)),
-            msg_to_depth(depth),
-            msg_to_camera(info),
-            msg_to_pose(pose, "map"),
-        )
-        self._keep(picture.small())
+        photo, classes = msg_to_rgb(image), msg_to_array(labels, ("mono8",))
+        metres_, camera, posed = msg_to_depth(depth), msg_to_camera(info), msg_to_pose(pose, "map")
+        self._keep(CameraPicture(self._name, stamp_of(image), photo, classes, metres_, camera, posed).small())

@@ -16,6 +16,11 @@ ROOT = Path("/opt/ltm")
 _VERSION = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+~-]*")
 
 
+class UpgradeError(LtmError):
+    """A package, a release or a program of the system failed. The previous release runs, unless the message says
+    otherwise."""
+
+
 def checked_version(version: str) -> str:
     """Return a version that is a valid folder name. Raises ConfigError."""
     if not _VERSION.fullmatch(version):
@@ -94,7 +99,7 @@ class Releases:
         if former != version:
             self._link("former", former)
         self._link("current", version)
-        _sync(self.root)
+        sync_folder(self.root)
 
     def _link(self, name: str, version: str) -> None:
         link = self.root / f".{name}.new"
@@ -127,18 +132,19 @@ class Releases:
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         partial.rename(self._trial / "release")
-        _sync(self._trial)
+        sync_folder(self._trial)
 
     def end_trial(self) -> None:
         for name in ("release", ".release", "started"):
             (self._trial / name).unlink(missing_ok=True)
         with contextlib.suppress(FileNotFoundError):
             self._trial.rmdir()
-        _sync(self.root)
+        sync_folder(self.root)
 
 
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
+def sync_folder(folder: Path) -> None:
+    """Write a folder's names to the disk. Raises OSError."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
     finally:
@@ -150,10 +156,6 @@ ROOM = 1.2
 """Required free space, as a multiple of the release's size."""
 
 
-class PackageError(LtmError):
-    """The package is not ours or damaged, or the disk is full."""
-
-
 @dataclass(frozen=True)
 class PackageFile:
     path: Path
@@ -163,38 +165,39 @@ class PackageFile:
 
     @classmethod
     def open(cls, path: Path) -> PackageFile:
-        """Open a package. Raises PackageError."""
+        """Open a package. Raises UpgradeError."""
         if not path.is_file():
-            raise PackageError(f"{path}: no such file")
-        fields = dict(_field(path, name) for name in ("Package", "Version", "Architecture", "Installed-Size"))
+            raise UpgradeError(f"{path}: no such file")
+        names = ("Package", "Version", "Architecture", "Installed-Size")
+        fields = {name: program_output("dpkg-deb", "--field", str(path), name) for name in names}
         if fields["Package"] != NAME:
-            raise PackageError(f"{path}: package {fields['Package']!r}, expected {NAME!r}")
-        machine = _output("dpkg", "--print-architecture")
+            raise UpgradeError(f"{path}: package {fields['Package']!r}, expected {NAME!r}")
+        machine = program_output("dpkg", "--print-architecture")
         if fields["Architecture"] != machine:
-            raise PackageError(f"{path}: built for {fields['Architecture']}, but this machine is {machine}")
+            raise UpgradeError(f"{path}: built for {fields['Architecture']}, but this machine is {machine}")
         size = fields["Installed-Size"]
         try:
             return cls(path.resolve(), checked_version(fields["Version"]), int(size) * 1024 if size.isdecimal() else 0)
         except ConfigError as error:
-            raise PackageError(f"{path}: {error}") from error
+            raise UpgradeError(f"{path}: {error}") from error
 
     def unpack(self, releases: Releases) -> Path:
         """Unpack the release beside the others; it gets its name only when it is complete.
 
-        Raises PackageError: disk full, damaged, or without a release of its own version."""
+        Raises UpgradeError: disk full, damaged, or without a release of its own version."""
         free = shutil.disk_usage(releases.root).free
         if free < ROOM * self.size:
-            raise PackageError(
+            raise UpgradeError(
                 f"{releases.root}: {free / 1e6:.0f} MB free, {ROOM * self.size / 1e6:.0f} MB are needed: free "
                 "some space"
             )
         partial = releases.root / ".unpacked"
         shutil.rmtree(partial, ignore_errors=True)
         try:
-            _output("dpkg-deb", "--extract", str(self.path), str(partial))
+            program_output("dpkg-deb", "--extract", str(self.path), str(partial))
             found = partial / "opt/ltm/releases" / self.version
             if not (found / "bin/ltm").is_file():
-                raise PackageError(f"{self.path}: contains no release {self.version}")
+                raise UpgradeError(f"{self.path}: contains no release {self.version}")
             target = releases.folder(self.version)
             if target.exists():
                 shutil.rmtree(target)
@@ -206,18 +209,15 @@ class PackageFile:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def _field(path: Path, name: str) -> tuple[str, str]:
-    return name, _output("dpkg-deb", "--field", str(path), name)
-
-
-def _output(*command: str) -> str:
+def program_output(*command: str, check: bool = True) -> str:
+    """Run a program of the system; return its output. Raises UpgradeError, unless only its exit code is not 0 and
+    `check` is false."""
+    shown = " ".join(command)
     try:
-        ran = subprocess.run(command, capture_output=True, text=True, errors="replace")  # nosec B603 # no shell
-    except FileNotFoundError as error:
-        raise PackageError(
-            f"{command[0]}: not found: packages can be installed on Debian and its derivatives"
-        ) from error
-    if ran.returncode:
+        ran = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=900)  # nosec B603 # no shell
+    except (FileNotFoundError, subprocess.TimeoutExpired) as error:
+        raise UpgradeError(f"{shown}: {error}: a tower needs Debian or a derivative with systemd") from error
+    if check and ran.returncode:
         said = ran.stderr.strip().splitlines()
-        raise PackageError(f"{' '.join(command)}: {said[-1] if said else f'exit code {ran.returncode}'}")
+        raise UpgradeError(f"{shown}: {said[-1] if said else f'exit code {ran.returncode}'}")
     return ran.stdout.strip()

@@ -13,20 +13,14 @@ import os
 import shutil
 import sqlite3
 import stat
-import subprocess  # nosec B404 # argument lists, no shell
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from ltm_core.base.errors import LtmError, StoreError
+from ltm_core.base.errors import StoreError
+from ltm_ros.tower.releases import program_output, sync_folder
 
 UNIT = "ltm.service"
-LOOK_S = 0.5
-
-
-class ServiceError(LtmError):
-    """The service cannot be queried, stopped or started."""
 
 
 @dataclass(frozen=True)
@@ -39,59 +33,28 @@ class ServiceState:
     """Status line of the service."""
 
 
-class Service(Protocol):
-    """A service. `start` returns at once; `state` reports progress. `stop` kills what has not ended after `patience_s`
-    seconds; None: after the unit's own time."""
-
-    def stop(self, patience_s: float | None = None) -> None: ...
-
-    def start(self) -> None: ...
-
-    def state(self) -> ServiceState: ...
-
-
 class SystemdService:
     """Service control by systemctl; with Type=notify, ready means the service's READY=1."""
 
-    def stop(self, patience_s: float | None = None) -> None:
-        if patience_s is not None:
-            _systemctl("stop", "--no-block", UNIT)
-            deadline = time.monotonic() + patience_s
-            while self._runs() and time.monotonic() < deadline:
-                time.sleep(LOOK_S)
-            if self._runs():
-                _systemctl("kill", "--signal=KILL", UNIT, check=False)
-        _systemctl("stop", UNIT)  # returns once it has ended
-
-    def _runs(self) -> bool:
-        return _systemctl("show", UNIT, "--property=ActiveState", "--value").strip() not in ("inactive", "failed")
+    def stop(self) -> None:
+        """Stop the service; systemd kills what has not ended after the unit's own time."""
+        program_output("systemctl", "stop", UNIT)
 
     def start(self) -> None:
-        _systemctl("reset-failed", UNIT, check=False)  # also resets the number of restarts
-        _systemctl("start", "--no-block", UNIT)
+        """Start the service and return at once; `state` reports progress."""
+        program_output("systemctl", "reset-failed", UNIT, check=False)  # also resets the number of restarts
+        program_output("systemctl", "start", "--no-block", UNIT)
 
     def state(self) -> ServiceState:
         names = ("ActiveState", "SubState", "NRestarts", "Result", "StatusText", "ExecMainStatus")
-        said = _systemctl("show", UNIT, f"--property={','.join(names)}")
-        fields = dict(line.partition("=")[::2] for line in said.splitlines())
-        again = fields.get("SubState") == "auto-restart" or fields.get("NRestarts", "0") != "0"
-        failed = again or fields.get("ActiveState") == "failed"
-        text = fields.get("StatusText") or ""
+        said = program_output("systemctl", "show", UNIT, f"--property={','.join(names)}")
+        fields = dict.fromkeys(names, "") | dict(line.partition("=")[::2] for line in said.splitlines())
+        again = fields["SubState"] == "auto-restart" or fields["NRestarts"] not in ("", "0")
+        failed = again or fields["ActiveState"] == "failed"
+        text = fields["StatusText"]
         if failed:
-            text = f"{fields.get('Result')}, exit code {fields.get('ExecMainStatus')}{f': {text}' if text else ''}"
-        return ServiceState(fields.get("ActiveState") == "active" and not again, failed, text)
-
-
-def _systemctl(*arguments: str, check: bool = True) -> str:
-    try:
-        ran = subprocess.run(  # nosec B603 B607 # no shell; root's own PATH
-            ["systemctl", *arguments], capture_output=True, text=True, errors="replace", timeout=300
-        )
-    except (FileNotFoundError, subprocess.TimeoutExpired) as error:
-        raise ServiceError(f"systemctl {' '.join(arguments)}: {error}: the tower's service needs systemd") from error
-    if check and ran.returncode:
-        raise ServiceError(f"systemctl {' '.join(arguments)}: {ran.stderr.strip() or f'exit code {ran.returncode}'}")
-    return ran.stdout
+            text = f"{fields['Result']}, exit code {fields['ExecMainStatus']}{f': {text}' if text else ''}"
+        return ServiceState(fields["ActiveState"] == "active" and not again, failed, text)
 
 
 COPIES = 3
@@ -158,7 +121,7 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
             partial.replace(state / store.name)
             # Synced before the release is switched: after a power cut it must not find the newer store.
             for folder in (aside, state):
-                _sync(folder)
+                sync_folder(folder)
         except OSError as error:
             failed.append(f"{store.name} ({error.strerror})")
             with contextlib.suppress(OSError):
@@ -209,23 +172,12 @@ def _copy(store: Path, target: Path) -> None:
     with open(descriptor, "wb") as file, store.open("rb") as source:  # noqa: PTH123 # of a descriptor
         shutil.copyfileobj(source, file, 1 << 20)
         file.flush()
-        stated = store.stat()
-        if os.geteuid() == 0:
-            os.fchown(descriptor, stated.st_uid, stated.st_gid)
-        os.fchmod(descriptor, stated.st_mode & 0o7777)
+        _give_to_owner_of(store, descriptor)
         os.fsync(descriptor)
 
 
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _give_to_owner_of(store: Path, file: Path) -> None:
+def _give_to_owner_of(store: Path, file: Path | int) -> None:
     stated = store.stat()
     if os.geteuid() == 0:
         os.chown(file, stated.st_uid, stated.st_gid)
-    file.chmod(stated.st_mode & 0o7777)
+    os.chmod(file, stated.st_mode & 0o7777)  # noqa: PTH101 # of a descriptor, too

@@ -27,6 +27,7 @@ from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 from ltm_ros.tower.health_client import TowerPort
 from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE
+from ltm_ros.viewer.server import listens
 
 LONGEST_LINE: Final = 1024
 MOST_BYTES: Final = 2 << 20
@@ -68,7 +69,6 @@ class TowerMirror:
         self._trouble = "connecting"
         self._images: dict[str, tuple[float, list[bytes]]] = {}
         self._map: RgbImage | None = None
-        self._response: http.client.HTTPResponse | None = None
         self._closing = threading.Event()
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         self._routes: dict[str, Route] = {
@@ -77,18 +77,14 @@ class TowerMirror:
             "GET /map.png": lambda _: self._map_png(),
             "POST /mark": self._mark,
         }
-        self._begun = self._connect()
+        begun = self._reach().request("GET", "/live")
         self._server = WebServer(self._routes, port=web_port)
         self.url = self._server.url
-        self._thread = threading.Thread(target=self._receive, name="tower", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._receive, args=(begun,), name="tower", daemon=True).start()
 
     def close(self) -> None:
+        """Stop serving; the connection ends with the next record."""
         self._closing.set()
-        with self._lock, contextlib.suppress(OSError):
-            if self._response is not None and self._response.fp is not None:
-                _socket_of(self._response).shutdown(socket.SHUT_RDWR)
-        self._thread.join(5.0)
         self._server.close()
 
     def stamps_s(self) -> dict[str, float]:
@@ -96,20 +92,15 @@ class TowerMirror:
         with self._lock:
             return {camera: stamp for camera, (stamp, _) in self._images.items()}
 
-    def _connect(self) -> http.client.HTTPResponse:
-        response = self._reach().request("GET", "/live")
-        with self._lock:
-            self._response = response
-        return response
-
-    def _receive(self) -> None:
+    def _receive(self, response: http.client.HTTPResponse | None) -> None:
         pace = Backoff(1.0)
-        response: http.client.HTTPResponse | None = self._begun
         while not self._closing.is_set():
             try:
-                with response or self._connect() as stream:
+                with response or self._reach().request("GET", "/live") as stream:
                     response = None
                     for record, content in _records(stream):
+                        if self._closing.is_set():
+                            return
                         self._take(record, content)
                         pace.succeeded()
                 why = "the tower closed the connection"
@@ -171,13 +162,6 @@ class TowerMirror:
                 return WebResponse(response.read(MOST_BYTES), "application/json")
         except LtmError as error:
             return WebResponse.error(HTTPStatus.BAD_GATEWAY, str(error))
-
-
-def _socket_of(response: http.client.HTTPResponse) -> socket.socket:
-    """Return the socket that a response is read from; a read that waits ends if it is shut down."""
-    raw: Any = response.fp.raw
-    found: socket.socket = raw._sock
-    return found
 
 
 def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Record, bytes]]:
@@ -248,7 +232,9 @@ class _Tunnel:
     """A process of SSH that forwards `place`, on loopback, to a port on the loopback of a host."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._host, self._here = host, _free_port()
+        self._host = host
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self._here = probe.getsockname()[1]
         self.place = f"127.0.0.1:{self._here}"
         options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
         self._command = ["ssh", "-N", "-T", *options, "-L", f"{self.place}:127.0.0.1:{port}", "--", host]
@@ -265,7 +251,7 @@ class _Tunnel:
                 "--connect needs the program ssh: install openssh-client, or give https://HOST"
             ) from error
         deadline = time.monotonic() + TUNNEL_S
-        while not _listens(self._here):
+        while not listens(self._here):
             if self._process.poll() is not None:
                 said = f"ended with exit code {self._process.returncode}"
                 raise ConfigError(f"ssh {self._host}: {said}; its message is above")
@@ -278,15 +264,3 @@ class _Tunnel:
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0

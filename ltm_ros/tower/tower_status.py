@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.runtime.health import CameraState
-from ltm_ros.tower.machine import Condition, Disk, machine_conditions
+from ltm_ros.tower.machine import Condition, Machine
 
 SILENT_S = 10.0
 """Seconds without diagnostics after which a node counts as dead; diagnostics come once a second."""
@@ -25,9 +24,17 @@ OUTBOX_KEYS = ("outbox_frames", "outbox_bytes", "outbox_age_s", "link_up")
 """Keys of the outbox in the reports of node `uplink`."""
 
 
-class StatedValues:
-    """Reads the values of a node's report by key, as numbers."""
+@dataclass(frozen=True)
+class NodeState:
+    """State of a node, by its last report."""
 
+    name: str
+    camera: str
+    """Empty: a node of the whole site."""
+    state: str
+    """`ok`, `warning` (dropped something in the last ten seconds), `silent` or `missing` (never reported)."""
+    said: str
+    age_s: float | None
     values: Mapping[str, str]
 
     def number(self, key: str) -> float | None:
@@ -40,35 +47,8 @@ class StatedValues:
 
     def counts(self, prefix: str) -> dict[str, int]:
         """Return counters by prefix: `dropped.` -> {"shed": 3, ...}."""
-        found = {}
-        for key in self.values:
-            count = self.number(key) if key.startswith(prefix) else None
-            if count is not None and 0 <= count < LARGEST_COUNT:
-                found[key.removeprefix(prefix)] = int(count)
-        return found
-
-
-@dataclass(frozen=True)
-class NodeReport(StatedValues):
-    """The last report of a node. `heard_s`: by a monotonic clock."""
-
-    name: str
-    warning: bool
-    message: str
-    values: Mapping[str, str]
-    heard_s: float
-
-
-@dataclass(frozen=True)
-class NodeState(StatedValues):
-    name: str
-    camera: str
-    """Empty: a node of the whole site."""
-    state: str
-    """`ok`, `warning` (dropped something in the last ten seconds), `silent` or `missing` (never reported)."""
-    said: str
-    age_s: float | None
-    values: Mapping[str, str]
+        found = {key.removeprefix(prefix): self.number(key) for key in self.values if key.startswith(prefix)}
+        return {key: int(n) for key, n in found.items() if n is not None and 0 <= n < LARGEST_COUNT}
 
 
 @dataclass(frozen=True)
@@ -113,13 +93,9 @@ class TowerStatus:
     site: str
     time_s: float
     """Time by the system clock."""
-    versions: Mapping[str, str]
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraStatus]
-    clock: KernelClock
-    disks: Sequence[Disk]
-    memory_total: int
-    memory_available: int
+    machine: Machine
     frame_limit_s: float
     outbox: OutboxState | None = None
     """None: the site belongs to no region, or its node `uplink` has not reported."""
@@ -142,7 +118,9 @@ class TowerStatus:
         return self.alive and all(camera.state.sending for camera in self.cameras)
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self) | {"alive": self.alive, "ready": self.ready, "wrong": self.wrong}
+        found: dict[str, Any] = asdict(self)
+        machine: dict[str, Any] = found.pop("machine")
+        return found | machine | {"alive": self.alive, "ready": self.ready, "wrong": self.wrong}
 
 
 class TowerWatch:
@@ -154,43 +132,23 @@ class TowerWatch:
     def __init__(self, site: str, expected: Sequence[str], frame_limit_s: float) -> None:
         self._site, self._frame_limit_s = site, frame_limit_s
         self._expected = list(expected)
-        self._reports: dict[str, NodeReport] = {}
+        self._reports: dict[str, tuple[NodeState, float]] = {}
+        """Last report of each node, and its time by a monotonic clock."""
         self._states: dict[str, tuple[CameraState, float]] = {}
         """State of each camera, and its start by the system clock."""
 
     def hear(self, name: str, warning: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
         if name in self._expected:
             kept = {key[:LENGTH]: value[:LENGTH] for key, value in list(values.items())[:KEYS]}
-            self._reports[name] = NodeReport(name, warning, message[:LENGTH], kept, now_s)
+            state = "warning" if warning else "ok"
+            self._reports[name] = NodeState(name, camera_of(name), state, message[:LENGTH], 0.0, kept), now_s
 
-    def status(
-        self,
-        now_s: float,
-        time_s: float,
-        *,
-        versions: Mapping[str, str],
-        clock: KernelClock,
-        disks: Sequence[Disk],
-        memory: tuple[int, int],
-    ) -> TowerStatus:
+    def status(self, now_s: float, time_s: float, machine: Machine) -> TowerStatus:
         """Return the status. `now_s`: by the clock of `hear`; `time_s`: by the clock that stamps frames."""
         nodes = [self._node(name, now_s) for name in self._expected]
-        cameras = self.cameras(now_s, time_s)
-        outbox = self._outbox()
-        return TowerStatus(
-            site=self._site,
-            time_s=time_s,
-            versions=versions,
-            nodes=nodes,
-            cameras=cameras,
-            clock=clock,
-            disks=list(disks),
-            memory_total=memory[0],
-            memory_available=memory[1],
-            frame_limit_s=self._frame_limit_s,
-            outbox=outbox,
-            conditions=tuple(_conditions(nodes, cameras, clock, disks, outbox)),
-        )
+        cameras, outbox = self.cameras(now_s, time_s), self._outbox()
+        conditions = tuple(_conditions(nodes, cameras, machine, outbox))
+        return TowerStatus(self._site, time_s, nodes, cameras, machine, self._frame_limit_s, outbox, conditions)
 
     def cameras(self, now_s: float, time_s: float) -> list[CameraStatus]:
         """Return the state of each camera; clocks as for `status`."""
@@ -198,24 +156,23 @@ class TowerWatch:
 
     def _outbox(self) -> OutboxState | None:
         report = self._reports.get(f"/{self._site}/uplink")
-        numbers = [report.number(key) if report else None for key in OUTBOX_KEYS]
-        if any(number is None for number in numbers):
+        numbers = [report[0].number(key) for key in OUTBOX_KEYS] if report else [None]
+        known = [number for number in numbers if number is not None]
+        if len(known) < len(OUTBOX_KEYS):
             return None
-        frames, size, age_s, link_up = (float(number or 0) for number in numbers)
+        frames, size, age_s, link_up = known
         return OutboxState(int(frames), int(size), age_s, link_up > 0)
 
     def _node(self, name: str, now_s: float) -> NodeState:
-        report = self._reports.get(name)
-        camera = camera_of(name)
-        if report is None:
-            return NodeState(name, camera, "missing", "no report yet", None, {})
-        age_s = now_s - report.heard_s
-        if age_s > SILENT_S:
-            return NodeState(name, camera, "silent", f"no report for {age_s:.0f} s", age_s, report.values)
-        return NodeState(name, camera, "warning" if report.warning else "ok", report.message, age_s, report.values)
+        if name not in self._reports:
+            return NodeState(name, camera_of(name), "missing", "no report yet", None, {})
+        report, heard_s = self._reports[name]
+        if (age_s := now_s - heard_s) > SILENT_S:
+            return replace(report, state="silent", said=f"no report for {age_s:.0f} s", age_s=age_s)
+        return replace(report, age_s=age_s)
 
     def _camera(self, name: str, now_s: float, time_s: float) -> CameraStatus:
-        own = {r.name.rpartition("/")[2]: r for r in self._reports.values() if camera_of(r.name) == name}
+        own = {r.name.rpartition("/")[2]: r for r, _ in self._reports.values() if r.camera == name}
         dropped: dict[str, int] = {}
         for report in own.values():
             for cause, count in report.counts("dropped.").items():
@@ -267,14 +224,14 @@ class TowerWatch:
         known, since_s = self._states.get(name, (None, -math.inf))
         if known is not state:
             source = self._reports.get(f"/{self._site}/{name}/source")
-            own = source.number("state_since") if source and source.values.get("state") == state else None
+            own = source[0].number("state_since") if source and source[0].values.get("state") == state else None
             since_s = own if own is not None and max(since_s, 0.0) < own <= time_s else time_s
             self._states[name] = state, since_s
         return since_s
 
 
 def _camera_wrong(
-    name: str, state: CameraState, why: str, pose: str, judge: NodeReport | None, votes: NodeReport | None
+    name: str, state: CameraState, why: str, pose: str, judge: NodeState | None, votes: NodeState | None
 ) -> str:
     if not state.sending:
         return f"{name}: {why or state}"
@@ -293,11 +250,7 @@ def camera_of(name: str) -> str:
 
 
 def _conditions(
-    nodes: Sequence[NodeState],
-    cameras: Sequence[CameraStatus],
-    clock: KernelClock,
-    disks: Sequence[Disk],
-    outbox: OutboxState | None,
+    nodes: Sequence[NodeState], cameras: Sequence[CameraStatus], machine: Machine, outbox: OutboxState | None
 ) -> Iterator[Condition]:
     """Yield the conditions, the most severe first."""
     told = {f"{camera.name}/source" for camera in cameras if camera.wrong}
@@ -314,7 +267,7 @@ def _conditions(
         yield Condition("camera", camera.name, camera.state, "" if sending else camera.wrong)
         if sending:
             yield Condition.judged("pose", camera.name, "uncertain", camera.wrong)
-    yield from machine_conditions(clock, disks)
+    yield from machine.conditions()
     if outbox is not None:
         problem = (
             f"no connection to the region's map: {outbox.frames} frames are queued in the outbox, the oldest for "

@@ -15,22 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.tower.releases import PackageFile, Releases, Trial
-from ltm_ros.tower.store_copy import Service, copy_stores, return_stores
+from ltm_ros.tower.releases import PackageFile, Releases, Trial, UpgradeError
+from ltm_ros.tower.store_copy import SystemdService, copy_stores, return_stores
 
 LOOK_S = 0.5
 CHECK_S = 1800.0
 """Seconds for each check by a new release; compiling its kernels takes minutes on a slow tower."""
 WATCHED_S = 300.0
 """Seconds after a trial's time limit within which this program decides; after that it has died."""
-STOP_S = 25.0
-"""Seconds for a rejected release to stop in order, before it is killed. The runner gives its processes 10 s."""
 RETURN_S = 600.0
 """Seconds for the previous release to be ready again; its kernels are compiled."""
-
-
-class UpgradeError(LtmError):
-    """The release was not accepted. The previous one runs, unless the message says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +42,7 @@ class Upgrade:
     """`say` takes a line for each step."""
 
     def __init__(
-        self, releases: Releases, service: Service, places: Places, say: Callable[[str], None], ready_s: float = 600.0
+        self, releases: Releases, service: SystemdService, places: Places, say: Callable[[str], None], ready_s: float
     ) -> None:
         self._releases, self._service, self._places, self._say = releases, service, places, say
         self._ready_s = ready_s
@@ -110,10 +104,8 @@ class Upgrade:
             self._say(f"starting {target}")
             self._service.start()
             wrong = self._wait_until_ready(target, self._ready_s)
-        except (LtmError, OSError) as error:
-            wrong = str(error)
-        except KeyboardInterrupt:
-            wrong = "interrupted"
+        except (LtmError, OSError, KeyboardInterrupt) as error:
+            wrong = str(error) or "interrupted"
         if not wrong:
             self._releases.end_trial()
             self._say(f"the tower was down for {time.monotonic() - begun:.0f} s")
@@ -121,7 +113,7 @@ class Upgrade:
         self._say(f"{target}: {wrong}; returning to {former}")
         try:
             try:
-                self._service.stop(STOP_S)
+                self._service.stop()
             except LtmError as error:
                 # Start it whatever is left: for a tower, another start is better than staying down.
                 self._say(f"{target} cannot be stopped in order ({error})")
@@ -130,12 +122,12 @@ class Upgrade:
             # Also after a second Ctrl-C, or on a full disk: the guard then returns to the previous release at this
             # start.
             self._service.start()
-        again = self._wait_until_ready(former, RETURN_S)
-        self._say(
-            f"{former} {'is not ready' if again else 'is ready'} {time.monotonic() - begun:.0f} s after it was stopped"
-        )
-        state = f"{former} does not start either ({again}): see `journalctl --namespace=ltm`"
-        raise UpgradeError(f"{target} was rejected: {wrong}; {state if again else f'{former} runs again'}")
+        state = f"{former} runs again"
+        if again := self._wait_until_ready(former, RETURN_S):
+            state = f"{former} does not start either ({again}): see `journalctl --namespace=ltm`"
+        ready = "is not ready" if again else "is ready"
+        self._say(f"{former} {ready} {time.monotonic() - begun:.0f} s after it was stopped")
+        raise UpgradeError(f"{target} was rejected: {wrong}; {state}")
 
     def _put_back(self, trial: Trial) -> None:
         # The stores first: if this is interrupted, the candidate is still current, and everything is repeated.

@@ -22,9 +22,6 @@ from ltm_ros.runtime.topics import (
     IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
-    POSED_CAMERA_INFO,
-    POSED_IMAGE,
-    POSED_POSE,
     camera_topic,
     site_topic,
 )
@@ -40,7 +37,6 @@ NODES = (
 )
 INPUTS = {
     **{topic: camera_topic(NAME, "tower", topic) for topic in (IMAGE_COMPRESSED, CAMERA_INFO, POSE, FUEL_VOTES)},
-    **{topic: camera_topic(NAME, "tower", topic) for topic in (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)},
     IMAGE_RAW: camera_topic(NAME, "mast", IMAGE_RAW),
 }
 MAP_UPDATE = site_topic(NAME, FUEL_MAP_UPDATE)

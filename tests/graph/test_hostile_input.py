@@ -9,11 +9,11 @@ import pytest
 from bystander import Bystander
 from living_graph import INPUTS, MAP_UPDATE, MAST_DEPTH, NODES, Living
 from rclpy.serialization import serialize_message
-from scenes.small_site import NAME, SmallSite, apart
+from scenes.small_site import NAME, SmallSite
 
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.image import encode_rgb, image_to_msg
+from ltm_msgs_py.image import encode_rgb
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
@@ -25,9 +25,6 @@ from ltm_ros.runtime.topics import (
     IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
-    POSED_CAMERA_INFO,
-    POSED_IMAGE,
-    POSED_POSE,
 )
 
 pytestmark = pytest.mark.graph
@@ -38,7 +35,7 @@ def living(small_site: SmallSite, module_ros_domain: int) -> Iterator[Living]:
     # Every frame that is sent is looked for: they wait for each other, as in a replay.
     # And none is given up while the tests run, however long a busy machine makes them: it would be counted in another.
     parameters = {"capture": {"shed": False}, "fuel_votes": {"max_wait": 600.0}}
-    whole = describe(apart(small_site.site), small_site.path, parameters=parameters)
+    whole = describe(small_site.site, small_site.path, parameters=parameters)
     graph = Graph(NAME, tuple(whole.node(label) for label in NODES))
     runner = Runner(graph, domain_id=module_ros_domain, console=lambda line: None)
     with runner, Bystander() as bystander:
@@ -113,18 +110,6 @@ def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) 
     vast.width = vast.height = vast.row_step = 2**32 - 1
     living.send(FUEL_VOTES, votes(shift=15.0), cut, vast, good, good)
     survives({"fuel_map": {"dropped.message": 3, "dropped.duplicate": 1}})
-
-
-def test_strangers_on_inner_topics(living: Living, survives: Callable[..., None]) -> None:
-    stamp = living.stamp()
-    image = image_to_msg(np.zeros((4, 6), np.float32), "32FC1", stamp, "tower_optical")
-    info, pose = living.info(stamp), living.pose(stamp)
-    info.header = pose.header
-    info.k = np.zeros(9)
-    living.send(POSED_IMAGE, image)
-    living.send(POSED_CAMERA_INFO, info)
-    living.send(POSED_POSE, pose)
-    survives({"tower/segmentation": {"dropped.image": 1}, "tower/depth": {"dropped.camera": 1}})
 
 
 def test_bytes_that_are_no_message(living: Living, survives: Callable[..., None]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_ros.tower.releases import PackageFile, Releases
-from ltm_ros.tower.store_copy import ServiceState
+from ltm_ros.tower.store_copy import ServiceState, SystemdService
 from ltm_ros.tower.upgrade import Places, Upgrade
 
 CONTROL = """Package: {name}
@@ -63,7 +63,7 @@ def frames_of(path: Path) -> int:
 
 
 @dataclass
-class PaperService:
+class PaperService(SystemdService):
     """Starts what is current; `behaviour` says of each release what becomes of it."""
 
     releases: Releases
@@ -72,7 +72,7 @@ class PaperService:
     on_stop: Callable[[str], None] = lambda version: None
     did: list[str] = field(default_factory=list)
 
-    def stop(self, patience_s: float | None = None) -> None:
+    def stop(self) -> None:
         self.did.append("stop")
         self.on_stop(self.releases.current)
 

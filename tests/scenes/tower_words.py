@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.runtime.health import Health
-from ltm_ros.tower.machine import Disk
+from ltm_ros.tower.machine import Disk, Machine
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
 NOW_S = 1_750_000_000.0
@@ -54,11 +54,7 @@ def watch_of(made: dict[str, Health]) -> TowerWatch:
 
 
 def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
-    return watch.status(
-        now_s,
-        NOW_S,
-        versions={"ltm": "0.1.0", "ros-rclpy": "7.1.6"},
-        clock=KernelClock(False, None),
-        disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
-        memory=(8_000_000_000, 3_000_000_000),
-    )
+    disks = [Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)]
+    versions = {"ltm": "0.1.0", "ros-rclpy": "7.1.6"}
+    machine = Machine(versions, KernelClock(False, None), disks, 8_000_000_000, 3_000_000_000)
+    return watch.status(now_s, NOW_S, machine)

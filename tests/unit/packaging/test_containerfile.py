@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -29,23 +28,6 @@ def test_command_environment_and_user_are_the_service_s() -> None:
     assert set(of_unit("Environment")) < set(said["ENV"].split())
     assert [said["USER"]] == of_unit("User")
     assert [said["WORKDIR"]] == of_unit("WorkingDirectory")
-
-
-KNOWN = ("FROM", "COPY", "RUN", "USER", "WORKDIR", "ENV", "VOLUME", "ENTRYPOINT", "CMD")
-"""Instructions of the Dockerfile reference that we use, in the order in which they must come."""
-
-
-def test_each_instruction_is_one_that_an_engine_knows_and_in_its_place() -> None:
-    """No engine was at hand to build it."""
-    said = instructions()
-    assert tuple(said) == KNOWN
-    lines = FILE.read_text().replace("\\\n", " ").splitlines()
-    assert all(line.startswith("#") or line.partition(" ")[0] in KNOWN for line in lines if line.strip())
-    assert all(pair.count("=") == 1 for pair in said["ENV"].split())
-    for name in ("ENTRYPOINT", "CMD"):
-        words = json.loads(said[name])
-        assert all(isinstance(word, str) for word in words), "exec form: signals reach the program"
-    subprocess.run(["sh", "-n", "-c", said["RUN"]], check=True)
 
 
 def test_what_it_copies_is_what_is_built_and_what_it_runs_is_what_is_installed() -> None:

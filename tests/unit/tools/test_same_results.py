@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import sqlite3
 import struct
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -46,21 +44,6 @@ def test_a_digit_that_is_printed_but_not_a_word(folders: tuple[Path, Path]) -> N
     assert "149.878 -> 149.879" in found
     assert "`azimuth 149.878, sigma 0.19`" in found
     assert _found(folders, name, first, first.replace(b"149.878", b"-149.878"))
-
-
-def test_a_row(folders: tuple[Path, Path]) -> None:
-    def write(tiles: Iterable[tuple[int, bytes]]) -> list[str]:
-        for folder, rows in zip(folders, ([(1, b"ab"), (2, b"cd")], tiles), strict=True):
-            (folder / "map.ltm").unlink(missing_ok=True)
-            with sqlite3.connect(folder / "map.ltm") as store:
-                store.execute("CREATE TABLE tiles (row INTEGER, content BLOB)")
-                store.executemany("INSERT INTO tiles VALUES (?, ?)", rows)
-            store.close()
-        return list(differences(*folders))
-
-    assert write([(2, b"cd"), (1, b"ab")]) == []
-    assert "table tiles, row 1" in write([(1, b"ab"), (2, b"ce")])[0]
-    assert "nothing" in write([(1, b"ab")])[0]
 
 
 def _point(x: float, padding: bytes = bytes(7)) -> bytes:

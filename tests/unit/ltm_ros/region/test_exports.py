@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +67,7 @@ def test_an_export_that_fails_by_a_bug_is_told_and_tried_again_and_the_map_lives
             return health.troubled
 
         wait_for(looked, "the failure", lambda: health.last_error)
-        assert "the map was not exported (ValueError: a library's)" in health.last_error
+        assert "the map was not exported (ValueError: a library's" in health.last_error
     exports.look(60.0, changed=False)
     wait_for(lambda: (tmp_path / "out/life_form.tif").exists(), "the next one", lambda: health.last_error)
     exports.close()
@@ -96,8 +95,8 @@ def test_the_last_export_has_what_was_not_yet_shown(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("ltm_ros.region.service.SHOWN_SHARE", 1e-12)
     (tmp_path / "out").mkdir()
     scene = write_region_scene(tmp_path, export={"folder": "out", "every": 5.0})
-    link: Any = Unheard
-    service, stopping = RegionService(scene.config, Health(), lambda: BEGIN_NS + 10**13, link), threading.Event()
+    monkeypatch.setattr("ltm_ros.region.service.MqttLink", Unheard)
+    service, stopping = RegionService(scene.config, Health(), lambda: BEGIN_NS + 10**13), threading.Event()
     service.step(0.0)
     for number in range(4):
         service.aggregator.take("alta", scene.sealed("alta", number))

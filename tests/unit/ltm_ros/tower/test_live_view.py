@@ -61,7 +61,8 @@ class Scene:
         return {"site": "ridge", "pictures": self.stamps_s()}
 
 
-def test_every_camera_and_each_tile_is_sent_once_until_it_changes() -> None:
+def test_every_camera_and_each_tile_is_sent_once_until_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltm_ros.tower.live_stream.PAGE_S", 1e9)  # one page, however slow the machine is
     scene = Scene("north", "east")
     scene.map = np.zeros((TILE + 10, 2 * TILE, 3), np.uint8)
     records = LiveStream(scene.page, scene, pytest.fail, rate=1e9)._records()

@@ -71,15 +71,15 @@ def body(**keys: Any) -> bytes:
 
 
 def test_a_click_is_a_pixel_of_the_cameras_own_picture(graph: Graph, marks: Marks) -> None:
-    """The page shows every third pixel: 640 x 360."""
+    """The page shows it 800 pixels wide."""
     answer = marks.take(body())
     assert answer.status == 200
     ((topic, point),) = graph.sent
     assert topic == "/ridge/north/locate/point"
     assert point.header.frame_id == "north_optical"
     assert point.header.stamp.sec * 10**9 + point.header.stamp.nanosec == STAMP
-    assert (point.point.x, point.point.y) == ((320 - 0.5) * 3, (90 - 0.5) * 3)
-    assert json.loads(answer.body) == {"u": 958.5, "v": 268.5}
+    assert (point.point.x, point.point.y) == (0.5 * 1920 - 0.5, 0.25 * 1080 - 0.5)
+    assert json.loads(answer.body) == {"u": 959.5, "v": 269.5}
 
 
 @pytest.mark.parametrize(

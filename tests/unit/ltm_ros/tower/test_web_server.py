@@ -216,14 +216,6 @@ def test_an_answer_that_a_bug_or_the_machine_prevents_says_so_and_is_in_the_log(
         assert cause in log
 
 
-def test_a_header_without_end_is_not_taken(start: Start) -> None:
-    server = start()
-    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as endless:
-        endless.sendall(b"GET /healthz HTTP/1.0\r\nX: " + b"a" * 70_000 + b"\r\n\r\n")
-        assert b"431" in endless.recv(100)
-    assert get(server, "/healthz")[0] == 200
-
-
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
@@ -278,13 +270,6 @@ def test_pages_of_others_and_too_much_are_not_taken(
 ) -> None:
     """A form of somebody else's page comes with whatever the browser knows, but not as JSON."""
     assert get(start(), "/mark", headers, "POST", body=body)[0] == status
-
-
-def test_who_sends_must_know_the_token(start: Start, tmp_path: Path) -> None:
-    (tmp_path / "token").write_text(TOKEN)
-    server = start(token=tmp_path / "token")
-    assert get(server, "/mark", JSON, "POST", body=b"{}")[0] == 401
-    assert get(server, "/mark", JSON | {"Authorization": f"Bearer {TOKEN}"}, "POST", body=b"{}")[0] == 200
 
 
 def test_the_credential_of_the_service_goes_before_the_file(
