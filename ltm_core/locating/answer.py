@@ -21,8 +21,7 @@ from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
-_MARGIN = 3.0
-"""Ratio of an image's width to the uncertainty of a place for the image to show that place."""
+_MARGIN = 3.0  # ratio of an image's width to the uncertainty of a place for the image to show that place
 _NARROWEST_DEG = 2.0
 
 
@@ -99,8 +98,7 @@ def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> 
     return x + r * math.sin(azimuth), y + r * math.cos(azimuth), float(heights[at])
 
 
-SHARES = (0.5, 0.95)
-"""Probabilities that the ellipses contain."""
+SHARES = (0.5, 0.95)  # probabilities that the ellipses contain
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,8 @@ from ltm_core.visibility.footprint import pixel_rays
 
 STEEPEST_DEG = 80.0
 """Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""
-LEAST_KNOWN_DEG = 20.0
-"""Standard deviation of an azimuth in degrees above which a camera's direction counts as unknown."""
-KNOTS = np.geomspace(5.0, 80_000.0, 15)
-"""Ranges in metres at which covariances are computed."""
+LEAST_KNOWN_DEG = 20.0  # standard deviation of an azimuth in degrees above which a camera's direction counts as unknown
+KNOTS = np.geomspace(5.0, 80_000.0, 15)  # ranges in metres at which covariances are computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +185,9 @@ def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
     return slope, own + float(directions.weights @ (directions.slope - slope) ** 2)
 
 
-LEVEL_SHARE = 0.1
-"""Minimum standard deviation of heights between nodes, as a share of the raster's cell size."""
-APART_CELLS = 4.0
-"""Distance in cells beyond which height errors of a raster are independent."""
-OTHERWISE = 0.2
-"""Share of wrong cameras whose slope is wrong too."""
+LEVEL_SHARE = 0.1  # minimum standard deviation of heights between nodes, as a share of the raster's cell size
+APART_CELLS = 4.0  # distance in cells beyond which height errors of a raster are independent
+OTHERWISE = 0.2  # share of wrong cameras whose slope is wrong too
 OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
 """Density of the slope of a wrong camera: that of a normal distribution with a sigma of two degrees."""
 

@@ -79,18 +79,14 @@ def _splat(
                 fit[i, j] = max(fit[i, j], fits[a, k])
 
 
-_SIDE = 240
-"""Number of cells along the longer side of a window."""
-_FINEST = 0.5
-"""Minimum cell size in metres."""
-_BEYOND = 20.0
-"""Excess of misfit over the best place above which a place is not refined."""
+_SIDE = 240  # number of cells along the longer side of a window
+_FINEST = 0.5  # minimum cell size in metres
+_BEYOND = 20.0  # excess of misfit over the best place above which a place is not refined
 _ROUNDS = 3
 _ALIKE = 8
 """Exponent of the cosine between the directions of two cameras that measures how far they count as one: 0.76 at 15
 degrees, 0.06 at 45."""
-_SHRINKS = 0.5
-"""Factor by which a window must shrink for another refinement."""
+_SHRINKS = 0.5  # factor by which a window must shrink for another refinement
 
 
 @dataclass(frozen=True, eq=False)

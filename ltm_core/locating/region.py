@@ -11,10 +11,8 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 
-MOST_VERTICES = 1_000
-"""Maximum number of vertices of a polygon; outlines of detectors have tens."""
-_COLUMNS = 17
-"""Number of places at which a lower edge is sampled."""
+MOST_VERTICES = 1_000  # maximum number of vertices of a polygon; outlines of detectors have tens
+_COLUMNS = 17  # number of places at which a lower edge is sampled
 _OVERLAP = 0.6
 """Standard deviation of a sampled place as a share of the distance to the next; the sum is then flat within a few
 percent."""

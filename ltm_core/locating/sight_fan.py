@@ -11,11 +11,9 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.raster.dem import Dem
 
-NEAREST = 3.0
-"""Range in metres at which a fan begins."""
+NEAREST = 3.0  # range in metres at which a fan begins
 _LEAST_STEP = 0.5
-_STEP = 0.003
-"""Step as a share of the range."""
+_STEP = 0.003  # step as a share of the range
 _STEPS_INSIDE = 1_000
 NO_LEVEL = np.uint8(255)
 

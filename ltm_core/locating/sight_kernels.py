@@ -14,16 +14,11 @@ from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 from ltm_core.locating.sight_fan import NO_LEVEL, Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
 
-CRESTS = 6
-"""Maximum number of crests kept per ray: those that may be the highest."""
-_STRETCH = 0.01
-"""Share of the range within which errors of samples are fully correlated, however fine the raster is."""
-_SPARSE = 4
-"""Interval at which the visibility probability is computed among samples whose visibility is uncertain."""
-FOREGROUND = 15.0
-"""Metres of foreground."""
-_SURE = 3.5
-"""Number of sigmas from which one slope is higher than another."""
+CRESTS = 6  # maximum number of crests kept per ray: those that may be the highest
+_STRETCH = 0.01  # share of the range within which errors of samples are fully correlated, however fine the raster is
+_SPARSE = 4  # interval at which the visibility probability is computed among samples whose visibility is uncertain
+FOREGROUND = 15.0  # metres of foreground
+_SURE = 3.5  # number of sigmas from which one slope is higher than another
 _UPPER = 2.0
 """Number of sigmas added to a height when the highest of several correlated samples represents them; close to the
 camera, a low sample may hide the most."""
@@ -252,8 +247,7 @@ def mean_density(first: float, last: float) -> float:
     return float(math.exp(-0.125 * (first + last) ** 2) / ROOT_2PI)
 
 
-_REACH = 2.5
-"""Number of sigmas of drift within which neighbouring azimuths count."""
+_REACH = 2.5  # number of sigmas of drift within which neighbouring azimuths count
 _NEIGHBOURS = 9
 
 

@@ -27,21 +27,15 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 
-Bounds = tuple[float, float, float, float]
-"""Bounds x_min, y_min, x_max, y_max in metres."""
+Bounds = tuple[float, float, float, float]  # bounds x_min, y_min, x_max, y_max in metres
 
-IMPOSSIBLE = math.exp(-15.0)
-"""Misfit above which a place does not explain a mark."""
-_SIGMAS = 5.0
-"""Number of sigmas of the azimuth that a fan covers."""
-_FIRST, _MOST = 40, 120
-"""Initial number of azimuths of a fan, and the maximum after refinement."""
+IMPOSSIBLE = math.exp(-15.0)  # misfit above which a place does not explain a mark
+_SIGMAS = 5.0  # number of sigmas of the azimuth that a fan covers
+_FIRST, _MOST = 40, 120  # initial number of azimuths of a fan, and the maximum after refinement
 _WING, _WINGS = math.radians(3.0), 12
 """Width that a fan adds on either side for drifting plumes, and its number of azimuths there."""
-_CREST = 16
-"""Number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is."""
-_PER_CELL = 1.5
-"""Number of samples per cell side; with fewer, some cells get none."""
+_CREST = 16  # number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is
+_PER_CELL = 1.5  # number of samples per cell side; with fewer, some cells get none
 
 
 @dataclass(frozen=True, eq=False)

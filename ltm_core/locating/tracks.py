@@ -18,8 +18,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.sighting import Sighting
 
-MOST = 200
-"""Maximum number of poses kept; the least recently received one is dropped first."""
+MOST = 200  # maximum number of poses kept; the least recently received one is dropped first
 
 
 class KnownPoses:

@@ -27,8 +27,7 @@ FLAME: Final = Scale(
 )  # fmt: skip
 """Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and
 darker."""
-_SOON: Final = 5 / 60
-"""Hours within which two arrivals count as equal; the model's steps are minutes."""
+_SOON: Final = 5 / 60  # hours within which two arrivals count as equal; the model's steps are minutes
 DIFFERENCE: Final = Scale(
     (
         "burns only with the updated map", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",

@@ -28,13 +28,10 @@ from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
-_NAME_SIZE: Final = 11
-"""Height in pixels of fuel models' names on a map."""
-_NAMES: Final = 8
-"""Maximum number of names of one fuel model on a map."""
+_NAME_SIZE: Final = 11  # height in pixels of fuel models' names on a map
+_NAMES: Final = 8  # maximum number of names of one fuel model on a map
 _SURE: Final = 0.25
-_NO_MORE: Final = 0.85
-"""Entropies at which a life form's colour is full and palest."""
+_NO_MORE: Final = 0.85  # entropies at which a life form's colour is full and palest
 
 
 @dataclass(frozen=True)

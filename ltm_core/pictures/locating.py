@@ -19,10 +19,8 @@ from ltm_core.visibility.point_visibility import PointState
 
 _WIDTH = 760
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
-_LEAST_VIEW = 300.0
-"""Minimum width in metres of the detail map."""
-_ALIKE = 0.5
-"""Share of the whole map's width above which the detail map is left out."""
+_LEAST_VIEW = 300.0  # minimum width in metres of the detail map
+_ALIKE = 0.5  # share of the whole map's width above which the detail map is left out
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
 _FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
 STATE_COLORS = {

@@ -28,7 +28,7 @@ from ltm_core.pictures.legend import (
     with_legend,
 )
 from ltm_core.pictures.photo_overlays import with_axes
-from ltm_core.pictures.relief import Window, hillshade, terrain_colors
+from ltm_core.pictures.relief import coarser, height_span, hillshade, terrain_colors
 from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
@@ -82,7 +82,8 @@ def terrain_map_picture(
     if seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
     view = view_of(interesting_bounds(seen, dem.geometry, [c.position for c in cameras], dem.geometry), width)
-    colors = _on_view(dem, view, lambda factor, window: terrain_colors(dem, factor=factor, window=window))
+    span = height_span(dem.elevation)
+    colors = _on_view(dem, view, lambda part: terrain_colors(part, span))
     picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
     hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
     mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
@@ -121,47 +122,23 @@ def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
 
 def relief(dem: Dem, view: GridGeometry) -> RgbImage:
     """Light grey relief on the view; paper where there is no terrain."""
-    shade = _on_view(dem, view, lambda factor, window: hillshade(dem, factor=factor, window=window))
+    shade = _on_view(dem, view, hillshade)
     grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
     grey = np.where(np.isfinite(shade), grey, PAPER[0])
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray[Any]]) -> Float32Array:
-    """Return what `draw(factor, window)` gives of the part of the DEM under the view, at its pixel centres, bilinear;
-    NaN outside. `factor`: cells averaged for a coarser view."""
-    whole = dem.geometry
-    factor = max(1, int(view.resolution / whole.resolution))
-    if min(whole.height, whole.width) < 2 * factor:
-        factor = 1
-    rows, cols = view.to_map(np.array([0, view.height - 1]), 0)[1], view.to_map(0, np.array([0, view.width - 1]))[0]
-    top, bottom = _blocks(whole.to_grid(0.0, rows)[0], whole.height, factor)
-    left, right = _blocks(whole.to_grid(cols, 0.0)[1], whole.width, factor)
-    window = (top, left, bottom - top, right - left)
-    values = np.asarray(draw(factor, window), np.float32)
-    corner = whole.window(*window)
-    size = values.shape[:2]
-    part = GridGeometry(corner.x_min, corner.y_max, whole.resolution * factor, size[1], size[0])
-    _, cols_at = part.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
-    rows_at, _ = part.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
-    sampled = cv2.remap(
-        values,
-        np.broadcast_to(cols_at.astype(np.float32), view.shape).copy(),
-        np.broadcast_to(rows_at.astype(np.float32)[:, None], view.shape).copy(),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(float("nan"),) * 4,
-    )
+def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[Dem], NDArray[Any]]) -> Float32Array:
+    """Return what `draw` makes of the DEM under the view, in cells no larger than the view's, at its pixel centres,
+    bilinear; NaN outside."""
+    g = dem.geometry
+    part = coarser(dem, max(1, min(int(view.resolution / g.resolution), min(g.height, g.width) // 2)), view)
+    _, cols = part.geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
+    rows, _ = part.geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
+    places = (np.ascontiguousarray(np.broadcast_to(v, view.shape), np.float32) for v in (cols, rows[:, None]))
+    values, outside = np.asarray(draw(part), np.float32), (float("nan"),) * 4
+    sampled = cv2.remap(values, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
     return np.asarray(sampled, np.float32)
-
-
-def _blocks(places: Float64Array, size: int, factor: int) -> tuple[int, int]:
-    """Return the cells between two places along one side, with two blocks of `factor` cells more, in whole blocks; at
-    least two blocks, also of a raster that lies elsewhere."""
-    most = size // factor
-    first = min(max(0, math.floor(places.min() / factor) - 2), most - 2)
-    last = max(min(most, math.ceil(places.max() / factor) + 3), first + 2)
-    return first * factor, last * factor
 
 
 def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:

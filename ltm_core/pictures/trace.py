@@ -63,8 +63,7 @@ def pose_fit_picture(
     return np.concatenate(sheets)
 
 
-_MEDIAN_ARROW = 0.03
-"""Length of the median arrow of a residual picture, as a share of its width."""
+_MEDIAN_ARROW = 0.03  # length of the median arrow of a residual picture, as a share of its width
 
 
 def residual_picture(

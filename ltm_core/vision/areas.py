@@ -26,12 +26,9 @@ from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.masks import fill
 
 POLYGONS_FILE: Final = "polygons.json"
-MASKED: Final = "masked"
-"""Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
-ERASED: Final = "unlabelled"
-"""Class of areas in which earlier areas are erased."""
-LARGEST_FILE = 16 << 20
-"""Maximum bytes of a file."""
+MASKED: Final = "masked"  # class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images
+ERASED: Final = "unlabelled"  # class of areas in which earlier areas are erased
+LARGEST_FILE = 16 << 20  # maximum bytes of a file
 MOST_AREAS = 20_000
 
 

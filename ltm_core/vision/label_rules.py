@@ -33,16 +33,14 @@ def cie_lab(photo: UInt8Array) -> Float32Array:
     return np.asarray(lab, np.float32)
 
 
-_GREEN: Final = -0.01
-"""Redness up to which nothing is subtracted."""
+_GREEN: Final = -0.01  # redness up to which nothing is subtracted
 _RED: Final = 0.03
 """Redness above which the full amount is subtracted. Both were chosen, with the amounts in the manifest, on 166
 mountain photos that trained the shipped network and on renderings; scores of the tower views were visible meanwhile
 (docs/labels.md)."""
 _REACH: Final = 2 / 320
 """Standard deviation of the Gaussian for averaging colours, as a share of the photo's width; it suppresses noise."""
-_DARK: Final = 4.0
-"""Grey levels added to the sum, because colour carries no information in dark areas."""
+_DARK: Final = 4.0  # grey levels added to the sum, because colour carries no information in dark areas
 
 
 def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:

@@ -15,10 +15,8 @@ from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.network_image import InputSpec
 
-DEFAULT_MODEL: Final = "landscape_v3"
-"""Default segmentation network."""
-DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"
-"""Default depth network: the second output of the same file."""
+DEFAULT_MODEL: Final = "landscape_v3"  # default segmentation network
+DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"  # default depth network: the second output of the same file
 
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
@@ -26,13 +24,10 @@ MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output with one depth per pixel; the others label pixels."""
 
-RECORDS: Final = "reliability"
-"""Folder beside manifests with the reliability records of their labels."""
-FUSION_SUFFIX: Final = "_fusion.yaml"
-"""Suffix of the file beside a manifest with the network's error model."""
+RECORDS: Final = "reliability"  # folder beside manifests with the reliability records of their labels
+FUSION_SUFFIX: Final = "_fusion.yaml"  # suffix of the file beside a manifest with the network's error model
 
-SHIPPED_LABEL_HEAD: Final = "landscape"
-"""Name of the label head that leaves the network's scores unchanged."""
+SHIPPED_LABEL_HEAD: Final = "landscape"  # name of the label head that leaves the network's scores unchanged
 
 
 class CoarseLook(StrictModel):

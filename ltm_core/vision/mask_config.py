@@ -13,12 +13,10 @@ from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
 MOST_POLYGONS = 200
 
 
-MOST_VIEW_MASKS = 64
-"""Maximum number of view masks of one camera."""
+MOST_VIEW_MASKS = 64  # maximum number of view masks of one camera
 
 
-MOST_POINTS = 2000
-"""Maximum number of points of one polygon."""
+MOST_POINTS = 2000  # maximum number of points of one polygon
 
 
 Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]

@@ -24,36 +24,25 @@ from ltm_core.vision.masks import fill
 from ltm_core.vision.overlays import fill_hidden, find_overlay
 
 WORKING_WIDTH = 640
-MOST_FRAMES = 24
-"""Number of images that are read; more images change no proposal."""
+MOST_FRAMES = 24  # number of images that are read; more images change no proposal
 
-_STRIP = 0.08
-"""Share of the height, at either edge, in which captions are searched."""
-_STROKE = 28
-"""Grey levels by which a stroke differs from its surroundings in any channel."""
-_LEAST_ROW = 0.012
-"""Minimum share of a row that is strokes."""
-_QUIET = 0.3
-"""Maximum of the rows beside a caption, in multiples of the caption's mean row."""
+_STRIP = 0.08  # share of the height, at either edge, in which captions are searched
+_STROKE = 28  # grey levels by which a stroke differs from its surroundings in any channel
+_LEAST_ROW = 0.012  # minimum share of a row that is strokes
+_QUIET = 0.3  # maximum of the rows beside a caption, in multiples of the caption's mean row
 _TALLEST = 0.06
 _LEAST_FRAMES = 0.6
 
-_PATCH = 0.02
-"""Side of the square in the corner that gives the hood's colour, as a share of the width."""
+_PATCH = 0.02  # side of the square in the corner that gives the hood's colour, as a share of the width
 _TOLERANCES = np.arange(5.0, 46.0, 2.0)
 """Tolerances of a hood's colour in units of CIE Lab; the one with the sharpest edge is used."""
-_REACH = 0.5
-"""Maximum width of a corner, as a share of the width."""
-_LEAST_AREA, _MOST_AREA = 0.0015, 0.13
-"""Minimum and maximum area, as a share of the image."""
-_MOST_TEXTURE = 1.6
-"""Maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less."""
-_MOST_RESIDUAL = 0.014
-"""Maximum mean distance between the edge and the arc, as a share of the width."""
+_REACH = 0.5  # maximum width of a corner, as a share of the width
+_LEAST_AREA, _MOST_AREA = 0.0015, 0.13  # minimum and maximum area, as a share of the image
+_MOST_TEXTURE = 1.6  # maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less
+_MOST_RESIDUAL = 0.014  # maximum mean distance between the edge and the arc, as a share of the width
 _LEAST_EDGE = 0.9
 """Minimum mean gradient at the edge in units of CIE Lab per pixel at a width of 640; that of a cloud is lower."""
-_PENUMBRA = 0.012
-"""Width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus."""
+_PENUMBRA = 0.012  # width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus
 
 
 @dataclass(frozen=True, eq=False)

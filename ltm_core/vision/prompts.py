@@ -25,10 +25,8 @@ from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
 from ltm_core.vision.vocabulary import load_text, unit_vectors
 
-OTHER: Final = "other"
-"""Key of negative prompts: pixels that show one of them are unlabelled."""
-_MOST_TOKENS: Final = 77
-"""Length of CLIP's texts, for graphs that take any length."""
+OTHER: Final = "other"  # key of negative prompts: pixels that show one of them are unlabelled
+_MOST_TOKENS: Final = 77  # length of CLIP's texts, for graphs that take any length
 _LONGEST: Final = 200
 
 _COLORS = (

@@ -39,8 +39,7 @@ _IMAGE: Final = re.compile(r"pixel|image|img|rgb|photo|input|^x$", re.IGNORECASE
 _TEXT: Final = re.compile(r"input_ids|attention_mask|token|prompt|text", re.IGNORECASE)
 _DEPTH: Final = re.compile(r"depth|disp|points?($|_)|pts", re.IGNORECASE)
 _BESIDE_DEPTH: Final = re.compile(r"conf|normal|ssi|uncert|mask|scale", re.IGNORECASE)
-_SIDE: Final = 224
-"""About the size of the images that are run to find out which multiples of pixels a network takes."""
+_SIDE: Final = 224  # about the size of the images that are run to find out which multiples of pixels a network takes
 _MULTIPLES: Final = (1, 2, 4, 8, 14, 16, 28, 32, 64)
 
 Node = Any

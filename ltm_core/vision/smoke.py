@@ -29,37 +29,26 @@ APART_S: Final = 300.0
 AT_LEAST_APART_S: Final = 30.0
 """Minimum seconds between any two remembered images, so that images in which no view is recognised (in fog) do not
 displace all others."""
-OLDEST_S: Final = 10_800.0
-"""Maximum age in seconds of an image to compare with; later, shadows have moved."""
+OLDEST_S: Final = 10_800.0  # maximum age in seconds of an image to compare with; later, shadows have moved
 REMEMBERED: Final = 36
 """Number of images remembered: three hours of one view, or fewer of each view of a patrol; with more views, none is
 seen again in time."""
-COMPARED: Final = 3
-"""Number of best matching images to compare with."""
+COMPARED: Final = 3  # number of best matching images to compare with
 
-_COARSE: Final = 4
-"""Reduction factor of the images by which a change of view is detected."""
+_COARSE: Final = 4  # reduction factor of the images by which a change of view is detected
 _OF_A_VIEW: Final = 0.4
 """Correlation below which the view has changed. On photos of real towers hours apart, the same view has 0.9, and two
 views of a tower have 0.42 at most, by their mast and caption."""
-_REACH: Final = 3.3
-"""Standard deviation in pixels of the Gaussian in which patterns are compared."""
-_NOISE: Final = 0.5
-"""Variance of grey levels due to noise and compression."""
-_ALIKE: Final = 0.8
-"""Correlation above which a pattern is unchanged."""
+_REACH: Final = 3.3  # standard deviation in pixels of the Gaussian in which patterns are compared
+_NOISE: Final = 0.5  # variance of grey levels due to noise and compression
+_ALIKE: Final = 0.8  # correlation above which a pattern is unchanged
 _AGREES: Final = 0.45
 """Minimum share of the land with unchanged patterns for an earlier image to have the same view and light."""
-_GONE: Final = 0.5
-"""Correlation below which a pattern is gone."""
-_PATTERN: Final = 2.0
-"""Minimum deviation in grey levels of the earlier image for a pattern to exist."""
-_PALER: Final = 8.0
-"""Grey levels by which smoke is brighter than what it hides."""
-_LEAST: Final = 1e-3
-"""Minimum share of the image of a smoke cloud."""
-_WIDER: Final = 6
-"""Pixels by which a detected cloud is enlarged."""
+_GONE: Final = 0.5  # correlation below which a pattern is gone
+_PATTERN: Final = 2.0  # minimum deviation in grey levels of the earlier image for a pattern to exist
+_PALER: Final = 8.0  # grey levels by which smoke is brighter than what it hides
+_LEAST: Final = 1e-3  # minimum share of the image of a smoke cloud
+_WIDER: Final = 6  # pixels by which a detected cloud is enlarged
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,13 +20,10 @@ from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.network_image import shrunk
 
 WORKING_WIDTH = 480
-ROWS, COLUMNS = 9, 12
-"""Rows and columns of the grid on which regions are classified."""
+ROWS, COLUMNS = 9, 12  # rows and columns of the grid on which regions are classified
 
-_BLANK = 1.5
-"""Standard deviation of grey levels below which an image is blank."""
-_NIGHT = 60.0
-"""Grey level below which 95 % of a night image lies."""
+_BLANK = 1.5  # standard deviation of grey levels below which an image is blank
+_NIGHT = 60.0  # grey level below which 95 % of a night image lies
 _BLACK_SKY = 40.0
 """Value of the brightest channel below which 90 % of the upper quarter of a floodlit or infrared night lies. It applies
 to a low or unknown sun; of 340 photos by day, two from inside cars are as dark there."""
@@ -35,20 +32,13 @@ _DIM, _LOW_SUN_DEG = 145.0, 5.0
 compensated for the missing light. A dark forest is as dim at noon, so neither value is sufficient alone. Chosen on
 rendered months (`ltm-lab bench archive --month`), in which all plants turn into darker ones in such images; 11 of 159
 mountain photos are as dim."""
-_GLARE, _GLARE_BELOW = 0.35, 0.2
-"""Shares of the image, and of its lower half, that are overexposed."""
-_BURNT, _BLACK = 245, 14
-"""Levels above which all channels, or below which none, carry information."""
-_CONTRAST = 1.5
-"""Local contrast in grey levels above which a cell of the grid shows something."""
-_FOG = 0.06
-"""Share of the cells that show something below which an image is classified as fog."""
-_BLUR = 0.2
-"""Ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)."""
-_BLUR_CONTRAST = 1.0
-"""Coarse contrast of the best cells above which blur can be detected."""
-_REGION = 0.6
-"""Share of overexposed or black pixels above which a cell is not used."""
+_GLARE, _GLARE_BELOW = 0.35, 0.2  # shares of the image, and of its lower half, that are overexposed
+_BURNT, _BLACK = 245, 14  # levels above which all channels, or below which none, carry information
+_CONTRAST = 1.5  # local contrast in grey levels above which a cell of the grid shows something
+_FOG = 0.06  # share of the cells that show something below which an image is classified as fog
+_BLUR = 0.2  # ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)
+_BLUR_CONTRAST = 1.0  # coarse contrast of the best cells above which blur can be detected
+_REGION = 0.6  # share of overexposed or black pixels above which a cell is not used
 
 
 class Unusable(StrEnum):

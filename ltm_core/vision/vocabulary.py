@@ -65,8 +65,7 @@ _OBJECTS = {"canopy", "wood", "broom", "air"}
 """Words that mean something else as classes of a network: ADE20K's canopy is an awning, COCO's wood a material."""
 
 
-LARGEST = 64 << 20
-"""Maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
+LARGEST = 64 << 20  # maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB
 
 
 @dataclass(frozen=True, eq=False)

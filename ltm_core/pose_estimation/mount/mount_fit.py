@@ -25,10 +25,8 @@ from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
 
 TILT_ZERO_SIGMA_DEG = 0.3
-_SURE = 3.0
-"""Number of sigmas by which a tilt zero must be significant."""
-_PROPOSALS = 3
-"""Number of hypotheses of each image that are tested on all images."""
+_SURE = 3.0  # number of sigmas by which a tilt zero must be significant
+_PROPOSALS = 3  # number of hypotheses of each image that are tested on all images
 _STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
 """Number of corrections that are refined, and their minimum distance in azimuth and in the logarithm of the focal
 length. Far ridges are periodic, with one local optimum per peak."""

@@ -82,11 +82,9 @@ def _number(text: str | None, column: str, place: str) -> float:
 
 _LAYOUT = 1
 _LARGEST = 64 << 10
-_ROUNDING = 1e-6
-"""Share of the largest eigenvalue of a covariance by which the smallest may be negative."""
+_ROUNDING = 1e-6  # share of the largest eigenvalue of a covariance by which the smallest may be negative
 _Three = tuple[float, float, float]
-_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
-"""Angle in radians."""
+_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]  # angle in radians
 
 
 class _Memory(StrictModel):

@@ -15,8 +15,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
-_UNKNOWN = 1.0
-"""Variance in rad^2 above which a direction is unknown."""
+_UNKNOWN = 1.0  # variance in rad^2 above which a direction is unknown
 
 
 @dataclass(frozen=True, eq=False)

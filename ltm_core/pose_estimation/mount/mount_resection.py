@@ -32,8 +32,7 @@ WORST_SIGMA_DEG = 0.3
 pan."""
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
 """Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
-_SIGN_GAIN = 3.0
-"""Factor by which another sign of an axis must fit the landmarks better than the stated one."""
+_SIGN_GAIN = 3.0  # factor by which another sign of an axis must fit the landmarks better than the stated one
 
 
 @dataclass(frozen=True, eq=False)

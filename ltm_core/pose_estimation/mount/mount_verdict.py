@@ -122,10 +122,8 @@ def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: Verdi
     return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap
 
 
-STEEPEST_LEAN = math.radians(20.0)
-"""Maximum lean of a mount from its stated orientation."""
-_REACHED = 3
-"""Number of landmarks that must fit the mount of a pair before it is fitted to all of them."""
+STEEPEST_LEAN = math.radians(20.0)  # maximum lean of a mount from its stated orientation
+_REACHED = 3  # number of landmarks that must fit the mount of a pair before it is fitted to all of them
 _MOST_PAIRS = 200
 
 

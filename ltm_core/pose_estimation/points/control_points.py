@@ -67,15 +67,13 @@ class PtzPoints(MarkedPoints):
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
 """Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
 MAX_PAIRS = 400
-MIN_SEPARATION = 0.03
-"""Minimum separation of points as a share of the image's diagonal; closer points give no rotation."""
+MIN_SEPARATION = 0.03  # minimum separation of points as a share of the image's diagonal; closer points give no rotation
 STARTS = 4
 MAX_TRIPLES = 150
 MIN_TRIANGLE = 0.002
 """Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
 FREE_STARTS = 6
-APART = 0.05
-"""Distance between starts of a free position, as a share of the points' median distance."""
+APART = 0.05  # distance between starts of a free position, as a share of the points' median distance
 
 
 def coarse_poses(

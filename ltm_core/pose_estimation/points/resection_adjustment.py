@@ -22,8 +22,7 @@ Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]
 
 PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
 LENS: tuple[Parameter, ...] = PARAMETERS[:-1]
-SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}
-"""Number of values of each parameter."""
+SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}  # number of values of each parameter
 
 MIN_REDUNDANCY = 2
 """Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
@@ -216,15 +215,12 @@ def diagonal(camera: Camera) -> float:
     return float(np.hypot(camera.width, camera.height))
 
 
-MAX_MEDIAN_SHARE = 0.02
-"""Median residual, as a share of the image's diagonal, above which no pose explains the points."""
+MAX_MEDIAN_SHARE = 0.02  # median residual, as a share of the image's diagonal, above which no pose explains the points
 MAX_ANGLE_SIGMA_DEG = 1.0
-MAX_FOCAL_SIGMA = 0.03
-"""Maximum standard deviation of the focal length, as a share of it."""
+MAX_FOCAL_SIGMA = 0.03  # maximum standard deviation of the focal length, as a share of it
 MAX_LENS_SHIFT = 0.01
 """Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
-MAX_POSITION_SIGMA = 0.02
-"""Maximum standard deviation of the position, as a share of the median distance of the points."""
+MAX_POSITION_SIGMA = 0.02  # maximum standard deviation of the position, as a share of the median distance of the points
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:

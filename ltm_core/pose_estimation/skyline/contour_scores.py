@@ -27,10 +27,8 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.vision.labels import UNLABELLED, Label
 
 _MOST_POINTS = 4000
-_ONE_EDGE = 8.0
-"""Length in pixels of the edge image along a ridge within which an edge is continuous."""
-_SPREAD = 0.7
-"""Standard deviation of a pixel's response, and so of random scores."""
+_ONE_EDGE = 8.0  # length in pixels of the edge image along a ridge within which an edge is continuous
+_SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +168,7 @@ _BORDER = 0.006
 """Distance, as a share of the width, within which a skyline next to a hidden area is the border of that area."""
 _SKY_EDGE = 0.01
 """Distance from the land, as a share of the width, within which edges are kept; edges of clouds further up are not."""
-_LEAST_SKY = 0.1
-"""Minimum share of columns that must have a skyline."""
+_LEAST_SKY = 0.1  # minimum share of columns that must have a skyline
 
 
 @dataclass(frozen=True, eq=False)

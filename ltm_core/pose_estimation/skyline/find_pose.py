@@ -123,8 +123,7 @@ def find_pose(
 
 _BENT_SIGMAS = {True: 4.0, False: 2.5}
 """Minimum trend in standard deviations that rejects an accepted pose, or is named as a reason for another one."""
-_MOST_BENT = 0.6
-"""Maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's."""
+_MOST_BENT = 0.6  # maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's
 
 
 def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend | None:

@@ -20,12 +20,9 @@ from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_betwee
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, refine
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline
 
-_STEP, _REACH = 0.5, 2.0
-"""Step and reach of the search of k1, in its standard deviations."""
-_HALVINGS, _FOLLOWED = 4, 4
-"""Number of steps to the best k1, and of poses that are followed in each."""
-_FOCAL_LEFT = 0.005
-"""Relative standard deviation of the focal length once k1 is found."""
+_STEP, _REACH = 0.5, 2.0  # step and reach of the search of k1, in its standard deviations
+_HALVINGS, _FOLLOWED = 4, 4  # number of steps to the best k1, and of poses that are followed in each
+_FOCAL_LEFT = 0.005  # relative standard deviation of the focal length once k1 is found
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,10 +128,8 @@ def focal_candidates(focal_sigma: float) -> Float64Array:
     return np.asarray(np.exp(_FOCAL_STEP * np.arange(-n, n + 1)), np.float64)
 
 
-MANY_PLANTS = 0.5
-"""Share of trees and shrubs in the land above which edges belong to them as well as to the ground."""
-OVERGROWN = 0.85
-"""Share above which the image shows hardly anything else."""
+MANY_PLANTS = 0.5  # share of trees and shrubs in the land above which edges belong to them as well as to the ground
+OVERGROWN = 0.85  # share above which the image shows hardly anything else
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 

@@ -18,8 +18,7 @@ from ltm_core.geometry.pose import (
     pose_sigmas,
 )
 
-UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
-"""Standard deviation of an unknown azimuth in degrees."""
+UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG  # standard deviation of an unknown azimuth in degrees
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,16 +37,11 @@ from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
-MOST_FOCAL_STEP = 0.05
-"""Maximum step of the focal length's logarithm in one round."""
-FEWEST = 6
-"""Minimum number of places of a skyline or of ridges."""
-_TELLING = 0.02
-"""Standard deviation in radians above which a column does not support a pose."""
-_LEAST_TOLD = 1 / 3
-"""Minimum share of a skyline that the DEM's horizon must cover to count as support."""
-_MOST_SQUARE = 9.0
-"""Maximum squared error of a column in sigmas; columns further off show something else."""
+MOST_FOCAL_STEP = 0.05  # maximum step of the focal length's logarithm in one round
+FEWEST = 6  # minimum number of places of a skyline or of ridges
+_TELLING = 0.02  # standard deviation in radians above which a column does not support a pose
+_LEAST_TOLD = 1 / 3  # minimum share of a skyline that the DEM's horizon must cover to count as support
+_MOST_SQUARE = 9.0  # maximum squared error of a column in sigmas; columns further off show something else
 
 
 @dataclass(frozen=True)
@@ -186,10 +181,8 @@ def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
     return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
 
 
-_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
-"""Rounds as in `pose_refinement.ROUNDS`."""
-_LEAST_FITTING = 0.02
-"""Minimum fit of an edge; others cost time and add nothing."""
+_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6  # rounds as in `pose_refinement.ROUNDS`
+_LEAST_FITTING = 0.02  # minimum fit of an edge; others cost time and add nothing
 
 
 def settled_on_ridges(refined: RefinedPose, problem: PoseProblem) -> RefinedPose:

@@ -17,7 +17,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
     ridge_strength,
     usual_score,
 )
-from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
+from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, PicturePoseConfig, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
@@ -25,10 +25,10 @@ from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 
 _KEPT = 18
-_ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
+_ROCK = crest_heights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
+_ANY = CrestCover(_ROCK, _ROCK)
 """Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
-_ALONG = 8.0
-"""Metres and pixels within which errors of a ridge of rock are fully correlated."""
+_ALONG = 8.0  # metres and pixels within which errors of a ridge of rock are fully correlated
 _FLOOR_DEG = (0.15, 0.05, 0.15)
 """Minimum standard deviation of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something
 else."""
@@ -37,20 +37,15 @@ _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
 """Degrees around each of the coarse grid's best poses at which finer edges are used."""
 _ROUNDS = tuple((reach, 1.0) for reach in (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 4.0))
-_SETTLING = ((4.0, 1.0),) * 12
-"""Rounds of both, as in `pose_refinement.ROUNDS`."""
+_SETTLING = ((4.0, 1.0),) * 12  # rounds of both, as in `pose_refinement.ROUNDS`
 
 
 def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost, without the skyline; none if too few ridges may be in view."""
     evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
-    config = config.model_copy(
-        update={
-            "skyline": config.skyline.model_copy(update={"cover": cover}),
-            "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
-        }
-    )
+    contours = replace(config.contours, correlation=_ALONG, correlation_px=_ALONG)
+    config = replace(config, skyline=replace(config.skyline, cover=cover), contours=contours)
     problem = replace(problem, evidence=replace(evidence, skyline=None), config=config)
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     if len(ridges.range) < 30:
@@ -157,8 +152,7 @@ def _distance(a: Pose, b: Pose) -> float:
     return float(np.abs(angles_between(a, b)).max())
 
 
-_SKYLINE_SETTLING = ((3.0, 1.0),) * 6
-"""Further rounds, as in `ROUNDS`."""
+_SKYLINE_SETTLING = ((3.0, 1.0),) * 6  # further rounds, as in `ROUNDS`
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 

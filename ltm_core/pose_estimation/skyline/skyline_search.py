@@ -22,8 +22,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig, 
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
-_ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])
-"""Factors by which sigmas are widened in the rounds of the robust fit."""
+_ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])  # factors by which sigmas are widened in the rounds of the robust fit
 
 # Columns of the photo's skyline, one row for each image column.
 AWAY, TANGENT = 0, 1  # azimuth from the optical axis (rad), tangent of the elevation

@@ -19,10 +19,8 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_seam_kernels import bilinear
 from ltm_core.tracing.possible_ground import PossibleGround
 
-_MOST_RISE = 4.0
-"""Maximum difference in tangent between neighbours of a contour, in steps of azimuth."""
-_MOST_CHANGE = 0.12
-"""Maximum difference in the logarithm of the range between neighbours of a contour."""
+_MOST_RISE = 4.0  # maximum difference in tangent between neighbours of a contour, in steps of azimuth
+_MOST_CHANGE = 0.12  # maximum difference in the logarithm of the range between neighbours of a contour
 _SHORTEST = math.radians(0.6)
 """Minimum span of a contour in azimuth; shorter ones are single trees and noise of the DEM."""
 
@@ -57,8 +55,7 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
     return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, cell, linked)
 
 
-X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
-"""Columns of the geometry of rasters, finest first (metres)."""
+X_MIN, Y_MAX, RESOLUTION = 0, 1, 2  # columns of the geometry of rasters, finest first (metres)
 TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)
 """Columns of a swept horizon, one row for each azimuth, in the order of the fields of `TerrainHorizon`."""
 
@@ -94,12 +91,10 @@ def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Ar
     return following, length
 
 
-_NEAREST = 20.0
-"""Minimum range in metres; nearer, the DEM's error is as large as the shape of the ground."""
+_NEAREST = 20.0  # minimum range in metres; nearer, the DEM's error is as large as the shape of the ground
 _FARTHEST = 80_000.0
 _NEAREST_FRONT, _TREES = 120.0, 5.0
-_MOST_CONTOURS = 24
-"""Maximum number of points of occluding contours along one azimuth."""
+_MOST_CONTOURS = 24  # maximum number of points of occluding contours along one azimuth
 
 
 @dataclass(frozen=True, eq=False)

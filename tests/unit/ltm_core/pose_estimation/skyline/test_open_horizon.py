@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from functools import cache
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
@@ -90,8 +92,8 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     found = find_pose(clear(), OPEN, PRIOR)
     assert found.verdict.word == "accepted"
-    asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
-    doubted = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    asked = replace(CONFIG.verdict, open_gap=found.verdict.gap + 1.0)
+    doubted = find_pose(clear(), OPEN, PRIOR, replace(CONFIG, verdict=asked))
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
