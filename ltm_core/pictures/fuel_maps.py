@@ -21,8 +21,17 @@ from ltm_core.fuel.codes import code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, label_legend, text_width
-from ltm_core.pictures.maps import MapCamera, draw_outline, finished, furnished, interesting_bounds, relief, view_of
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, color_map, label_legend, text_width
+from ltm_core.pictures.maps import (
+    MapCamera,
+    cells_under,
+    draw_outline,
+    finished,
+    furnished,
+    interesting_bounds,
+    relief,
+    view_of,
+)
 from ltm_core.pictures.photo_overlays import label_colors, panel, with_axes
 from ltm_core.raster.dem import Dem
 
@@ -30,8 +39,7 @@ _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
 _NAME_SIZE: Final = 11  # height in pixels of fuel models' names on a map
 _NAMES: Final = 8  # maximum number of names of one fuel model on a map
-_SURE: Final = 0.25
-_NO_MORE: Final = 0.85  # entropies at which a life form's colour is full and palest
+_SURE, _NO_MORE = 0.25, 0.85  # entropies at which a life form's colour is full and palest
 
 
 @dataclass(frozen=True)
@@ -43,15 +51,12 @@ class Scale(Palette):
     @classmethod
     def of(cls, names: Sequence[str], bounds: Sequence[float], colormap: int, upwards: bool = True) -> Scale:
         """Return the colours evenly from a colour map of OpenCV's, dark to bright or the other way."""
-        ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], colormap)[0, :, ::-1]
-        places = np.linspace(12, 250, len(names)).astype(int)
-        chosen = ramp[places if upwards else places[::-1]]
-        return cls(tuple(names), tuple((int(r), int(g), int(b)) for r, g, b in chosen), tuple(bounds))
+        colors = color_map(colormap)[np.linspace(12, 250, len(names)).astype(int)].tolist()
+        return cls(tuple(names), tuple(map(tuple, colors if upwards else colors[::-1])), tuple(bounds))
 
     def classes(self, values: NDArray[Any], known: BoolArray) -> UInt8Array:
         """Return (H, W) classes, UNLABELLED where not known."""
-        index = np.digitize(np.nan_to_num(values), self.bounds)
-        return np.where(known, index, UNLABELLED).astype(np.uint8)
+        return np.where(known, np.digitize(np.nan_to_num(values), self.bounds), UNLABELLED).astype(np.uint8)
 
 
 DOUBT: Final = Scale.of(
@@ -99,10 +104,7 @@ class FuelCanvas:
         self._cameras, self._offset, self._about, self._cell = cameras, offset, about, geometry.resolution
         self._shape = geometry.shape
         self._relief = relief(dem, self.view)
-        x, y = (self.view.to_map(0, np.arange(self.view.width))[0], self.view.to_map(np.arange(self.view.height), 0)[1])
-        row, col = geometry.cell_of(x[None, :], y[:, None])
-        self._inside = np.asarray(geometry.contains(row, col))
-        self._row, self._col = np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)
+        self._row, self._col, self._inside = cells_under(geometry, self.view)
 
     def map(
         self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None, names: Sequence[Text] = ()
@@ -222,12 +224,9 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette, he
         "Surface fuel model. Outlined: changed cells.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():
-        maps |= {
-            "Uncertainty of the life form: entropy, 0 certain to 1 unknown": canvas.scaled(
-                layers.entropy, known, DOUBT
-            ),
-            "Number of cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
-        }
+        doubt = canvas.scaled(layers.entropy, known, DOUBT)
+        maps["Uncertainty of the life form: entropy, 0 certain to 1 unknown"] = doubt
+        maps["Number of cameras that see a cell"] = canvas.scaled(layers.seen_by, seen, CAMERAS)
     return _sheet(maps, heading)
 
 
@@ -245,17 +244,14 @@ def change_sheet(
     then, now = names
     stayed = (before.code == after.code) & (before.life_form != UNLABELLED)
     forms = np.where(stayed, after.life_form, before.life_form)
-    return _sheet(
-        {
-            f"Life form: {then}": canvas.classes(forms, palette, changed),
-            f"Life form: {now}. Outlined: {counted(int(changed.sum()), 'changed cell')}.": canvas.classes(
-                after.life_form, palette, changed
-            ),
-            f"Fuel model: {then}": canvas.codes(before.code, changed),
-            f"Fuel model: {now}": canvas.codes(after.code, changed),
-        },
-        heading,
-    )
+    outlined = f"Outlined: {counted(int(changed.sum()), 'changed cell')}."
+    maps = {
+        f"Life form: {then}": canvas.classes(forms, palette, changed),
+        f"Life form: {now}. {outlined}": canvas.classes(after.life_form, palette, changed),
+        f"Fuel model: {then}": canvas.codes(before.code, changed),
+        f"Fuel model: {now}": canvas.codes(after.code, changed),
+    }
+    return _sheet(maps, heading)
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "") -> RgbImage:

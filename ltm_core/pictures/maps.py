@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import (
@@ -24,6 +24,7 @@ from ltm_core.pictures.legend import (
     draw_texts,
     label_legend,
     metres,
+    one_two_five,
     text_width,
     with_legend,
 )
@@ -33,7 +34,7 @@ from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)
-_SHIFT = 4  # OpenCV draws at 1/16 pixel
+SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 
 @dataclass(frozen=True)
@@ -105,10 +106,8 @@ def finished(picture: RgbImage, view: GridGeometry, *legends: RgbImage, note: st
 def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
     """Return a strip as wide as the map, with a bar of a round length in four parts and a note on the right, (h,
     view.width, 3)."""
-    size = _text_size(view)
-    target = view.width * view.resolution / 4
-    power = 10 ** math.floor(math.log10(target))
-    length = max(n * power for n in (1, 2, 5) if n * power <= target)
+    size, target = _text_size(view), view.width * view.resolution / 4
+    length = max(n for n in one_two_five(target / 10, target) if n <= target)
     strip = np.full((round(size * 2.9), view.width, 3), PAPER, np.uint8)
     top, bottom = round(size * 0.7), round(size * 1.15)
     edges = [size + round(length * part / 4 / view.resolution) for part in range(5)]
@@ -135,20 +134,24 @@ def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[Dem], NDArray[Any]]) 
     part = coarser(dem, max(1, min(int(view.resolution / g.resolution), min(g.height, g.width) // 2)), view)
     _, cols = part.geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
     rows, _ = part.geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
-    places = (np.ascontiguousarray(np.broadcast_to(v, view.shape), np.float32) for v in (cols, rows[:, None]))
+    u, v = (np.ascontiguousarray(np.broadcast_to(at, view.shape), np.float32) for at in (cols, rows[:, None]))
     values, outside = np.asarray(draw(part), np.float32), (float("nan"),) * 4
-    sampled = cv2.remap(values, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+    sampled = cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
     return np.asarray(sampled, np.float32)
+
+
+def cells_under(geometry: GridGeometry, view: GridGeometry) -> tuple[IndexArray, IndexArray, BoolArray]:
+    """Return row and column (h, w) of the nearest cell to each of a view's pixels, and whether that is under it."""
+    x, y = view.to_map(0, np.arange(view.width))[0], view.to_map(np.arange(view.height), 0)[1]
+    row, col = geometry.cell_of(x[None, :], y[:, None])
+    inside = np.asarray(geometry.contains(row, col), np.bool_)
+    return np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1), inside
 
 
 def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:
     """Return the cell under each of the view's pixel centres."""
-    x, _ = view.to_map(0, np.arange(view.width))
-    _, y = view.to_map(np.arange(view.height), 0)
-    row, col = geometry.cell_of(x[None, :], y[:, None])
-    inside = geometry.contains(row, col)
-    picked = values[np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)]
-    return np.where(inside, picked, np.uint8(outside))
+    row, col, inside = cells_under(geometry, view)
+    return np.where(inside, values[row, col], np.uint8(outside))
 
 
 def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:
@@ -164,20 +167,17 @@ def interesting_bounds(
 ) -> tuple[float, float, float, float]:
     """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
     terrain."""
-    points = [*points]
-    xs, ys = [x for x, _ in points], [y for _, y in points]
-    rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    places = [tuple(point) for point in points]
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows):
-        x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])
-        xs, ys = [*xs, *x.tolist()], [*ys, *y.tolist()]
-    if not xs:
+        places += zip(*(v.tolist() for v in geometry.to_map(rows[[0, -1]], cols[[0, -1]])), strict=True)
+    if not places:
         return terrain.bounds
-    centre_x, centre_y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
-    half_x = max((max(xs) - min(xs)) / 2 * 1.08, 10 * geometry.resolution)
-    half_y = max((max(ys) - min(ys)) / 2 * 1.08, 10 * geometry.resolution)
-    half_x, half_y = max(half_x, half_y * 0.9), max(half_y, half_x * 0.5)
-    left, right = max(terrain.x_min, centre_x - half_x), min(terrain.x_max, centre_x + half_x)
-    bottom, top = max(terrain.y_min, centre_y - half_y), min(terrain.y_max, centre_y + half_y)
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2 * 1.08, 10 * geometry.resolution)
+    half = np.maximum(half, half[::-1] * (0.9, 0.5))
+    left, bottom = np.maximum(centre - half, terrain.bounds[:2]).tolist()
+    right, top = np.minimum(centre + half, terrain.bounds[2:]).tolist()
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
 
 
@@ -198,25 +198,24 @@ def _text_size(view: GridGeometry) -> int:
     return max(13, round(view.width / 58))
 
 
-def _pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
+def view_pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
+    """Return points (N, 2) of the map as pixels for OpenCV with SHIFT."""
     row, col = view.to_grid(points[:, 0], points[:, 1])
     # Far outside, coordinates would overflow OpenCV's fixed point.
     limit = 50.0 * max(view.shape)
-    return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**_SHIFT, np.int32)
+    return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**SHIFT, np.int32)
 
 
 def _draw_camera(picture: RgbImage, view: GridGeometry, camera: MapCamera, size: int) -> bool:
     """Draw a camera; return whether its position or its sector is on the map."""
-    if camera.camera is not None:
-        outline = _pixels(view, camera.sector())
-        cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
+    white = (255, 255, 255)
+    for color, line in ((white, 3), (INK, 1)) if camera.camera is not None else ():
+        cv2.polylines(picture, [view_pixels(view, camera.sector())], True, color, line, cv2.LINE_AA, SHIFT)
     row, col = view.to_grid(*camera.position)
     centre = round(float(col)), round(float(row))
     inside = 0 <= centre[0] < view.width and 0 <= centre[1] < view.height
-    if inside:
-        cv2.circle(picture, centre, round(size * 0.42), (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(picture, centre, round(size * 0.3), INK, -1, cv2.LINE_AA)
+    for color, radius in ((white, 0.42), (INK, 0.3)) if inside else ():
+        cv2.circle(picture, centre, round(size * radius), color, -1, cv2.LINE_AA)
     return inside or camera.camera is not None
 
 

@@ -22,6 +22,7 @@ from ltm_core.pictures.legend import (
     Text,
     depth_colors,
     draw_texts,
+    one_two_five,
     text_width,
 )
 
@@ -31,10 +32,8 @@ def label_colors(
 ) -> RgbImage:
     """Return the colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are
     `unlabelled`."""
-    table = np.empty((256, 3), np.uint8)
-    table[:] = unlabelled
-    colors = np.asarray(label_set.colors, np.uint8)
-    table[: len(colors)] = colors
+    table = np.tile(np.array(unlabelled, np.uint8), (256, 1))
+    table[: len(label_set.colors)] = label_set.colors
     table[UNLABELLED] = unlabelled
     return table[np.asarray(labels, np.uint8)]
 
@@ -82,17 +81,18 @@ def _edges(ids: Int16Array) -> BoolArray:
 
 def _to_image_size(values: NDArray[Any], image: RgbImage) -> NDArray[Any]:
     """`values`, sampled at every n-th pixel of `image` (`values = full[::n, ::n]`), enlarged to nearest."""
-    (height, width), (rows, cols) = image.shape[:2], values.shape
-    if (rows, cols) == (height, width):
-        return values
-    step = -(-height // rows)
-    if (-(-height // step), -(-width // step)) != (rows, cols):
+    shape = image.shape[:2]
+    step = -(-shape[0] // len(values))
+    if values.shape != tuple(-(-size // step) for size in shape):
         raise ImageError(
-            f"a layer of {cols} x {rows} pixels does not lie on an image of {width} x {height}: "
-            f"it must have every n-th pixel of it"
+            f"a layer of {values.shape[1]} x {values.shape[0]} pixels does not lie on an image of {shape[1]} x "
+            f"{shape[0]}: it must have every n-th pixel of it"
         )
-    row = np.minimum((np.arange(height) + step // 2) // step, rows - 1)
-    col = np.minimum((np.arange(width) + step // 2) // step, cols - 1)
+    if step == 1:
+        return values
+    row, col = (
+        np.minimum((np.arange(n) + step // 2) // step, of - 1) for n, of in zip(shape, values.shape, strict=True)
+    )
     return np.asarray(values[row[:, None], col])
 
 
@@ -106,7 +106,7 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
     """Return (H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as
     outlines."""
     drawn = photo.copy()
-    texts: list[tuple[str, float, float, str]] = []
+    texts: list[Text] = []
     size = max(14.0, photo.shape[1] / 45)
     for number, (hidden, keep) in enumerate(zip(proposals, kept, strict=True), start=1):
         color = np.array(COLORS[(number - 1) % len(COLORS)], np.float32)
@@ -117,13 +117,9 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
         # The number is in the thickest place, clear of the picture's edge.
         depth = cv2.distanceTransform(np.pad(hidden.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
         v, u = np.unravel_index(int(np.argmax(depth)), depth.shape)
-        u_text = float(np.clip(u, size, photo.shape[1] - size))
-        texts.append((str(number), u_text, float(np.clip(v, size, photo.shape[0] - size)), "mm"))
-    return draw_texts(drawn, texts, size, (255, 255, 255), halo=(20, 20, 20))  # type: ignore[arg-type]
-
-
-_STEPS = (0.5, 1, 2, 5)  # the first for lengths that rounding puts just below a power of ten
-_LEAST_TICKS = 3
+        u, v = (np.clip(at, size, most - size) for at, most in ((u, photo.shape[1]), (v, photo.shape[0])))
+        texts.append((str(number), float(u), float(v), "mm"))
+    return draw_texts(drawn, texts, size, (255, 255, 255), halo=(20, 20, 20))
 
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
@@ -155,8 +151,7 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
 
 def round_step(length: float) -> float:
     """Return the greatest of 1, 2, 5 times a power of ten that goes into `length` three times or more."""
-    power = 10.0 ** math.floor(math.log10(length / _LEAST_TICKS))
-    return max(n * power for n in _STEPS if n * power * _LEAST_TICKS <= length)
+    return max(step for step in one_two_five(length / 100, length) if step * 3 <= length)
 
 
 def _ticks(low: float, high: float, step: float) -> list[float]:
@@ -169,9 +164,9 @@ def _number(value: float) -> str:
 
 def fit(picture: RgbImage, width: int) -> RgbImage:
     """Return `picture` at `width` pixels, its proportions kept."""
-    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
-    if (height, width) == picture.shape[:2]:
+    if width == picture.shape[1]:
         return picture
+    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
     method = cv2.INTER_AREA if width < picture.shape[1] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 

@@ -57,7 +57,7 @@ def hillshade(dem: Dem) -> Float32Array:
     return np.where(np.isfinite(dem.elevation), shade, np.float32(np.nan)).astype(np.float32)
 
 
-def brightness_at(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
+def brightness_at(dem: Dem, x: NDArray[np.floating], y: NDArray[np.floating]) -> Float64Array:
     """Return the shade at map points (N,) by their slopes over two cells; NaN without heights."""
     r = dem.geometry.resolution
     east = (dem.elevation_at(x + r, y) - dem.elevation_at(x - r, y)) / (2 * r)
