@@ -14,6 +14,7 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
@@ -52,6 +53,17 @@ class Unusable(StrEnum):
     BLUR = "blur"
 
 
+_SAID = {
+    None: "",
+    Unusable.BLANK: "blank: the image has one colour",
+    Unusable.NIGHT: "night: the image is too dark",
+    Unusable.DUSK: "dusk: the sun is low and the image dim",
+    Unusable.GLARE: "glare: too much of the image is overexposed",
+    Unusable.FOG: "fog: the image has no contrast anywhere",
+    Unusable.BLUR: "blur: the image has no fine detail; out of focus, or a wet or dirty lens",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Usability:
     """Usability of an image. `reason`: why it is unusable as a whole; None: usable. `doubtful`: (ROWS, COLUMNS) bool,
@@ -63,17 +75,7 @@ class Usability:
     @property
     def said(self) -> str:
         """Return the reason in words; empty if the image is usable."""
-        return "" if self.reason is None else _SAID[self.reason]
-
-
-_SAID = {
-    Unusable.BLANK: "blank: the image has one colour",
-    Unusable.NIGHT: "night: the image is too dark",
-    Unusable.DUSK: "dusk: the sun is low and the image dim",
-    Unusable.GLARE: "glare: too much of the image is overexposed",
-    Unusable.FOG: "fog: the image has no contrast anywhere",
-    Unusable.BLUR: "blur: the image has no fine detail; out of focus, or a wet or dirty lens",
-}
+        return _SAID[self.reason]
 
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
@@ -107,40 +109,30 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
         burnt, black = burnt * seen, black * seen
     if not seen.any():
         return Usability(Unusable.BLANK, np.ones((ROWS, COLUMNS), np.bool_))
-    cells = _Cells(seen)
-    doubtful = (cells.mean(burnt) >= _REGION) | (cells.mean(black) >= _REGION)
+    share = _to_grid(seen.astype(np.float32))
+    known = share > 0.3  # cells of which enough is visible
+    most = np.maximum(share, np.float32(1e-3))
+    doubtful = (_to_grid(burnt) / most >= _REGION) | (_to_grid(black) / most >= _REGION)
     upper = brightest[: len(levels) // 4][seen[: len(seen) // 4]]
     black_sky = upper.size > 0 and float(np.percentile(upper, 90)) < _BLACK_SKY
     levels = levels if hidden is None else levels[seen]
     low = sun_deg is not None and sun_deg < _LOW_SUN_DEG
-    reason = _reason(levels, cells.mean(fine), cells.mean(coarse), cells, burnt, low)
+    reason = _reason(levels, (_to_grid(fine) / most)[known], (_to_grid(coarse) / most)[known], burnt, low)
     if reason is None and black_sky and (low or sun_deg is None):
         reason = Unusable.NIGHT
-    return Usability(reason, doubtful & cells.known)
+    return Usability(reason, doubtful & known)
 
 
-class _Cells:
-    """Means of the visible image (h, w) over the cells of the grid."""
-
-    def __init__(self, seen: BoolArray) -> None:
-        self._share = _to_grid(seen.astype(np.float32))
-        self.known = self._share > 0.3
-        """Cells of which enough is visible."""
-
-    def mean(self, values: Float32Array) -> Float32Array:
-        return np.asarray(_to_grid(values) / np.maximum(self._share, np.float32(1e-3)), np.float32)
-
-
-def _to_grid(values: Float32Array) -> Float32Array:
-    return np.asarray(
-        cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA), np.float32
-    )
+def _to_grid(values: NDArray[np.floating]) -> Float32Array:
+    grid = cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    return np.asarray(grid, np.float32)
 
 
 def _reason(
-    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, cells: _Cells, burnt: Float32Array, low_sun: bool
+    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, burnt: Float32Array, low_sun: bool
 ) -> Unusable | None:
-    """`levels`: grey of what is seen; `fine`, `coarse`: contrast of the cells; `burnt`: (h, w)."""
+    """Return why an image is unusable. `levels`: grey of what is visible; `fine`, `coarse`: contrast of the cells (N,);
+    `burnt`: (h, w)."""
     if float(cv2.meanStdDev(levels)[1].item()) < _BLANK:
         return Unusable.BLANK
     counts = np.cumsum(cv2.calcHist([levels], [0], None, [256], [0, 256]).ravel())
@@ -149,16 +141,13 @@ def _reason(
         return Unusable.NIGHT
     if low_sun and bright < _DIM:
         return Unusable.DUSK
-    lower = burnt[len(burnt) // 2 :]
-    if float(burnt.mean()) > _GLARE and float(lower.mean()) > _GLARE_BELOW:
+    if float(burnt.mean()) > _GLARE and float(burnt[len(burnt) // 2 :].mean()) > _GLARE_BELOW:
         return Unusable.GLARE
-    fine, coarse = fine[cells.known], coarse[cells.known]
     if not len(coarse):
         return None
     if float((coarse > _CONTRAST).mean()) < _FOG:
         return Unusable.FOG
     best = coarse >= np.percentile(coarse, 70)
     sharpness = float(fine[best].sum() / (coarse[best].sum() + 0.3))
-    if sharpness < _BLUR and float(np.percentile(coarse, 90)) > _BLUR_CONTRAST:
-        return Unusable.BLUR
-    return None
+    blurred = sharpness < _BLUR and float(np.percentile(coarse, 90)) > _BLUR_CONTRAST
+    return Unusable.BLUR if blurred else None
