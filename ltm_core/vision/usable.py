@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import cv2
 import numpy as np
@@ -123,13 +124,13 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
     return Usability(reason, doubtful & known)
 
 
-def _to_grid(values: NDArray[np.floating]) -> Float32Array:
+def _to_grid(values: NDArray[Any]) -> Float32Array:
     grid = cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
     return np.asarray(grid, np.float32)
 
 
 def _reason(
-    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, burnt: Float32Array, low_sun: bool
+    levels: UInt8Array, fine: NDArray[Any], coarse: NDArray[Any], burnt: Float32Array, low_sun: bool
 ) -> Unusable | None:
     """Return why an image is unusable. `levels`: grey of what is visible; `fine`, `coarse`: contrast of the cells (N,);
     `burnt`: (h, w)."""
