@@ -1,8 +1,5 @@
 """Correct a network's class scores by a linear label head; read, find and write the files of heads.
 
-A label head: a linear correction of a network's class scores, read from its decoder's maps, taught for one kind of
-place.
-
 A network's maps tell more apart than its own scores do. A label head adds to the score of class k at a pixel
 b_k + sum over maps m of w_mk . f_m, f_m being the map's vector there, interpolated bilinearly; as interpolation and the
 product commute, each map's part is formed at its own size and enlarged."""
@@ -14,7 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -27,12 +24,7 @@ from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.label_rules import Calibration, LabelAgreement
-from ltm_core.vision.manifest import (
-    SHIPPED_LABEL_HEAD,
-    NetworkManifest,
-    Withdrawal,
-    added_folder,
-)
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal, added_folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +66,6 @@ class LabelHead:
 
 
 _Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
-_DIGITS: Final = 4
 
 
 class LabelHeadFile(StrictModel):
@@ -137,8 +128,10 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
             f"{path}: reads map {', '.join(absent)}; {manifest.name!r} has {', '.join(manifest.maps) or 'none'} "
             "(`maps` in its manifest)"
         )
-    wrong = [f"{name} ({len(rows[0])}, not {manifest.maps[name]})" for name, rows in content.maps.items()
-             if len(rows[0]) != manifest.maps[name]]  # fmt: skip
+    widths = {name: len(rows[0]) for name, rows in content.maps.items()}
+    wrong = [
+        f"{name} ({width}, not {manifest.maps[name]})" for name, width in widths.items() if width != manifest.maps[name]
+    ]
     if wrong:
         raise ModelError(f"{path}: weights for another number of channels: {', '.join(wrong)}")
     checksum = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -162,24 +155,17 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
     if name == SHIPPED_LABEL_HEAD:
         return None
     if name.endswith((".yaml", ".yml")) or os.sep in name:
-        path = Path(name) if folder is None else folder / name
-        places = [path]
+        places = [Path(name) if folder is None else folder / name]
     else:
-        places = [place / f"{name}.yaml" for place in places_of_label_heads(manifest, folder)]
-    for place in places:
-        if is_file(place):
-            return place
+        beside = dict.fromkeys([manifest.folder, added_folder()])
+        folders = [*([] if folder is None else [folder]), *(label_heads_folder(manifest, one) for one in beside)]
+        places = [place / f"{name}.yaml" for place in folders]
+    if found := next(filter(is_file, places), None):
+        return found
     raise ModelError(
         f"no label head {name!r} of network {manifest.name!r}; searched {', '.join(map(str, places))}. Train one: ltm "
         f"train head PHOTOS --out {Path(name).stem}"
     )
-
-
-def places_of_label_heads(manifest: NetworkManifest, site: Path | None) -> list[Path]:
-    """Return the folders searched for label heads of a network, in order: `site` (a site's), beside the manifest, the
-    user's own."""
-    beside = dict.fromkeys([manifest.folder, added_folder()])
-    return [*([] if site is None else [site]), *(label_heads_folder(manifest, folder) for folder in beside)]
 
 
 def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
@@ -191,15 +177,15 @@ def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) ->
 def write_label_head(path: Path, content: LabelHeadFile) -> None:
     """Write a label head; weights with four digits. The folder is made."""
     data = content.model_dump(mode="json", exclude_none=True)
-    data["bias"] = _rounded(data["bias"])
-    data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
-    if "calibration" in data:
-        data["calibration"]["confusion"] = [_rounded(row, 4) for row in data["calibration"]["confusion"]]
-        data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}
+    data["bias"], *_ = _rounded([data["bias"]])
+    data["maps"] = {name: _rounded(rows) for name, rows in data["maps"].items()}
+    if (calibration := data.get("calibration")) is not None:
+        calibration["confusion"] = _rounded(calibration["confusion"])
+        calibration["ece"] = {key: round(value, 4) for key, value in calibration["ece"].items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
     path.write_text(f"# A label head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
 
 
-def _rounded(row: list[float], digits: int = _DIGITS) -> list[float]:
-    return [float(f"{value:.{digits}g}") for value in row]
+def _rounded(rows: list[list[float]]) -> list[list[float]]:
+    return [[float(f"{value:.4g}") for value in row] for row in rows]

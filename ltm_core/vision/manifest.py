@@ -176,44 +176,36 @@ class NetworkManifest(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _classes_are_known(self) -> NetworkManifest:
-        strangers = sorted(set(self.output.offsets) - set(self.classes))
-        if strangers:
-            raise ValueError(f"output.offsets names {', '.join(strangers)}, not among classes")
-        strangers = sorted(set(self.output.redness) - set(self.classes))
-        if strangers:
-            raise ValueError(f"output.redness names {', '.join(strangers)}, not among classes")
-        if (self.text is not None) != (self.output.kind == "embeddings"):
-            raise ValueError("text belongs to output kind embeddings, and such a network needs it")
-        if self.text is not None and self.text.file is None and (self.prompts is None or not self.prompts.encoder):
-            raise ValueError("text needs file, or prompts with the text encoder")
-        if self.maps and self.output.kind != "logits":
-            raise ValueError(
-                f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
-            )
-        if self.coarse_look is not None and self.output.kind != "logits":
-            raise ValueError(f"coarse_look belongs to output kind logits; remove it for {self.output.kind}")
-        if min(self.maps.values(), default=1) < 1:
-            raise ValueError("maps: each has at least one channel")
-        if self.text is not None:
-            if self.classes:
-                raise ValueError("classes: the words of the text file are the classes; remove the key")
-            return self
-        if self.output.is_depth:
-            if self.classes or self.mapping:
-                raise ValueError(
-                    f"classes and mapping belong to labels; remove them for output kind {self.output.kind}"
-                )
-            return self
-        if not self.classes or not self.mapping:
-            absent = "classes" if not self.classes else "mapping"
-            raise ValueError(f"{absent}: missing; output kind {self.output.kind} needs it")
+    def _parts_fit_together(self) -> NetworkManifest:
+        out, text = self.output, self.text
+        labels = text is None and not out.is_depth
         repeated = sorted({name for name in self.classes if self.classes.count(name) > 1})
-        if repeated:
-            raise ValueError(f"classes has {', '.join(repeated)} more than once")
-        unknown = sorted(set(self.mapping) - set(self.classes))
-        if unknown:
-            raise ValueError(f"mapping names {', '.join(unknown)}, not among classes ({', '.join(self.classes)})")
+        rules: list[tuple[object, str]] = [
+            ((text is None) == (out.kind == "embeddings"), "text belongs to output kind embeddings, which needs it"),
+            (
+                text and not text.file and not (self.prompts and self.prompts.encoder),
+                "text needs file, or prompts with the text encoder",
+            ),
+            (self.maps and out.kind != "logits", f"maps belong to output kind logits; remove them for {out.kind}"),
+            (self.coarse_look and out.kind != "logits", "coarse_look belongs to output kind logits; remove it"),
+            (min(self.maps.values(), default=1) < 1, "maps: each has at least one channel"),
+            (text and self.classes, "classes: the words of the text file are the classes; remove the key"),
+            (
+                out.is_depth and (self.classes or self.mapping),
+                f"classes and mapping belong to labels; remove them for output kind {out.kind}",
+            ),
+            (labels and not self.classes, f"classes: missing; output kind {out.kind} needs it"),
+            (labels and not self.mapping, f"mapping: missing; output kind {out.kind} needs it"),
+            (repeated, f"classes has {', '.join(repeated)} more than once"),
+        ]
+        named = {"output.offsets": {*out.offsets}, "output.redness": {*out.redness}, "mapping": {*self.mapping}}
+        for key, names in named.items():
+            strangers = [] if text and key == "mapping" else sorted(names - set(self.classes))
+            message = f"{key} names {', '.join(strangers)}, not among classes ({', '.join(self.classes)})"
+            rules.append((strangers, message))
+        for broken, message in rules:
+            if broken:
+                raise ValueError(message)
         return self
 
     @classmethod
@@ -260,11 +252,8 @@ class NetworkManifest(StrictModel):
         )
 
     def serving(self, head: str) -> NetworkManifest:
-        """Return the network used by a camera with this label head: itself, or the network of its heads
-        (`heads_of`).
-
-        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is
-        missing."""
+        """Return the network used by a camera with this label head: itself, or the network of its heads (`heads_of`):
+        one network may label best, and the maps of another train the best heads. Raises ModelError if it is missing."""
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 
     @property
@@ -277,8 +266,7 @@ class NetworkManifest(StrictModel):
         return self.file_of(self.file)
 
     def text_file(self) -> Path:
-        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
-        none."""
+        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also without any."""
         if self.text is None or self.text.file is None:
             raise ModelError(f"model {self.name!r} has no file of text embeddings; its output is {self.output.kind}")
         return self.file_of(self.text.file)

@@ -18,12 +18,7 @@ from ltm_core.storage.config_io import load_arrays, load_yaml
 from ltm_core.vision.manifest import NetworkManifest
 
 
-class _VocabularyFile(StrictModel):
-    synonyms: dict[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Vocabulary:
+class Vocabulary(StrictModel):
     """Words and their labels."""
 
     synonyms: dict[str, tuple[str, ...]]
@@ -32,7 +27,7 @@ class Vocabulary:
     def load(cls, path: Path | None = None) -> Vocabulary:
         """Read a vocabulary file, by default the one that ships. Raises ConfigError, also for a word of two labels."""
         path = config_path("vocabulary.yaml") if path is None else path
-        vocabulary = cls(load_yaml(path, _VocabularyFile).synonyms)
+        vocabulary = load_yaml(path, cls)
         seen: dict[str, str] = {}
         for label, words in vocabulary.synonyms.items():
             for word in words:
