@@ -102,12 +102,8 @@ class MountModel:
         self, rotation: Float64Array, tilt_zero: float, shift: Float64Array, covariance: Float64Array
     ) -> MountModel:
         """Return the mount with a correction as in `MountFit`."""
-        return replace(
-            self,
-            base=turned(self.base, rotation, shift),
-            tilt_zero=self.tilt_zero + tilt_zero,
-            covariance=np.asarray(covariance, np.float64),
-        )
+        base = turned(self.base, rotation, shift)
+        return replace(self, base=base, tilt_zero=self.tilt_zero + tilt_zero, covariance=covariance)
 
     @property
     def angle_covariance(self) -> Float64Array:

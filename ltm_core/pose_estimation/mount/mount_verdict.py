@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
@@ -79,47 +80,32 @@ def judge_mount(
     """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
     skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
     the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
-    apart = _alone_apart(pictures, found, config.mount_sharp_deg)
+    # Degrees between where images are found by themselves and where the mount puts them, and how sure they are.
+    alone = [
+        (float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max())), verdict)
+        for p, pose in zip(pictures, found, strict=True)
+        if (verdict := p.search.verdict).word == "accepted"
+    ]
+    off = max((apart for apart, v in alone if max(v.sigma_deg) <= config.mount_sharp_deg), default=0.0)
+    agree = len(alone) > 1 and max(apart for apart, _ in alone) <= config.mount_apart_deg
+    if any(p.search.evidence.skyline is not None for p in pictures):
+        least = config.gap_asked(seen.veiled, seen.variance)
+    else:  # more if only ridges are used, as for an image
+        planted = float(np.median([p.search.evidence.plants for p in pictures])) >= MANY_PLANTS
+        least = config.plants_gap if planted else config.ridges_gap
     if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
         return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
-    if gap < _gap_asked(pictures, seen, config):
+    if gap < least:
         return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     if seen.support < config.least_support:
         return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
-    if max(apart, default=0.0) > config.mount_apart_deg:
-        return "ambiguous", f"an image accepted by itself is {max(apart):.1f} deg from the mount's pose"
-    if seen.open > config.open_share and not _told_alone(pictures, found, config):
-        return ("ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount")
+    if off > config.mount_apart_deg:
+        return "ambiguous", f"an image accepted by itself is {off:.1f} deg from the mount's pose"
+    if seen.open > config.open_share and not agree:
+        return "ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount"
     if away > config.contradiction:
         return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
     return "accepted", f"{len(pictures)} images agree"
-
-
-def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config: VerdictConfig) -> bool:
-    """Return whether two images or more are accepted by themselves, and all of these lie where the mount puts them."""
-    apart = _alone_apart(pictures, found)
-    return len(apart) > 1 and max(apart) <= config.mount_apart_deg
-
-
-def _alone_apart(
-    pictures: Sequence[MountPicture], found: Sequence[Pose], most_sigma_deg: float = math.inf
-) -> list[float]:
-    """Return the degrees of azimuth or pitch between where images are found by themselves and where the mount puts
-    them, of those that are accepted and so sure."""
-    return [
-        float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
-        for p, pose in zip(pictures, found, strict=True)
-        if p.search.verdict.word == "accepted" and max(p.search.verdict.sigma_deg) <= most_sigma_deg
-    ]
-
-
-def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: VerdictConfig) -> float:
-    """Return the minimum gap of a mount as of an image (`pose_verdict.judge`): more if only ridges are used."""
-    evidences = [p.search.evidence for p in pictures]
-    if any(evidence.skyline is not None for evidence in evidences):
-        return config.gap_asked(seen.veiled, seen.variance)
-    plants = float(np.median([evidence.plants for evidence in evidences]))
-    return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap
 
 
 STEEPEST_LEAN = math.radians(20.0)  # maximum lean of a mount from its stated orientation
@@ -138,51 +124,34 @@ def closed_forms(
     rays = np.array([pixel_rays(c, p[None])[0] for c, p in zip(cameras, points.pixels, strict=True)])
     either: tuple[Sign, Sign] = (1, -1)
     found = {}
-    order = sorted(itertools.product(either, either), key=lambda signs: signs != (start.pan_sign, start.tilt_sign))
-    for pan_sign, tilt_sign in order:
-        turns = np.array([ptz_rotation(*ptz_angles(p, t, pan_sign, tilt_sign)) for p, t, _ in points.readings])
+    for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
+        turns = np.array([ptz_rotation(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
         best = _best_rotation(np.einsum("nij,nj->ni", turns, rays), sights, start)
         if best is not None:
             base = Pose(start.base.position, best)
-            found[pan_sign, tilt_sign] = replace(
-                start, base=base, tilt_zero=0.0, pan_sign=pan_sign, tilt_sign=tilt_sign
-            )
+            found[pan, tilt] = replace(start, base=base, tilt_zero=0.0, pan_sign=pan, tilt_sign=tilt)
     return found
 
 
 def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
     """Return the rotation of the mount with the least median angle: from a pair of landmarks, then from all that fit
     this; None if all lean too far."""
-    pairs = list(itertools.combinations(range(len(sights)), 2))
-    pairs = [pairs[k] for k in np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]
+
+    def off(rotation: Float64Array) -> Float64Array:
+        cosine = np.einsum("ni,ni->n", in_ptz @ rotation.T, sights)
+        return np.asarray(np.arccos(np.clip(cosine, -1, 1)), np.float64)
+
+    pairs = np.array(list(itertools.combinations(range(len(sights)), 2)))
     best: tuple[float, Float64Array] | None = None
-    for pair in pairs:
-        two = list(pair)
+    for two in pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]:
         if np.linalg.norm(np.cross(sights[two[0]], sights[two[1]])) < 0.01:
             continue
-        rotation = _aligned(in_ptz[two], sights[two])
-        off = _angles_off(rotation, in_ptz, sights)
-        near = off <= max(2 * float(np.median(off)), math.radians(0.5))
+        rotation = Rotation.align_vectors(sights[two], in_ptz[two])[0].as_matrix()
+        near = off(rotation) <= max(2 * float(np.median(off(rotation))), math.radians(0.5))
         if near.sum() >= _REACHED:
-            rotation = _aligned(in_ptz[near], sights[near])
-        median = float(np.median(_angles_off(rotation, in_ptz, sights)))
-        if _lean_between(rotation, start.base.rotation) <= STEEPEST_LEAN and (best is None or median < best[0]):
+            rotation = Rotation.align_vectors(sights[near], in_ptz[near])[0].as_matrix()
+        median = float(np.median(off(rotation)))
+        lean = math.acos(float(np.clip(rotation[:, 1] @ start.base.rotation[:, 1], -1, 1)))
+        if lean <= STEEPEST_LEAN and (best is None or median < best[0]):
             best = median, rotation
     return None if best is None else best[1]
-
-
-def _aligned(in_ptz: Float64Array, sights: Float64Array) -> Float64Array:
-    """Return the rotation that turns directions (N, 3) onto others with the least squares."""
-    u, _, vt = np.linalg.svd(sights.T @ in_ptz)
-    turn = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
-    return np.asarray(u @ turn @ vt, np.float64)
-
-
-def _angles_off(rotation: Float64Array, in_ptz: Float64Array, sights: Float64Array) -> Float64Array:
-    cosine = np.einsum("ni,ni->n", in_ptz @ rotation.T, sights)
-    return np.asarray(np.arccos(np.clip(cosine, -1, 1)), np.float64)
-
-
-def _lean_between(a: Float64Array, b: Float64Array) -> float:
-    """Between the upright axes of two mounts, rad."""
-    return math.acos(float(np.clip(a[:, 1] @ b[:, 1], -1, 1)))

@@ -28,6 +28,12 @@ MIN_REDUNDANCY = 2
 """Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
 OUTLIER_SIGMAS = 4.0
 MAX_OUTLIER_SHARE = 0.25
+MAX_MEDIAN_SHARE = 0.02  # median residual, as a share of the image's diagonal, above which no pose explains the points
+MAX_ANGLE_SIGMA_DEG = 1.0
+MAX_FOCAL_SIGMA = 0.03  # maximum standard deviation of the focal length, as a share of it
+MAX_LENS_SHIFT = 0.01
+"""Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
+MAX_POSITION_SIGMA = 0.02  # maximum standard deviation of the position, as a share of the median distance of the points
 
 REMEDY = (
     "Check their pixels (counted from 0 or 1, of this image?), their coordinates (order, CRS, height datum), the "
@@ -41,13 +47,32 @@ class NoCommonPoseError(PoseError):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
+    """A fitted camera. `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`:
+    (N,) the points that are not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals
+    but not below the stated one. `covariance`: of the rotation about the map's axes (rad), then of the free parameters:
+    focal (as a share), k1, k2, k3, centre (pixels), position (m)."""
+
     camera: Camera
     pose: Pose
     residuals: Float64Array
     used: BoolArray
     sigma_px: float
     covariance: Float64Array
-    """Covariance of the rotation (rad), then of the free parameters."""
+
+    @property
+    def residual_px(self) -> Float64Array:
+        """Return (N,) lengths of the residuals, pixels; +inf behind the camera."""
+        return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
+
+    @property
+    def median_px(self) -> float:
+        return float(np.median(self.residual_px))
+
+    def scale(self, parameters: int) -> float:
+        """Return the deviation of one coordinate by the median length (of a Rayleigh variate: 1.1774 sigma), for n -
+        p."""
+        observed = self.residuals.size
+        return self.median_px / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +97,8 @@ class Adjustment:
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
-            scale = max(sigma_px, _scale(fit.residuals, self._unknowns(free)))
-            fit = self._solve(
-                fit, free, everyone, min(scale, diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
-            )
+            scale = min(max(sigma_px, fit.scale(self._unknowns(free))), diagonal(camera) / 20)
+            fit = self._solve(fit, free, everyone, scale, "cauchy" if turn else "soft_l1")
         return fit
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
@@ -86,13 +109,12 @@ class Adjustment:
         size = self._unknowns(free)
         before = None
         for _ in range(10):
-            limit = OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
-            off = lengths(fit.residuals)
+            limit, off = OUTLIER_SIGMAS * max(sigma_px, fit.scale(size)), fit.residual_px
             used = off <= limit
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
-                    f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
+                    f"{named(self.points, off, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())
             spread = float(np.sqrt(np.sum(np.minimum(off, limit) ** 2) / (2 * len(off) - size)))
@@ -112,13 +134,10 @@ class Adjustment:
         term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
-        all_of: tuple[Parameter, ...] = (*free, term)
+        every: tuple[Parameter, ...] = (*free, term)
         step = 1e-6
-        columns = []
-        for change in step * np.eye(3 + size_of(all_of)):
-            moved = self._residuals(*applied(change, fit.camera, fit.pose, all_of))
-            columns.append((fit.residuals - moved)[fit.used].ravel() / step)
-        slopes = np.column_stack(columns)
+        moved = (applied(change, fit.camera, fit.pose, every) for change in step * np.eye(3 + size_of(every)))
+        slopes = np.column_stack([(fit.residuals - self._residuals(*to))[fit.used].ravel() / step for to in moved])
         errors = fit.residuals[fit.used].ravel()
         good = np.isfinite(errors) & np.isfinite(slopes).all(axis=1)
         if good.sum() <= slopes.shape[1]:
@@ -181,30 +200,12 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
     return np.asarray((half @ half.T) / np.outer(norms, norms), np.float64)
 
 
-def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
-    """Return the points of `which` with their residuals, largest first."""
-    off = lengths(residuals)
+def named(points: ControlPoints, off: Float64Array, which: BoolArray) -> str:
+    """Return the points of `which` with the lengths of their residuals (N,), largest first."""
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
-    shown = [
-        f"{points.names[i]} ({'behind the camera' if np.isinf(off[i]) else f'off by {off[i]:.0f} px'})"
-        for i in order[:8]
-    ]
-    return ", ".join(shown) + (f" and {len(order) - 8} more" if len(order) > 8 else "")
-
-
-def lengths(residuals: Float64Array) -> Float64Array:
-    return np.nan_to_num(np.hypot(residuals[:, 0], residuals[:, 1]), nan=np.inf)
-
-
-def median_px(residuals: Float64Array) -> float:
-    return float(np.median(lengths(residuals)))
-
-
-def _scale(residuals: Float64Array, parameters: int) -> float:
-    """Return the deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n -
-    p."""
-    observed = residuals.size
-    return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
+    known = {i: f"off by {off[i]:.0f} px" if np.isfinite(off[i]) else "behind the camera" for i in order}
+    more = f" and {len(order) - 8} more" if len(order) > 8 else ""
+    return ", ".join(f"{points.names[i]} ({known[i]})" for i in order[:8]) + more
 
 
 def size_of(free: tuple[Parameter, ...]) -> int:
@@ -213,14 +214,6 @@ def size_of(free: tuple[Parameter, ...]) -> int:
 
 def diagonal(camera: Camera) -> float:
     return float(np.hypot(camera.width, camera.height))
-
-
-MAX_MEDIAN_SHARE = 0.02  # median residual, as a share of the image's diagonal, above which no pose explains the points
-MAX_ANGLE_SIGMA_DEG = 1.0
-MAX_FOCAL_SIGMA = 0.03  # maximum standard deviation of the focal length, as a share of it
-MAX_LENS_SHIFT = 0.01
-"""Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
-MAX_POSITION_SIGMA = 0.02  # maximum standard deviation of the position, as a share of the median distance of the points
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:
@@ -259,11 +252,10 @@ def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Par
 
 def check_fit(points: ControlPoints, fit: Fit) -> None:
     limit = MAX_MEDIAN_SHARE * diagonal(fit.camera)
-    median = median_px(fit.residuals)
-    if median > limit:
+    if fit.median_px > limit:
         raise NoCommonPoseError(
-            f"no pose explains the control points: the median residual is {median:.0f} px (limit {limit:.0f} px): "
-            f"{named(points, fit.residuals, np.ones(len(points.names), bool))}. {REMEDY}"
+            f"no pose explains the control points: the median residual is {fit.median_px:.0f} px (limit {limit:.0f} "
+            f"px): {named(points, fit.residual_px, np.ones(len(points.names), bool))}. {REMEDY}"
         )
 
 
@@ -272,32 +264,32 @@ def unbearable(
 ) -> tuple[Parameter, str] | None:
     """Return the free parameter that the points determine worst, and why; None if they determine all except those in
     `known`. Raises for the angles."""
-    camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
-    sights = points.places[fit.used] - fit.pose.position
-    distance = float(np.median(np.linalg.norm(sights, axis=1)))
+    places = points.places[fit.used]
+    distance = float(np.median(np.linalg.norm(places - fit.pose.position, axis=1)))
     worst: tuple[float, Parameter, str] | None = None
     at = 3
     for name in free:
         own = float(sigma[at : at + SIZE[name]].max())
         at += SIZE[name]
+        instead = ""
         if name == "focal":
-            excess, reason = own / MAX_FOCAL_SIGMA, f"its sigma would be {own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
-        elif name != "position":
-            order = 2 * tuple(RADIAL).index(name) + 3 if name in RADIAL else 0
-            shift = own * corner_radius(camera) ** order * (camera.fx if order else 1.0)
-            limit = MAX_LENS_SHIFT * diagonal(camera)
-            excess = shift / limit
-            reason = f"its sigma would be {own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
-        else:
+            excess, reason = own / MAX_FOCAL_SIGMA, f"{own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
+        elif name == "position":
             limit = MAX_POSITION_SIGMA * distance
-            excess = own / limit
-            reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
-            if _in_line(points.places[fit.used]):
+            excess, instead = own / limit, ", or state position_sigma in the guess"
+            reason = f"{own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
+            spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+            if spread[1] < 0.02 * spread[0]:
                 reason += "; the points are on one line"
-        if name not in known and excess > 1 and (worst is None or excess > worst[0]):
-            instead = ", or state position_sigma in the guess" if name == "position" else ""
-            worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image{instead}"
+        else:
+            order = 2 * tuple(RADIAL).index(name) + 3 if name in RADIAL else 0
+            shift = own * corner_radius(fit.camera) ** order * (fit.camera.fx if order else 1.0)
+            limit = MAX_LENS_SHIFT * diagonal(fit.camera)
+            excess, reason = shift / limit, f"{own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
+        if name not in known and excess > max(1.0, worst[0] if worst else 0.0):
+            remedy = f"mark points that differ more in distance and place in the image{instead}"
+            worst = excess, name, f"its sigma would be {reason}: {remedy}"
     if worst is not None:
         return worst[1], worst[2]
     turn = float(np.degrees(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3]).max())))
@@ -313,8 +305,3 @@ def unbearable(
         f"the camera's angles do not follow from the control points {', '.join(points.names)}: sigma {turn:.2g} "
         f"degrees (limit {MAX_ANGLE_SIGMA_DEG:g}); mark points further apart in the image, and check their pixels"
     )
-
-
-def _in_line(places: Float64Array) -> bool:
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 0.02 * spread[0])
