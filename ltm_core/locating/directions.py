@@ -22,7 +22,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
-from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
+from ltm_core.locating.sight_fan import Rays, SightFan, SmokeDensities
 from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import pixel_rays
@@ -159,23 +159,12 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
 def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
     """Return the table of a camera turned by an unknown angle: the marked slope, and an equally uncertain azimuth."""
     middle = float(directions.azimuth @ directions.weights)
-    turned = turn_density(directions, azimuths - middle)
-    shape = (len(azimuths), len(KNOTS))
+    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
+    scale, shape = math.sqrt(TURN_SCALE**2 + spread), (len(azimuths), len(KNOTS))
+    turned = scale / (scale**2 + (azimuths - middle) ** 2) / (2 * math.atan(MOST_TURNED / scale))
     slope, variance = _slope(directions)
     density = np.broadcast_to(turned[:, None], shape)[None].copy()
     return DirectionTable(density, np.full(shape, slope), np.broadcast_to(variance, shape).copy())
-
-
-def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
-    """Return the density of azimuths at an angle from the marked one, for a camera turned by an unknown angle."""
-    middle = float(directions.azimuth @ directions.weights)
-    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
-    return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
-
-
-def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
-    """Return the density of the angle by which a turned camera is turned."""
-    return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
@@ -228,22 +217,20 @@ def sight_likelihood(
     something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`."""
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
-    terrain = RayTerrain(fan.heights, fan.levels, fan.ranges, knots, height, bend)
-    marked = RayMark(table.density[0], table.slope, table.variance)
+    mark = table.density[0], table.slope, table.variance
+    rays = Rays(fan.heights, fan.levels, fan.ranges, knots, height, bend, *mark, variances, apart)
     density, fit, lifts = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     if not smoke:
-        ground_along(terrain, marked, variances, density, fit, lifts)
+        ground_along(rays, density, fit, lifts)
     else:
         hidden, hidden_fit, unseen = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         found = SmokeDensities(density, hidden, fit, hidden_fit, unseen, lifts)
         rise = math.inf if turned or lean <= 0 else NEXT_DRIFT[0] / lean
-        smoke_along(terrain, marked, HeightErrors(variances, apart), rise, found)
-        if turned:
-            add_smeared(terrain, marked, fan.azimuths, lean, found)
-        else:
-            drifting = Drifts(fan.widths, table.density, table.density.max(axis=1), lean, NEXT_DRIFT)
-            add_drifted(terrain, marked, drifting, found)
+        smoke_along(rays, rise, found)
+        if not turned:
+            add_drifted(rays, fan.widths, table.density, lean, NEXT_DRIFT, found)
             return SightLikelihood(density, fit, lifts)
+        add_smeared(rays, fan.azimuths, lean, found)
     azimuth = table.density[0][:, knots]
     if turned:
         known = np.isfinite(fan.heights)

@@ -126,7 +126,7 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
         wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        others = [terrain.look_turned(sight, bounds, wanted) for sight in turned]
+        others = [terrain.look_closer(sight, bounds, wanted, turned=True) for sight in turned]
         resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
         found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
     return found

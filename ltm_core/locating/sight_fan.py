@@ -116,9 +116,12 @@ def _sample(
             levels[a, k] = number
 
 
-class RayTerrain(NamedTuple):
-    """Terrain along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of
-    each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays."""
+class Rays(NamedTuple):
+    """Terrain and a mark along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,)
+    the knot of each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays.
+
+    Of the mark, (A, J) each: density of the marked azimuth, mean and variance of the marked slope. Of the rasters of
+    the terrain, (L,): variance of heights, and metres beyond which their errors are independent (`apart`)."""
 
     heights: Float32Array
     levels: UInt8Array
@@ -126,21 +129,10 @@ class RayTerrain(NamedTuple):
     knots: Int64Array
     z0: float
     bend: float
-
-
-class RayMark(NamedTuple):
-    """Mark along rays, (A, J) each: density of the marked azimuth, mean and variance of the marked slope."""
-
     azimuth_density: Float64Array
     slope_mean: Float64Array
     slope_variance: Float64Array
-
-
-class HeightErrors(NamedTuple):
-    """Height errors by raster of the terrain, (L,): variance of heights, and distance in metres beyond which their
-    errors are independent."""
-
-    variance: Float64Array
+    height_variance: Float64Array
     apart: Float64Array
 
 
@@ -155,14 +147,3 @@ class SmokeDensities(NamedTuple):
     hidden_fit: Float32Array
     unseen: Float32Array
     lifts: Float32Array
-
-
-class Drifts(NamedTuple):
-    """Drifts of plumes. `widths`: (A,) of the fan. `density`: (D, A, J), and its maximum (D, J), of the marked azimuth
-    by drift. `lean`: sigma of the drift per metre of rise. `next_drift`: (D - 1,) start of the next drift."""
-
-    widths: Float64Array
-    density: Float64Array
-    peak: Float64Array
-    lean: float
-    next_drift: Float64Array

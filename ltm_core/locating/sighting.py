@@ -100,41 +100,31 @@ class LocatingTerrain:
         self._check(sight)
         return sight
 
-    def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible."""
-        azimuths = sight.fan.azimuths
-        low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
-        low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
+    def look_closer(self, sight: Sight, bounds: Bounds, resolution: float, turned: bool = False) -> Sight:
+        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible;
+        `turned`: for a camera turned by an unknown angle."""
+        marked, azimuths = sight.directions.azimuth, sight.fan.azimuths
+        around = float(marked @ sight.directions.weights) if turned else float(azimuths.mean())
+        first, last = (around - MOST_TURNED, around + MOST_TURNED) if turned else (azimuths[0], azimuths[-1])
+        low, high = _azimuths_of(sight.position, bounds, around)
+        low, high = max(low, float(first)), min(high, float(last))
         if high <= low:
-            low, high = float(azimuths[0]), float(azimuths[-1])
+            low, high = float(first), float(last)
         near, far = ranges_of(sight.position, bounds)
         far = min(far, float(sight.fan.ranges[-1]))
         count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
         inside = np.linspace(low, high, count)
-        if self._drifts:
+        if self._drifts and not turned:
             reach = 2 * sight.directions.azimuth_sigma
-            marked = sight.directions.azimuth
             inside = np.union1d(inside, np.linspace(marked.min() - reach, marked.max() + reach, _CREST))
         fan = sight_fan(self.dem, sight.position, inside, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        spacing = (high - low) / (count - 1) * far
+        if turned:
+            likelihood = self._likelihood(sight.sighting, fan, turned_table(sight.directions, inside), turned)
+            return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * spacing)
         within = fan.steps[(fan.ranges >= near) & (fan.ranges <= far)][1:]  # the first is a step from before
-        spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
-        return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
-
-    def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """Return the sighting as in `look_closer` for a camera turned by an unknown angle."""
-        around = float(sight.directions.azimuth @ sight.directions.weights)
-        low, high = _azimuths_of(sight.position, bounds, around)
-        low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
-        if high <= low:
-            low, high = around - MOST_TURNED, around + MOST_TURNED
-        near, far = ranges_of(sight.position, bounds)
-        far = min(far, float(sight.fan.ranges[-1]))
-        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
-        azimuths = np.linspace(low, high, count)
-        fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
-        table = turned_table(sight.directions, azimuths)
-        likelihood = self._likelihood(sight.sighting, fan, table, turned=True)
-        return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
+        cell = _PER_CELL * max(spacing, float(within.max(initial=0.0)))
+        return self._sight(sight.sighting, sight.directions, fan, cell)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
         """Return the probability that a plume is higher."""

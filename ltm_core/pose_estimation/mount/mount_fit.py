@@ -78,42 +78,35 @@ def fit_mount(
         MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)
     ]
-    sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
+    level = max(priors[0].pitch_sigma_deg, priors[0].roll_sigma_deg)
+    turns = np.radians([level, level, priors[0].azimuth_sigma_deg, tilt_zero_sigma_deg])
+    sigma = np.concatenate([priors[0].sigmas[:3], turns, [focal_sigma]])
     starts = _proposals(pictures)
     if not starts:
-        return _stated(pictures, "no_skyline", "no image shows a skyline or a ridge of the DEM", sigma)
-    costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
-    order = np.argsort(costs)
-    fits = []
-    for k in _apart([starts[j] for j in order]):
-        state, covariance = _refined(pictures, starts[order[k]], sigma, config)
-        fits.append((_cost(pictures, state, sigma, config), state, covariance))
-    fits.sort(key=lambda fit: fit[0])
+        poses, none = tuple(p.prior.pose for p in pictures), np.zeros(3)
+        reason = "no image shows a skyline or a ridge of the DEM"
+        return MountFit(none, 0.0, none, np.diag(sigma[:7] ** 2), poses, poses, "no_skyline", reason, 0.0, math.inf)
+    starts.sort(key=lambda state: _cost(pictures, state, sigma, config))
+    refined = [_refined(pictures, start, sigma, config) for start in _apart(starts)]
+    fits = sorted(((_cost(pictures, state, sigma, config), state, c) for state, c in refined), key=lambda fit: fit[0])
+    least, best, covariance = fits[0]
     for _, state, _ in fits[1:]:
         # Turns of half a circle to the right and to the left are one, and so is their mean.
-        state[3:6] = nearest_vector(state[3:6], fits[0][1][3:6])
+        state[3:6] = nearest_vector(state[3:6], best[3:6])
     v = config.verdict
-    gap = next(
-        (
-            cost - fits[0][0]
-            for cost, state, _ in fits[1:]
-            if abs(state[5] - fits[0][1][5]) > math.radians(v.alternative_deg)
-        ),
-        math.inf,
-    )
-    states = np.array([state for _, state, _ in fits])
-    variance = skylines_at(pictures, states[0], config).variance
+    others = (cost - least for cost, state, _ in fits if abs(state[5] - best[5]) > math.radians(v.alternative_deg))
+    gap, states = next(others, math.inf), np.array([state for _, state, _ in fits])
+    variance = skylines_at(pictures, best, config).variance
     mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
-    shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
-    covariance = fits[0][2] + spread
+    covariance = covariance + spread
     found = tuple(p.pose(mean) for p in pictures)
     away = float((np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)).max())
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
     word, reason = judge_mount(pictures, found, skylines_at(pictures, mean, config), turns, gap, away, v)
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
     cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
-    of_mount = covariance[:7, :7]
-    return MountFit(w, tilt, shift, of_mount, poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off)
+    told = covariance[:7, :7], poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off
+    return MountFit(mean[3:6], float(mean[6]), mean[:3], *told)
 
 
 def fit_ptz_mount(
@@ -132,28 +125,10 @@ def fit_ptz_mount(
     sigma = math.hypot(math.sqrt(ptz.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
     if ptz.word != "accepted" or abs(ptz.tilt_zero) < _SURE * sigma or plain.cost - ptz.cost < _SURE**2 / 2:
         return plain
-    surer = [
-        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(ptz.pose_covariance(k)[3:, 3:])
-        for k in range(len(priors))
-    ]
-    wider = max(1.0, *(float(share) for share in surer))
-    return replace(
-        ptz,
-        covariance=ptz.covariance * wider,
-        reason=f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg",
-    )
-
-
-def _stated(pictures: list[MountPicture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
-    poses = tuple(p.prior.pose for p in pictures)
-    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma[:7] ** 2), poses, poses, word, reason, 0.0, math.inf)
-
-
-def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) -> Float64Array:
-    """Return (8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
-    level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
-    turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
-    return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
+    pairs = [(plain.pose_covariance(k)[3:, 3:], ptz.pose_covariance(k)[3:, 3:]) for k in range(len(priors))]
+    wider = max(1.0, *(float(np.trace(a) / np.trace(b)) for a, b in pairs))
+    reason = f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg"
+    return replace(ptz, covariance=ptz.covariance * wider, reason=reason)
 
 
 def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
@@ -168,18 +143,15 @@ def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
     return found if len(found) > 1 else []
 
 
-def _apart(states: list[Float64Array]) -> list[int]:
-    """Of corrections from the best down, the first few that differ in azimuth or focal length."""
-    kept: list[int] = []
-    for k, state in enumerate(states):
-        if len(kept) == _STARTS:
-            break
-        if all(
-            abs(nearest_vector(state[3:6], states[j][3:6])[2] - states[j][5]) > _APART
-            or abs(state[7] - states[j][7]) > _FOCAL_APART
-            for j in kept
-        ):
-            kept.append(k)
+def _apart(states: list[Float64Array]) -> list[Float64Array]:
+    """Return, of corrections from the best down, the first few that differ in azimuth or focal length."""
+    kept: list[Float64Array] = []
+    for state in states:
+        turns = (abs(nearest_vector(state[3:6], other[3:6])[2] - other[5]) for other in kept)
+        zooms = (abs(state[7] - other[7]) for other in kept)
+        alike = (turn <= _APART and zoom <= _FOCAL_APART for turn, zoom in zip(turns, zooms, strict=True))
+        if len(kept) < _STARTS and not any(alike):
+            kept.append(state)
     return kept
 
 
@@ -230,7 +202,11 @@ def _refined(
         gradient += inverse * _deviation(state)
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-            covariance[3:6, 3:6] += _floor(pictures)
+            # Of pitch, what a lens is off by where the skyline lies in the image: that of every direction is another,
+            # and their mean is surer.
+            azimuth, pitch, roll = MOUNT_FLOOR_DEG
+            pitch /= math.sqrt(sum(1.0 / alike(p, pictures) for p in pictures))
+            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch, roll)[3:, 3:]
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
@@ -240,14 +216,6 @@ def _refined(
             # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
             state[3:6] = vector_of_matrix(turn)
     return state, covariance
-
-
-def _floor(pictures: list[MountPicture]) -> Float64Array:
-    """Return (3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the
-    image: that of every direction is another, and their mean is surer."""
-    azimuth, pitch, roll = MOUNT_FLOOR_DEG
-    directions = sum(1.0 / alike(p, pictures) for p in pictures)
-    return pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch / math.sqrt(directions), roll)[3:, 3:]
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:

@@ -114,7 +114,7 @@ class Adjustment:
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
-                    f"{named(self.points, off, ~used)}. {REMEDY}"
+                    f"{named(self.points.names, off, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())
             spread = float(np.sqrt(np.sum(np.minimum(off, limit) ** 2) / (2 * len(off) - size)))
@@ -200,12 +200,12 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
     return np.asarray((half @ half.T) / np.outer(norms, norms), np.float64)
 
 
-def named(points: ControlPoints, off: Float64Array, which: BoolArray) -> str:
+def named(names: Sequence[str], off: Float64Array, which: BoolArray) -> str:
     """Return the points of `which` with the lengths of their residuals (N,), largest first."""
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
     known = {i: f"off by {off[i]:.0f} px" if np.isfinite(off[i]) else "behind the camera" for i in order}
     more = f" and {len(order) - 8} more" if len(order) > 8 else ""
-    return ", ".join(f"{points.names[i]} ({known[i]})" for i in order[:8]) + more
+    return ", ".join(f"{names[i]} ({known[i]})" for i in order[:8]) + more
 
 
 def size_of(free: tuple[Parameter, ...]) -> int:
@@ -255,7 +255,7 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
     if fit.median_px > limit:
         raise NoCommonPoseError(
             f"no pose explains the control points: the median residual is {fit.median_px:.0f} px (limit {limit:.0f} "
-            f"px): {named(points, fit.residual_px, np.ones(len(points.names), bool))}. {REMEDY}"
+            f"px): {named(points.names, fit.residual_px, np.ones(len(points.names), bool))}. {REMEDY}"
         )
 
 

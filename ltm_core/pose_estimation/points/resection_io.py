@@ -115,7 +115,8 @@ def read_rows(
             raise PoseError(f"{path}: no column {', '.join(map(repr, absent))} in {found}; the file needs {needed}")
         for row in reader:
             name = (row.get(columns["name"]) or "").strip() or str(reader.line_num)
-            rows.append((name, [_number(row[columns[key]], path, reader.line_num, columns[key]) for key in wanted]))
+            place = f"{path}, line {reader.line_num}", name
+            rows.append((name, [_number(row[columns[key]], columns[key], *place) for key in wanted]))
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not rows:
@@ -123,11 +124,11 @@ def read_rows(
     return tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows]), columns
 
 
-def _number(text: str | None, path: Path, line: int, column: str) -> float:
+def _number(text: str | None, column: str, place: str, name: str) -> float:
     try:
-        return float(text or "")
-    except ValueError:
-        raise PoseError(f"{path}, line {line}: {column} is {text!r}, not a number") from None
+        return float(text)  # type: ignore[arg-type] # of a short row, None: an error as well
+    except (TypeError, ValueError):
+        raise PoseError(f"{place}: {column} is {text!r}, not a number (point {name})") from None
 
 
 def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:

@@ -45,22 +45,21 @@ class ContourDirections:
     @classmethod
     def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
         """Return the points beyond `nearest` metres; `with_horizon`: including the horizon where it is a ridge."""
-        contours = horizon.contours
-        kept = np.flatnonzero((contours.following >= 0) & (contours.range > nearest))
-        after = contours.following[kept]
-        here = _directions(contours.azimuth[kept], contours.tangent[kept])
-        following = _directions(contours.azimuth[after], contours.tangent[after])
-        ranges, cells = contours.range[kept], contours.cell[kept]
+        c = horizon.contours
+        kept = np.flatnonzero((c.following >= 0) & (c.range > nearest))
+        ends = [(c.azimuth[k], c.tangent[k], c.range[k], c.cell[k]) for k in (kept, c.following[kept])]
+        parts = [ends]
         if with_horizon:
-            azimuths, t, r = horizon.azimuths, horizon.tangent, horizon.range
+            t, r = horizon.tangent, horizon.range
             steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > nearest) & (r[1:] > nearest)
             steady &= np.abs(np.diff(np.log(np.maximum(r, 1.0)))) < 0.12
             steady &= ~(horizon.at_edge[:-1] | horizon.at_edge[1:])
             k = np.flatnonzero(steady)
-            here = np.concatenate([here, _directions(azimuths[k], t[k])])
-            following = np.concatenate([following, _directions(azimuths[k + 1], t[k + 1])])
-            ranges, cells = np.concatenate([ranges, r[k]]), np.concatenate([cells, horizon.cell[k]])
-        return cls(here, following, ranges, cells)
+            parts.append([(horizon.azimuths[j], t[j], r[j], horizon.cell[j]) for j in (k, k + 1)])
+        (azimuth, t, r, cell), (after, t_after, *_) = (
+            [np.concatenate(values) for values in zip(*(part[end] for part in parts), strict=True)] for end in (0, 1)
+        )
+        return cls(_directions(azimuth, t), _directions(after, t_after), r, cell)
 
     def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
         """Return at most `most` points in front of a camera or slightly beside it."""
@@ -68,8 +67,7 @@ class ContourDirections:
         wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
         kept = np.flatnonzero((ahead[:, 2] > 0.05) & (np.abs(ahead[:, 0]) < wide * ahead[:, 2]))
         every = max(1, -(-len(kept) // most))
-        kept = kept[::every]
-        return self._only(kept, every)
+        return self._only(kept[::every], every)
 
     def thinned(self, every: int) -> ContourDirections:
         """Return every n-th point."""
@@ -220,26 +218,23 @@ def picture_evidence(
     work = camera.resized(width, max(2, round(camera.height * width / camera.width)))
     shape = (work.width, work.height)
     small = cv2.resize(photo, shape, interpolation=cv2.INTER_AREA) if width < camera.width else photo
-    ids = cv2.resize(labels, shape, interpolation=cv2.INTER_NEAREST)
-    masked = cv2.resize(masked, shape, interpolation=cv2.INTER_NEAREST)
+    ids, masked = (cv2.resize(of, shape, interpolation=cv2.INTER_NEAREST) for of in (labels, masked))
     if any(work.distortion):
-        k1, k2, p1, p2, k3 = work.distortion
-        to_x, to_y = cv2.initUndistortRectifyMap(
-            work.matrix, np.array([k1, k2, p1, p2, k3]), np.eye(3), work.matrix, shape, cv2.CV_32FC1
-        )
-        small = cv2.remap(small, to_x, to_y, cv2.INTER_LINEAR)
-        ids = cv2.remap(ids, to_x, to_y, cv2.INTER_NEAREST, borderValue=int(UNLABELLED))
-        masked = cv2.remap(masked, to_x, to_y, cv2.INTER_NEAREST, borderValue=1)
+        lens = work.matrix, np.array(work.distortion)
+        x, y = cv2.initUndistortRectifyMap(*lens, np.eye(3), work.matrix, shape, cv2.CV_32FC1)
+        small = cv2.remap(small, x, y, cv2.INTER_LINEAR)
+        ids = cv2.remap(ids, x, y, cv2.INTER_NEAREST, borderValue=int(UNLABELLED))
+        masked = cv2.remap(masked, x, y, cv2.INTER_NEAREST, borderValue=1)
         work = Camera(work.width, work.height, work.fx, work.fy, work.cx, work.cy)
     shut = masked > 0
     ids = np.where(shut, np.uint8(UNLABELLED), ids).astype(np.uint8)
     skyline = image_skyline(small, ids if hidden is None else _seen_through(ids, shut))
-    sky = ids == np.uint8(Label.SKY)
-    if hidden is None:
-        kept = ~shut[np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1), skyline.u.astype(np.intp)]
-        skyline = skyline.only(kept)
-    else:
-        skyline = _beside(skyline, shut)
+    sky, near = ids == np.uint8(Label.SKY), shut
+    if hidden is not None:  # where the skyline may be the border of a hidden area
+        reach = max(4, round(_BORDER * work.width))
+        near = cv2.dilate(masked, np.ones((2 * reach + 1, 1), np.uint8)) > 0
+    rows = np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1)
+    skyline = skyline.only(~near[rows, skyline.u.astype(np.intp)])
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
 
     @cache
@@ -263,11 +258,3 @@ def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
         row = np.where(shut[v], row, ids[v])
         found[v] = row
     return found
-
-
-def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
-    """Return the skyline without the columns where it may be the border of a hidden area (H, W)."""
-    reach = max(4, round(_BORDER * shut.shape[1]))
-    tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
-    v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)
-    return skyline.only(~tall[v, skyline.u.astype(np.intp)])

@@ -30,7 +30,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
 )
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
-from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
+from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon, terrain_horizon
 from ltm_core.raster.dem import Dem
@@ -43,12 +43,20 @@ if a good skyline leaves two poses open, ridges mislead more often than not."""
 
 @dataclass(frozen=True, eq=False)
 class PictureSearch:
-    """Hypotheses in order of cost, and the evidence by which they were judged."""
+    """Hypotheses in order of cost, the evidence by which they were judged, and the verdict on the first."""
 
     hypotheses: tuple[Hypothesis, ...]
     evidence: PictureEvidence
     horizon: TerrainHorizon
     verdict: PoseVerdict
+
+    @property
+    def accepted(self) -> bool:
+        return self.verdict.word == "accepted"
+
+    def doubted(self, reason: str) -> PictureSearch:
+        """Return the result with a verdict that is not accepted."""
+        return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason)) if self.accepted else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +98,13 @@ def find_pose(
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
-    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:
-        hypotheses = _on_skyline(hypotheses, problem)
-        return _JudgedPose(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
+    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> PictureSearch:
+        if hypotheses:  # a mean of poses has no fit of its own, and the search by ridges does not use the skyline
+            best, *others = hypotheses
+            fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
+            hypotheses = [replace(best, refined=replace(best.refined, skyline=fit)), *others]
+        verdict = judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges)
+        return PictureSearch(tuple(hypotheses), evidence, horizon, verdict)
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
@@ -110,15 +122,14 @@ def find_pose(
     settles = evidence.plants >= config.settling.least_plants
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, problem, terrain)
-    search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
-    trend = skyline_bending(search, problem)
+    trend = skyline_bending(result, problem)
     least = _BENT_SIGMAS[result.accepted]
     if trend is None or not least * trend.sigma < abs(trend.k) < _MOST_BENT / corner_radius(evidence.camera) ** 2:
-        return search
+        return result
     # How much cannot be said: a pose that is fitted with a wrong lens is itself off.
-    bent = f"{search.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
-    word = "ambiguous" if result.accepted else search.verdict.word
-    return replace(search, verdict=replace(search.verdict, word=word, reason=bent))
+    bent = f"{result.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
+    doubted = result.doubted(bent)
+    return replace(doubted, verdict=replace(doubted.verdict, reason=bent))
 
 
 _BENT_SIGMAS = {True: 4.0, False: 2.5}
@@ -150,56 +161,41 @@ def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend 
     return radial_trend(-rows.error[kept], rows.slopes[kept, 3:7], by_k[kept], sigma)
 
 
-@dataclass(frozen=True, eq=False)
-class _JudgedPose:
-    """Hypotheses from the best down, and the verdict on the first."""
-
-    hypotheses: list[Hypothesis]
-    verdict: PoseVerdict
-
-    @property
-    def accepted(self) -> bool:
-        return self.verdict.word == "accepted"
-
-    def doubted(self, reason: str) -> _JudgedPose:
-        """Return the result with a verdict that is not accepted."""
-        if not self.accepted:
-            return self
-        return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
-
-
 def _decided(
-    by_skyline: _JudgedPose, by_ridges: _JudgedPose, together: _JudgedPose | None, config: VerdictConfig
-) -> _JudgedPose:
+    by_skyline: PictureSearch, by_ridges: PictureSearch, together: PictureSearch | None, config: VerdictConfig
+) -> PictureSearch:
     """Return what counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one
     pose."""
     if not by_skyline.hypotheses:
         return by_ridges
-    seen = by_skyline.hypotheses[0].refined.skyline
-    if not _may_mislead(seen, config):
+    best = by_skyline.hypotheses[0]
+    seen = best.refined.skyline
+    if seen.open <= config.open_share and seen.support >= _LEAST_SUPPORT:  # it is the DEM's skyline
         if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
         reason = "it rests on a single ridge, and the other ridges do not confirm it"
         return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
-    if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
-        return by_skyline
+    if by_skyline.accepted and by_ridges.hypotheses:
+        apart = abs(float(angles_between(best.refined.pose, by_ridges.hypotheses[0].refined.pose)[0]))
+        if apart <= math.radians(config.open_apart_deg):
+            return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
             return other
     return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
 
 
-def _settled(found: _JudgedPose, problem: PoseProblem, terrain: SearchTerrain) -> _JudgedPose:
+def _settled(found: PictureSearch, problem: PoseProblem, terrain: SearchTerrain) -> PictureSearch:
     """Return the pose of an open view settled on its ridges alone; `found` if they do not determine the azimuth."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
     if not kept or refined.sigma_deg[0] > problem.config.settling.most_azimuth_sigma_deg:
         return found
-    return _JudgedPose([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
+    return replace(found, hypotheses=(*kept, *others), verdict=replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
-def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
+def _asks_ridges(by_skyline: PictureSearch, config: VerdictConfig) -> bool:
     """Return whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the
     pose open, where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
     if not by_skyline.accepted:
@@ -208,26 +204,3 @@ def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
     if best.refined.skyline.open > config.open_share:
         return not config.open_gap <= verdict.gap < math.inf
     return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
-
-
-def _may_mislead(skyline: SkylineFit, config: VerdictConfig) -> bool:
-    """Return whether what is seen may not be the DEM's skyline at all: then ridges may stand by themselves."""
-    return skyline.open > config.open_share or skyline.support < _LEAST_SUPPORT
-
-
-def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:
-    """Return whether ridges alone are of the same azimuth."""
-    if not by_ridges:
-        return False
-    apart = float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0])
-    return abs(apart) <= math.radians(config.open_apart_deg)
-
-
-def _on_skyline(hypotheses: list[Hypothesis], problem: PoseProblem) -> list[Hypothesis]:
-    """Return the hypotheses, the first one with the fit of the skyline at its pose: a mean of poses has no fit of its
-    own, and the search by ridges does not use the skyline."""
-    if not hypotheses:
-        return hypotheses
-    best, *others = hypotheses
-    fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
-    return [replace(best, refined=replace(best.refined, skyline=fit)), *others]

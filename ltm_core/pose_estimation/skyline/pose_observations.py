@@ -73,8 +73,7 @@ def _projected(
     """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
     front."""
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    pixels, slopes, ahead = _project(directions, ranges, pose.position - origin, pose.rotation, lens)
-    return pixels, slopes, ahead
+    return _project(directions, ranges, pose.position - origin, pose.rotation, lens)  # type: ignore[no-any-return]
 
 
 @kernel(nogil=True)
@@ -168,11 +167,8 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
     behind = v + fallen - before * over - skyline.v
     spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
-    error, sigma, metre = (
-        np.where(hidden, behind, error),
-        np.where(hidden, spread, sigma),
-        np.where(hidden, over, metre),
-    )
+    pairs = ((behind, error), (spread, sigma), (over, metre))
+    error, sigma, metre = (np.where(hidden, other, own) for other, own in pairs)
     free &= ~hidden
     share = column_weight(skyline, camera, noise.independent_fit)
     weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)

@@ -50,31 +50,23 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     if len(ridges.range) < 30:
         return []
-    azimuth, pitch, roll = prior.pose.angles_deg
-    camera = evidence.camera
-    coarse = evidence.coarse_edges
-    grid = np.stack(
-        np.meshgrid(
-            azimuth + _steps(_reach_deg(prior, config), 0.5),
-            pitch + _steps(2.5 * prior.pitch_sigma_deg, 0.2),
-            roll + _steps(2.5 * prior.roll_sigma_deg, 1.0),
-            indexing="ij",
-        ),
-        axis=-1,
-    ).reshape(-1, 3)
+    reach = 180.0
+    if prior.heading_known:
+        reach = min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
+    steps = _steps(reach, 0.5), _steps(2.5 * prior.pitch_sigma_deg, 0.2), _steps(2.5 * prior.roll_sigma_deg, 1.0)
+    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + prior.pose.angles_deg
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(problem.focal_sigma):
-        lens = camera.zoomed(factor)
-        scores = contour_scores(rotations_of(grid), few, lens, coarse)
-        scores = scores - _prior_cost(grid, prior)
+        lens = evidence.camera.zoomed(factor)
+        scores = contour_scores(rotations_of(grid), few, lens, evidence.coarse_edges) - _prior_cost(grid, prior)
         first = grid[np.argsort(-scores)[: 16 * _KEPT]]
         nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
-        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)
-        scores = (scores - _prior_cost(nearby, prior)).reshape(len(first), -1)
+        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges) - _prior_cost(nearby, prior)
+        scores, each = scores.reshape(len(first), -1), nearby.reshape(len(first), -1, 3)
         best = scores.argmax(axis=1)
-        found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
+        found += [(float(scores[k, j]), each[k, j], lens) for k, j in enumerate(best.tolist())]
     found.sort(key=lambda entry: -entry[0])
 
     def refined_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> RefinedPose:
@@ -102,16 +94,11 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     # as the others are.
     hypotheses[0] = replace(hypotheses[0], refined=refined_from(best.pose, best.camera, _SETTLING))
     kept: list[Hypothesis] = []
-    for hypothesis in hypotheses:
-        if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):
-            kept.append(hypothesis)
+    for one in hypotheses:
+        off = (np.abs(angles_between(one.refined.pose, other.refined.pose)).max() for other in kept)
+        if all(away > math.radians(0.3) for away in off):
+            kept.append(one)
     return kept
-
-
-def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
-    if not prior.heading_known:
-        return 180.0
-    return min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
 
 
 def _restarts() -> list[Float64Array]:
@@ -138,18 +125,11 @@ def _prior_cost(grid: Float64Array, prior: PosePrior) -> Float64Array:
 def _apart(found: list[tuple[Float64Array, Camera]]) -> list[tuple[Float64Array, Camera]]:
     kept: list[tuple[Float64Array, Camera]] = []
     for angles, lens in found:
-        if len(kept) == _KEPT:
-            break
-        if all(
-            float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 or lens is not another
-            for other, another in kept
-        ):
+        same = (other for other, another in kept if lens is another)
+        apart = all(float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 for other in same)
+        if apart and len(kept) < _KEPT:
             kept.append((angles, lens))
     return kept
-
-
-def _distance(a: Pose, b: Pose) -> float:
-    return float(np.abs(angles_between(a, b)).max())
 
 
 _SKYLINE_SETTLING = ((3.0, 1.0),) * 6  # further rounds, as in `ROUNDS`
@@ -168,30 +148,23 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
+    tilt = math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
-        costs = search_azimuths(
-            skyline,
-            camera,
-            pitch,
-            roll,
-            (math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)),
-            horizon,
-            azimuths,
-            position_sigma,
-            config.skyline,
-        )
+        costs = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, position_sigma, config.skyline)
         angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))
-    everything = np.concatenate([scores for *_, scores in candidates])
-    usual, spread = usual_score(everything)
+    usual, spread = usual_score(np.concatenate([scores for *_, scores in candidates]))
     ranked: list[tuple[float, Float64Array, Camera]] = []
     for camera, angles, cost, scores in candidates:
-        total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
-        ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
+        total = cost + _ridge_cost(scores, usual, spread, config)
+        if prior.heading_known:
+            away = (angles[:, 0] - azimuth + 180.0) % 360.0 - 180.0
+            total += 0.5 * (away / prior.azimuth_sigma_deg) ** 2
+        ranked += [(float(c), at, camera) for c, at in zip(total, angles, strict=True)]
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
     for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.extra_hypotheses, s.extra_apart_deg)):
@@ -237,10 +210,3 @@ def _best_over_pitch(
 def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
     z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
     return np.asarray(-config.contours.weight * z * z / 2, np.float64)
-
-
-def _heading_cost(azimuths_deg: Float64Array, prior: PosePrior) -> Float64Array:
-    if not prior.heading_known:
-        return np.zeros(len(azimuths_deg))
-    away = (azimuths_deg - prior.pose.angles_deg[0] + 180.0) % 360.0 - 180.0
-    return np.asarray(0.5 * (away / prior.azimuth_sigma_deg) ** 2, np.float64)

@@ -99,6 +99,13 @@ def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     return near * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], near * column[NEAR_SIGMA] + far * column[FAR_SIGMA]
 
 
+@helper(inline="always")
+def _student(z: float) -> float:
+    """Return Student's density with four degrees of freedom, over that at 0."""
+    q = 1 + z * z / 4
+    return float(1 / (q * q * np.sqrt(q)))
+
+
 @kernel(nogil=True)
 def _search(
     columns: Float64Array,
@@ -170,27 +177,24 @@ def _search(
                 pa, pb = 0.0, 0.0
                 for n in range(used.size):
                     k = int(used[n])
-                    e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                    turn = a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                    e = error[k] + turn
                     free = e if e < 0 else max(0.0, e - gap[k])
                     s = sigma[k] * wide
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
                     if gap[k] > 0 and e > 0:
-                        q = 1 + e * e / (4 * s * s)
-                        if own / s / (q * q * np.sqrt(q)) > (1 - own) / (s + 0.375 * gap[k]):
+                        if own / s * _student(e / s) > (1 - own) / (s + 0.375 * gap[k]):
                             free, target = e, error[k]
                         elif free == 0.0:
                             continue
-                    q = 1 + free * free / (4 * s * s)
-                    like = odds / s / (q * q * np.sqrt(q))
-                    w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
+                    like, off = odds / s * _student(free / s), free
                     if front_sigma[k] > 0.0:
                         s2 = front_sigma[k] * wide
-                        q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (4 * s2 * s2)
-                        other = odds / s2 / (q2 * q2 * np.sqrt(q2))
+                        other = odds / s2 * _student((front[k] + turn) / s2)
                         if other > like:
-                            w = weight[k] * other / (1 + other) * 1.25 / q2 / (s2 * s2)
-                            target = front[k]
+                            like, s, off, target = other, s2, front[k] + turn, front[k]
+                    w = weight[k] * like / (1 + like) * 1.25 / (1 + off * off / (4 * s * s)) / (s * s)
                     paa += w * columns[k, BY_PITCH] ** 2
                     pab += w * columns[k, BY_PITCH] * columns[k, BY_ROLL]
                     pbb += w * columns[k, BY_ROLL] ** 2
@@ -202,18 +206,14 @@ def _search(
             cost = 0.5 * (a / pitch_sigma) ** 2 + 0.5 * (b / roll_sigma) ** 2
             for n in range(used.size):
                 k = int(used[n])
-                e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                turn = a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                e = error[k] + turn
                 free = e if e < 0 else max(0.0, e - gap[k])
-                q = 1 + free * free / (4 * sigma[k] ** 2)
-                like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
+                like = odds / (sigma[k] + 0.375 * gap[k]) * _student(free / sigma[k])
                 if gap[k] > 0:
-                    q = 1 + e * e / (4 * sigma[k] ** 2)
-                    like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
+                    like = (1 - own) * like + own * odds / sigma[k] * _student(e / sigma[k])
                 if front_sigma[k] > 0.0:
-                    q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (
-                        4 * front_sigma[k] ** 2
-                    )
-                    like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))
+                    like = 0.5 * (like + odds / front_sigma[k] * _student((front[k] + turn) / front_sigma[k]))
                 cost -= share * np.log(1 + like)
             if cost < best:
                 best = cost

@@ -243,7 +243,7 @@ def test_reads_control_points_by_their_column_names(tmp_path: Path, text: str) -
         ("id,x,y,z,u\na,1,2,3,4\n", "no column 'v'"),
         ("id,x,y,z,u,v\na,1,2,3,4,5\nb,1,2,high,4,5\n", "line 3: z is 'high', not a number .point b"),
         ("id,x,y,z,u,v\na,1,2,3,4\n", "line 2: v is None"),
-        ("id,x,y,z,u,v\n", "no control point"),
+        ("id,x,y,z,u,v\n", "no row"),
         ("", "no column 'x'"),
     ],
 )
