@@ -21,11 +21,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
-from scipy.special import chdtri
+from scipy.special import chdtri, logsumexp, softmax
 
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import BoolArray, Float64Array, Int32Array
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import OTHER_SLOPE
@@ -52,11 +51,9 @@ class Ellipse:
 
     def outline(self, count: int = 72) -> Float64Array:
         """Return (count + 1, 2) x, y of the closed outline, counter-clockwise."""
-        angle = np.linspace(0, 2 * np.pi, count + 1)
-        azimuth = math.radians(self.azimuth_deg)
+        angle, azimuth = np.linspace(0, 2 * np.pi, count + 1)[:, None], math.radians(self.azimuth_deg)
         along = np.array([math.sin(azimuth), math.cos(azimuth)])
-        left = np.array([-along[1], along[0]])
-        around = self.major * np.cos(angle)[:, None] * along + self.minor * np.sin(angle)[:, None] * left
+        around = self.major * np.cos(angle) * along + self.minor * np.sin(angle) * [-along[1], along[0]]
         return np.asarray(around + np.array(self.centre), np.float64)
 
 
@@ -177,20 +174,6 @@ def reach_in_ellipse(ellipse: Ellipse, places: Float64Array) -> Float64Array:
     )
 
 
-def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """Read a mask of the camera's image size; non-black pixels are masked, (H, W). Raises ImageError for a file that is
-    no image, RegionError for one of another size."""
-    from ltm_core.storage.image_io import read_rgb
-
-    mask = read_rgb(path).any(axis=2)
-    if mask.shape != (camera.height, camera.width):
-        raise RegionError(
-            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, but the camera's images have "
-            f"{camera.width} x {camera.height}"
-        )
-    return mask
-
-
 def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
     """Write the probability of each cell, float32, in the frame's CRS; 0 outside the posterior."""
     from ltm_core.raster.raster_io import write_geotiff
@@ -255,16 +238,16 @@ class Locator:
         if len(names) == 1:
             return _location(fused, None)
         limit = math.log(self.config.wrong_odds)
-        parted = {
-            name: ([s for s in sights if s.name != name], [s for s in sights if s.name == name]) for name in names
-        }
-        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
+        parted = [([s for s in sights if s.name != n], [s for s in sights if s.name == n]) for n in names]
+        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted]
         evidences = np.array([part.log_evidence for part in turned])
-        statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
+        statistic = math.inf
+        if np.isfinite(fused.log_evidence):
+            statistic = float(logsumexp(evidences)) - math.log(len(names)) - fused.log_evidence
         if not statistic > limit:
             return _location(fused, CameraAgreement(statistic, limit, {}))
         # What a wrong camera marks may be another thing, in any direction.
-        without = [fused_closely(terrain, others) for others, _ in parted.values()]
+        without = [fused_closely(terrain, others) for others, _ in parted]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
         chances = _shares(np.logaddexp(evidences, elsewhere))
         agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
@@ -290,10 +273,4 @@ def _shares(evidences: Float64Array) -> list[float]:
     equal."""
     if not np.isfinite(evidences.max()):
         return [1 / len(evidences)] * len(evidences)
-    weights = np.exp(evidences - evidences.max())
-    return [float(w) for w in weights / weights.sum()]
-
-
-def _log_mean(values: Float64Array) -> float:
-    greatest = float(values.max())
-    return greatest + math.log(float(np.exp(values - greatest).mean())) if np.isfinite(greatest) else greatest
+    return list(map(float, softmax(evidences)))

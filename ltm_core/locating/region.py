@@ -78,8 +78,7 @@ def marked_polygon(
         raise RegionError("a region's points must be finite pixels")
     if len(points) == 1:
         return marked_pixel(camera, points[0], sigma, mask)
-    u_low, v_low = points.min(axis=0)
-    u_high, v_high = points.max(axis=0)
+    (u_low, v_low), (u_high, v_high) = points.min(axis=0), points.max(axis=0)
     if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
         raise RegionError(
             f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is outside the image of "
@@ -92,23 +91,15 @@ def marked_polygon(
         )
     left, right = max(u_low, 0.0), min(u_high, camera.width - 1.0)
     columns = np.linspace(left, right, _COLUMNS) if right - left > sigma else np.array([(left + right) / 2])
-    edge = _lower_edge(points, columns)
-    inside = np.isfinite(edge) & (edge >= -0.5)
-    columns, edge = columns[inside], edge[inside]
-    pixels = np.column_stack([columns, edge])
-    kept = ~_masked(camera, pixels, mask) if len(pixels) else np.zeros(0, np.bool_)
-    if not kept.any():
+    pixels = np.column_stack([columns, _lower_edge(points, columns)])
+    pixels = pixels[pixels[:, 1] >= -0.5]  # not where there is no edge either
+    pixels = pixels[~_masked(camera, pixels, mask)]
+    if not len(pixels):
         raise RegionError("the region's lower edge is masked or above the image; nothing can be located")
-    spacing = (right - left) / max(1, _COLUMNS - 1)
-    height = float(v_high - v_low)
-    weights = np.ones(len(pixels))
-    if smoke:
-        weights = np.exp(-(edge.max() - edge) / max(_FOOT * height, sigma))
-    weights = np.where(kept, weights, 0.0)
-    sigmas = np.empty((len(pixels), 2))
-    sigmas[:, 0] = max(sigma, _OVERLAP * spacing)
-    sigmas[:, 1] = max(sigma, share * height)
-    return ImageMark(pixels[kept], weights[kept] / weights.sum(), sigmas[kept])
+    height, edge = float(v_high - v_low), pixels[:, 1]
+    weights = np.exp((edge - edge.max()) / max(_FOOT * height, sigma)) if smoke else np.ones(len(pixels))
+    own = max(sigma, _OVERLAP * (right - left) / max(1, _COLUMNS - 1)), max(sigma, share * height)
+    return ImageMark(pixels, weights / weights.sum(), np.tile(own, (len(pixels), 1)))
 
 
 def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -110,11 +110,11 @@ class Source:
         size = self.preprocessor.get("size")
         size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
         known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
-        if {"height", "width"} <= set(known):
-            return known["width"], known["height"]
         if short := known.get("shortest_edge", 0):
-            return min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
-        return width or 640, height or 352
+            usual = min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
+        else:
+            usual = width or 640, height or 352
+        return (known["width"], known["height"]) if {"height", "width"} <= set(known) else usual
 
     def class_names(self) -> list[str]:
         """Return the names of the classes of its `config.json`, the repeated ones numbered; empty if it has none."""
@@ -180,30 +180,32 @@ def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
     the name of a model that ships, or of another network that is installed."""
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
+    other = "add --name OTHER"
     if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith(FUSION_SUFFIX):
         raise ModelError(f"a model cannot be named {name!r}; add --name with letters, digits, `_` and `-`")
     if name in shipped_names():
-        raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
+        raise ModelError(f"a model named {name!r} ships with LTM; {other}")
     if is_file(target) and NetworkManifest.load(target).sha256 != manifest.sha256:
-        raise ModelError(f"{target}: another network of this name is installed; add --name OTHER, or delete that file")
+        raise ModelError(f"{target}: another network of this name is installed; {other}, or delete that file")
     if is_folder(files) and not is_file(target):
-        raise ModelError(f"{files}: exists, but has no manifest {target.name}; add --name OTHER, or delete it")
+        raise ModelError(f"{files}: exists, but has no manifest {target.name}; {other}, or delete it")
     folder.mkdir(parents=True, exist_ok=True)
     network = NetworkFile.read(manifest.model_file())
     content = manifest.model_dump(mode="json", exclude_defaults=True) | {"file": f"{name}/{name}.onnx"}
     with TemporaryDirectory(dir=folder, prefix=".adding-") as made:
         stage = Path(made) / name
-        stage.mkdir()
-        shutil.copyfile(manifest.model_file(), stage / f"{name}.onnx")
-        for weights in network.weights:  # the graph refers to them by these names
-            (stage / weights).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(manifest.model_file().parent / weights, stage / weights)
+
+        def add(path: Path, parts: Iterable[str], to: str = "") -> None:
+            for part in (path.name, *parts):
+                copied = stage / (to if to and part == path.name else part)
+                copied.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path.parent / part, copied)
+
+        add(manifest.model_file(), network.weights, f"{name}.onnx")  # the graph refers to its weights by these names
         for section in ("text", "prompts"):
             for key in {"file", "tokenizer", "encoder"} & set(content.get(section, {})):
                 path = manifest.file_of(Path(content[section][key]))
-                for part in (path.name, *(NetworkFile.read(path).weights if key == "encoder" else ())):
-                    (stage / part).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path.parent / part, stage / part)
+                add(path, NetworkFile.read(path).weights if key == "encoder" else ())
                 content[section][key] = f"{name}/{path.name}"
         if is_file(manifest.folder / manifest.card):
             shutil.copyfile(manifest.folder / manifest.card, stage / "card.md")
@@ -260,19 +262,17 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
     try:
         with httpx.Client(timeout=60.0, headers={"user-agent": "ltm"}) as client:
             request = client.build_request("GET", url, headers={"range": f"bytes={start}-"} if start else {})
-            answer = client.send(request, stream=True)
             for _ in range(10):  # the first answer has the checksum, the last one the file
+                answer = client.send(request, stream=True)
+                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
                 if answer.next_request is None:
                     break
-                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
                 answer.close()
-                answer = client.send(answer.next_request, stream=True)
-            digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
+                request = answer.next_request
             if answer.status_code != 416:  # the part is the whole file
                 answer.raise_for_status()
-                resumes = answer.status_code == 206
-                received = start if resumes else 0
-                with part.open("ab" if resumes else "wb") as out:
+                received = start if answer.status_code == 206 else 0
+                with part.open("ab" if received else "wb") as out:
                     for chunk in answer.iter_bytes():
                         out.write(chunk)
                         received += len(chunk)

@@ -63,17 +63,18 @@ class SharedRuns:
         return made[: len(outputs)]
 
 
+class _Loaded(SharedRuns):
+    """A file in memory."""
+
+    def __init__(self, session: ort.InferenceSession) -> None:
+        super().__init__()
+        self.session = session
+
+
 _loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
 _FLOATS: Final = ("tensor(float)", "tensor(float16)", "tensor(double)")
-
-
-class _Loaded:
-    """A file in memory."""
-
-    def __init__(self, session: ort.InferenceSession) -> None:
-        self.session, self.runs = session, SharedRuns()
 
 
 class OnnxModel:
@@ -110,7 +111,7 @@ class OnnxModel:
         # A file with heads of labels and of depth computes only the one that is asked for.
         self._options = ort.RunOptions()
         self._options.only_execute_path_to_fetches = True
-        loaded.runs.join(self, self._output_name)
+        loaded.join(self, self._output_name)
 
     def run(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> npt.NDArray[Any]:
         """Run the network on a tensor of the manifest's input shape and dtype, and return its output tensor; arguments
@@ -146,7 +147,7 @@ class OnnxModel:
         return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
 
     def _shared(self, tensor: npt.NDArray[Any], outputs: list[str]) -> list[Any]:
-        return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
+        return self._loaded.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
 
     def _feed(self, tensor: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         return image_feed(self._image, tensor, self._constants)
@@ -184,9 +185,8 @@ class OnnxModel:
         node = nodes[name]
         if DTYPES.get(node.type) != np.dtype(spec.dtype):
             raise self._wrong(f"input {name!r}: type", spec.dtype, node.type)
-        shape = (
-            [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
-        )
+        views = len(node.shape) == 5 and _fits(node.shape[1:2], (1,))
+        shape = [node.shape[0], *node.shape[2:]] if views else node.shape
         coarse = self.manifest.coarse_look
         for image in (spec,) if coarse is None else (spec, coarse.image(spec)):
             if not _fits(shape, image.shape):
@@ -201,42 +201,40 @@ class OnnxModel:
         spec = self.manifest.output
         nodes = {node.name: node for node in self._session.get_outputs()}
         name = self._named(spec.name, list(nodes), "output")
-        for wanted in self.manifest.maps:
-            self._named(wanted, list(nodes), "map")
-        for wanted in spec.beside:
-            self._named(wanted, list(nodes), "output")
+        for what, wanted in (("map", self.manifest.maps), ("output", spec.beside)):
+            for each in wanted:
+                self._named(each, list(nodes), what)
         node = nodes[name]
-        shape = node.shape
+        shape, text, labels = node.shape, self.manifest.text, f"a float tensor of {spec.kind}"
         if spec.kind == "ids":
-            if not node.type.startswith(("tensor(int", "tensor(uint")):
-                raise self._wrong(f"output {name!r}: type", "an integer tensor of class ids", node.type)
-            if len(shape) not in (0, 2, 3, 4):
-                raise self._wrong(f"output {name!r}: shape", "[1, height, width]", shape)
-            return name
-        if node.type not in _FLOATS:
-            raise self._wrong(f"output {name!r}: type", f"a float tensor of {spec.kind}", node.type)
+            labels, fits = "an integer tensor of class ids", node.type.startswith(("tensor(int", "tensor(uint"))
+        else:
+            fits = node.type in _FLOATS
+        if not fits:
+            raise self._wrong(f"output {name!r}: type", labels, node.type)
+        count = len(self.manifest.classes) if text is None else text.dimensions
         if not shape:  # not stated: what comes out is checked
             return name
-        if spec.is_depth:
+        if spec.kind == "ids":
+            expected, fits = "[1, height, width]", len(shape) in (2, 3, 4)
+        elif spec.is_depth:
             axes = [size for size in shape if size != 1]
-            if len(axes) > 2 and not any(isinstance(size, str | None) or size == 3 for size in axes):
-                raise self._wrong(f"output {name!r}: shape", "[1, h, w], one channel or 3-D points", shape)
-            return name
-        if spec.kind == "masks":
-            if len(shape) != 4:
-                raise self._wrong(f"output {name!r}: shape", "[1, queries, h, w]", shape)
-            return name
-        text = self.manifest.text
-        count = len(self.manifest.classes) if text is None else text.dimensions
-        allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
-        if len(shape) == 3:  # tokens of a vision tower, or one run per class
-            channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
+            expected = "[1, h, w], one channel or 3-D points"
+            fits = len(axes) < 3 or any(isinstance(size, str | None) or size == 3 for size in axes)
+        elif spec.kind == "masks":
+            expected, fits = "[1, queries, h, w]", len(shape) == 4
         else:
-            channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
-        if len(shape) not in (3, 4) or channels is None or (isinstance(channels, int) and channels not in allowed):
+            allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
+            if len(shape) == 3:  # tokens of a vision tower, or one run per class
+                channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
+            else:
+                channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
             what = "classes" if text is None else "dimensions of text.dimensions"
-            expected = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
-            raise self._wrong(f"output {name!r}: shape", f"{expected} ({spec.layout}, {count} {what})", shape)
+            axes_of = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
+            expected = f"{axes_of} ({spec.layout}, {count} {what})"
+            fits = channels is not None and (not isinstance(channels, int) or channels in allowed)
+        if not fits:
+            raise self._wrong(f"output {name!r}: shape", expected, shape)
         return name
 
     def _named(self, wanted: str | None, present: list[str], what: str) -> str:

@@ -3,26 +3,36 @@
 An image's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
 where it is free, a factor of the focal length. Single images propose corrections; that which explains all images
-best is refined over all of them at once."""
+best is refined over all of them at once.
+
+A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
+the focal length."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance, vector_of_matrix
-from ltm_core.pose_estimation.mount.mount_verdict import MountPicture, alike, judge_mount, skylines_at
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import Word, mean_about_best
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
+from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word, mean_about_best
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_refinement import (
+    MOST_FOCAL_STEP,
+    ROUNDS,
+    SkylineFit,
+    picture_system,
+    skyline_fit,
+)
 
 TILT_ZERO_SIGMA_DEG = 0.3
 _SURE = 3.0  # number of sigmas by which a tilt zero must be significant
@@ -30,6 +40,85 @@ _PROPOSALS = 3  # number of hypotheses of each image that are tested on all imag
 _STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
 """Number of corrections that are refined, and their minimum distance in azimuth and in the logarithm of the focal
 length. Far ridges are periodic, with one local optimum per peak."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountPicture:
+    """Image as stated (`prior`), its own result, and the ridges around."""
+
+    prior: PosePrior
+    search: PictureSearch
+    ridges: ContourDirections
+
+    def pose(self, state: Float64Array) -> Pose:
+        """Return the pose with a correction (8,)."""
+        stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
+        return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
+
+    def problem(self, config: PicturePoseConfig) -> PoseProblem:
+        return PoseProblem(self.search.evidence, self.search.horizon, self.prior, config)
+
+    def camera(self, state: Float64Array) -> Camera:
+        """Return the camera with a correction (8,)."""
+        return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
+
+
+def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
+    """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
+    fits = [
+        skyline_fit(p.pose(state), p.camera(state), p.problem(config))
+        for p in pictures
+        if p.search.evidence.skyline is not None
+    ]
+    return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
+
+
+def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
+    """Return the number of images with this viewing direction: they share the DEM's errors and count as one."""
+    width = picture.search.evidence.camera.hfov_deg
+    azimuth = picture.prior.pose.angles_deg[0]
+    away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
+    return float(sum(max(0.0, 1.0 - a / width) for a in away))
+
+
+def judge_mount(
+    pictures: Sequence[MountPicture],
+    found: Sequence[Pose],
+    seen: SkylineFit,
+    turns_deg: Float64Array,
+    gap: float,
+    away: float,
+    config: VerdictConfig,
+) -> tuple[Word, str]:
+    """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
+    skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
+    the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
+    # Degrees between where images are found by themselves and where the mount puts them, and how sure they are.
+    alone = [
+        (float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max())), verdict)
+        for p, pose in zip(pictures, found, strict=True)
+        if (verdict := p.search.verdict).word == "accepted"
+    ]
+    off = max((apart for apart, v in alone if max(v.sigma_deg) <= config.mount_sharp_deg), default=0.0)
+    agree = len(alone) > 1 and max(apart for apart, _ in alone) <= config.mount_apart_deg
+    if any(p.search.evidence.skyline is not None for p in pictures):
+        least = config.gap_asked(seen.veiled, seen.variance)
+    else:  # more if only ridges are used, as for an image
+        planted = float(np.median([p.search.evidence.plants for p in pictures])) >= MANY_PLANTS
+        least = config.plants_gap if planted else config.ridges_gap
+    if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
+        return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
+    if gap < least:
+        return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
+    if seen.support < config.least_support:
+        return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
+    if off > config.mount_apart_deg:
+        return "ambiguous", f"an image accepted by itself is {off:.1f} deg from the mount's pose"
+    if seen.open > config.open_share and not agree:
+        return "ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount"
+    if away > config.contradiction:
+        return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
+    return "accepted", f"{len(pictures)} images agree"
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,11 @@
 
 Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
-form (`mount_verdict.closed_forms`), least squares in the image, as in `resection`."""
+form (`closed_forms`), least squares in the image, as in `resection`."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -15,14 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.lens import LensPrior
-from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
-from ltm_core.pose_estimation.mount.mount_verdict import STEEPEST_LEAN, closed_forms
+from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles, ptz_rotation
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY, named
 from ltm_core.pose_estimation.skyline.pose_prior import turned
-from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 LEAST_LANDMARKS = 4
 """Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
@@ -250,3 +251,52 @@ class _Adjustment:
 
         step = 1e-6
         return np.column_stack([(rows(state + m) - rows(state - m)) / (2 * step) for m in step * np.eye(len(state))])
+
+
+STEEPEST_LEAN = math.radians(20.0)  # maximum lean of a mount from its stated orientation
+_REACHED = 3  # number of landmarks that must fit the mount of a pair before it is fitted to all of them
+_MOST_PAIRS = 200
+
+
+def closed_forms(
+    points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float
+) -> dict[tuple[Sign, Sign], MountModel]:
+    """Return, for each sign of pan and tilt (the stated ones first), the mount that most landmarks agree on, without a
+    tilt zero."""
+    sights = line_of_sight_vectors(start.base.position, points.places, bend)
+    sights /= np.linalg.norm(sights, axis=1, keepdims=True)
+    cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]
+    rays = np.array([pixel_rays(c, p[None])[0] for c, p in zip(cameras, points.pixels, strict=True)])
+    either: tuple[Sign, Sign] = (1, -1)
+    found = {}
+    for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
+        turns = np.array([ptz_rotation(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
+        best = _best_rotation(np.einsum("nij,nj->ni", turns, rays), sights, start)
+        if best is not None:
+            base = Pose(start.base.position, best)
+            found[pan, tilt] = replace(start, base=base, tilt_zero=0.0, pan_sign=pan, tilt_sign=tilt)
+    return found
+
+
+def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
+    """Return the rotation of the mount with the least median angle: from a pair of landmarks, then from all that fit
+    this; None if all lean too far."""
+
+    def off(rotation: Float64Array) -> Float64Array:
+        cosine = np.einsum("ni,ni->n", in_ptz @ rotation.T, sights)
+        return np.asarray(np.arccos(np.clip(cosine, -1, 1)), np.float64)
+
+    pairs = np.array(list(itertools.combinations(range(len(sights)), 2)))
+    best: tuple[float, Float64Array] | None = None
+    for two in pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]:
+        if np.linalg.norm(np.cross(sights[two[0]], sights[two[1]])) < 0.01:
+            continue
+        rotation = Rotation.align_vectors(sights[two], in_ptz[two])[0].as_matrix()
+        near = off(rotation) <= max(2 * float(np.median(off(rotation))), math.radians(0.5))
+        if near.sum() >= _REACHED:
+            rotation = Rotation.align_vectors(sights[near], in_ptz[near])[0].as_matrix()
+        median = float(np.median(off(rotation)))
+        lean = math.acos(float(np.clip(rotation[:, 1] @ start.base.rotation[:, 1], -1, 1)))
+        if lean <= STEEPEST_LEAN and (best is None or median < best[0]):
+            best = median, rotation
+    return None if best is None else best[1]

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from functools import cache
-
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
