@@ -75,8 +75,7 @@ def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, exte
 
 
 def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> tuple[float, float, float] | None:
-    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None where none is
-    known."""
+    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None if unknown."""
     x, y, z = (float(v) for v in camera.pose.position)
     distance, azimuth = math.hypot(place[0] - x, place[1] - y), math.atan2(place[0] - x, place[1] - y)
     fan = sight_fan(sight.dem, camera.pose.position, np.array([azimuth, azimuth + 1e-6]), max(distance, 10.0))

@@ -35,8 +35,7 @@ KNOTS = np.geomspace(5.0, 80_000.0, 15)  # ranges in metres at which covariances
 
 @dataclass(frozen=True, eq=False)
 class MarkedDirections:
-    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges
-    KNOTS."""
+    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) at the ranges KNOTS."""
 
     azimuth: Float64Array
     slope: Float64Array
@@ -52,8 +51,7 @@ class MarkedDirections:
 def marked_directions(
     mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
-    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for those that point steeply
-    down or up."""
+    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for steep ones."""
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
@@ -134,8 +132,7 @@ class DirectionTable:
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
-    """Tabulate marked places, each a normal distribution of azimuth and slope; at each azimuth, the slope is summarised
-    by its mean and variance."""
+    """Tabulate marked places, normal distributions of azimuth and slope; at each azimuth, slopes have one mean."""
     c = directions.covariance
     off = azimuths[:, None, None] - directions.azimuth[None, :, None]
     drifts = DRIFTS if drifting else DRIFTS[:1]
@@ -182,8 +179,7 @@ OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
 
 
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
-    """Return, by raster of the terrain (L,), the variance of heights and the distance in metres beyond which their
-    errors are independent."""
+    """Return, by raster of the terrain (L,), the variance of heights and their correlation length in metres."""
     resolutions = np.array([level.geometry.resolution for level in dem.levels])
     return np.maximum(config.dem_sigma, LEVEL_SHARE * resolutions) ** 2, APART_CELLS * resolutions
 
@@ -191,8 +187,7 @@ def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float6
 @dataclass(frozen=True, eq=False)
 class SightLikelihood:
     """Likelihood of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the
-    sample's maximum for the best mark, 1 for full agreement. `lifts`: metres above the ground from which something is
-    visible."""
+    sample's maximum for the best mark. `lifts`: metres above the ground from which something is visible."""
 
     density: Float64Array
     fit: Float32Array

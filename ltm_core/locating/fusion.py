@@ -35,8 +35,7 @@ class SightRaster:
 def sight_raster(
     fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
 ) -> SightRaster:
-    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its azimuth's
-    share."""
+    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its share."""
     sums = np.zeros((4, *window.shape))
     origin = np.array([position[0] - window.x_min, window.y_max - position[1]]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
@@ -84,8 +83,7 @@ _FINEST = 0.5  # minimum cell size in metres
 _BEYOND = 20.0  # excess of misfit over the best place above which a place is not refined
 _ROUNDS = 3
 _ALIKE = 8
-"""Exponent of the cosine between the directions of two cameras that measures how far they count as one: 0.76 at 15
-degrees, 0.06 at 45."""
+"""Exponent of the cosine between two cameras' directions by which they count as one: 0.76 at 15, 0.06 at 45 deg."""
 _SHRINKS = 0.5  # factor by which a window must shrink for another refinement
 
 
@@ -107,8 +105,7 @@ class Fused:
 
 
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """Fuse all sights at the resolution that their common places need. `turned`: sights of a camera that is turned by
-    an unknown angle."""
+    """Fuse all sights at the resolution that their common places need. `turned`: of a camera turned by any angle."""
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
@@ -165,8 +162,7 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
 
 
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
-    """Return a grid at whole multiples of the resolution from the map's origin, so that equal places give equal
-    rasters."""
+    """Return a grid at whole multiples of the resolution from the origin: equal places give equal rasters."""
     return GridGeometry.snapped(bounds, resolution, 0.0)
 
 

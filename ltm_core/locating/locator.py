@@ -36,8 +36,7 @@ from ltm_core.raster.dem import Dem
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Ellipse. `centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one, from grid
-    north."""
+    """Ellipse. `centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one."""
 
     centre: tuple[float, float]
     major: float

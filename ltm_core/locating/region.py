@@ -14,8 +14,7 @@ from ltm_core.geometry.camera import Camera
 MOST_VERTICES = 1_000  # maximum number of vertices of a polygon; outlines of detectors have tens
 _COLUMNS = 17  # number of places at which a lower edge is sampled
 _OVERLAP = 0.6
-"""Standard deviation of a sampled place as a share of the distance to the next; the sum is then flat within a few
-percent."""
+"""Standard deviation of a sampled place as a share of the spacing; the sum is then flat within a few percent."""
 _FOOT = 0.15
 """Share of a plume's height in the image over which the probability of its base falls by a factor e. The lower edge of
 a leaning plume rises from its base."""

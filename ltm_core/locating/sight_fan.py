@@ -66,8 +66,7 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, at least half a metre, finer on
-    request."""
+    """Return the ranges of samples, (R,) metres: steps of 0.3 %, at least half a metre, finer on request."""
     turn = _LEAST_STEP / _STEP
     near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
     far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))

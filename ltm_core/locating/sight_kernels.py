@@ -27,8 +27,7 @@ ROOT_2PI = math.sqrt(2 * math.pi)
 
 @kernel(nogil=True)
 def ground_along(rays: Rays, density: Float64Array, fit: Float32Array, lifts: Float32Array) -> None:
-    """Compute densities of an object on the ground: where the terrain model hides it slightly, with the probability
-    that the model errs."""
+    """Compute densities of an object on the ground; if it is slightly hidden, by the chance that the model errs."""
     heights, levels, ranges, knots, z0, bend, azimuth_density, slope_mean, slope_variance, height_variance, _ = rays
     for a in range(heights.shape[0]):
         top, top_k, before = -np.inf, 0, np.nan

@@ -52,8 +52,7 @@ class KnownPoses:
 
 
 NEARBY_DEG = 4.0
-"""Maximum angle in degrees between a sighting's azimuth and a track's place for both to be the same fire if a camera is
-wrong."""
+"""Maximum angle in degrees from a sighting's azimuth to a track for both to be one fire if a camera is wrong."""
 
 
 @dataclass(frozen=True, eq=False)

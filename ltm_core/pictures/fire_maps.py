@@ -25,8 +25,7 @@ FLAME: Final = Scale(
     ((255, 232, 150), (250, 160, 60), (214, 47, 39), (92, 0, 22)),
     (1.2, 2.4, 3.4),
 )  # fmt: skip
-"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and
-darker."""
+"""Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and darker."""
 _SOON: Final = 5 / 60  # hours within which two arrivals count as equal; the model's steps are minutes
 DIFFERENCE: Final = Scale(
     (

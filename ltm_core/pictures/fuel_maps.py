@@ -187,16 +187,14 @@ def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
 
 
 def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: float, palette: ClassPalette) -> RgbImage:
-    """Return (n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its
-    cells, changed cells outlined."""
+    """Return (n H, n W, 3): the map alone, for laying over others: life forms over relief, changes outlined."""
     return bare_map(faded(layers, palette), np.ones(heights.shape, np.bool_), heights, cell, layers.changed)
 
 
 def bare_map(
     colors: RgbImage, shown: BoolArray, heights: NDArray[np.floating], cell: float, outlined: BoolArray
 ) -> RgbImage:
-    """Return (n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines
-    alone."""
+    """Return (n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W)."""
     from scipy import ndimage  # here, for the live pictures do without it, and it takes a fifth of a second to load
 
     finer = 4

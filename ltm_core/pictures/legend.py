@@ -55,8 +55,7 @@ def text_width(text: str, size: float) -> int:
 def draw_texts(
     picture: RgbImage, texts: Sequence[Text], size: float, color: Color, halo: Color | None = None
 ) -> RgbImage:
-    """Return `picture` with each (text, x, y, anchor) written on it; `halo`: colour of an outline that keeps it
-    legible."""
+    """Return `picture` with each (text, x, y, anchor) written on it; `halo`: colour of a legible outline."""
     canvas = Image.fromarray(picture)
     draw, stroke = ImageDraw.Draw(canvas), max(1, round(size / 8)) if halo else 0
     for text, x, y, anchor in texts:
@@ -127,8 +126,7 @@ class RangeScale:
 
     @classmethod
     def of(cls, ranges: ArrayLike) -> RangeScale:
-        """Return the scale from the 0.5th to the 99.5th percentile of the finite ranges, rounded outwards to 1, 2 or
-        5."""
+        """Return the scale of the 0.5th to 99.5th percentile of finite ranges, rounded outwards to 1, 2 or 5."""
         values = np.asarray(ranges)
         values = values[np.isfinite(values) & (values > 0)]
         if values.size == 0:
@@ -139,16 +137,14 @@ class RangeScale:
         return cls(near, far if far > near else near * 10)
 
     def fraction(self, ranges: ArrayLike) -> Float32Array:
-        """Return the place of each range on the scale, 0 near to 1 far; NaN where the range is not a finite positive
-        number."""
+        """Return the place of each range on the scale, 0 near to 1 far; NaN if it is not finite and positive."""
         values = np.asarray(ranges, np.float32)
         usable = np.isfinite(values) & (values > 0)
         placed = np.log(np.where(usable, values, self.near) / self.near) / math.log(self.far / self.near)
         return np.where(usable, np.clip(placed, 0.0, 1.0), np.nan).astype(np.float32)
 
     def ticks(self) -> list[float]:
-        """Return the round ranges (1, 2, 5 times a power of ten) inside the scale, its ends included where they are
-        round."""
+        """Return the round ranges (1, 2, 5 times a power of ten) inside the scale."""
         return [t for t in one_two_five(self.near, self.far) if self.near <= t <= self.far]
 
 
@@ -187,8 +183,7 @@ INK = (38, 40, 44)
 
 
 def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> RgbImage:
-    """Return the colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no
-    range."""
+    """Return the colour scale with its round ranges, (h, `width`, 3); `sky`: also the colours without a range."""
     scale = scale or RangeScale()
     ticks = [(metres(tick), float(scale.fraction(tick))) for tick in scale.ticks()]
     others = [("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)] if sky else []
@@ -228,8 +223,7 @@ def ramp_legend(
 
 
 def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
-    """Return a swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`,
-    3)."""
+    """Return a swatch and name for each class in `ids` (default: all), in rows as needed, (h, `width`, 3)."""
     shown = range(len(label_set.names)) if ids is None else sorted(set(ids) & set(range(len(label_set.names))))
     size = _text_size(width)
     swatch, row_height = round(size * 1.1), round(size * 1.9)

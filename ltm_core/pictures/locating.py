@@ -85,8 +85,7 @@ def _heat_colors(heat: Float64Array) -> RgbImage:
 
 
 def places_picture(photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]]) -> RgbImage:
-    """Return a photo with places of the map drawn where they lie in it: blue seen, orange hidden by terrain, grey
-    where unknown ground decides."""
+    """Return a photo with places of the map: blue seen, orange hidden by terrain, grey if unknown ground decides."""
     picture = photo.copy()
     size = max(13, round(photo.shape[1] / 80))
     line = max(1, size // 8)
@@ -115,8 +114,7 @@ def _padded(points: Float64Array, share: float, least: float) -> tuple[float, fl
 
 
 def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbImage:
-    """Return the cells by the share of the probability that is in more probable ones: a colour says the same on every
-    map."""
+    """Return the cells coloured by the share of the probability in more probable ones, alike on every map."""
     before = np.concatenate([[0.0], np.cumsum(posterior.probability)[:-1]])
     chosen = before < 0.99
     cells = np.zeros(posterior.geometry.shape)

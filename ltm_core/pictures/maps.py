@@ -104,8 +104,7 @@ def finished(picture: RgbImage, view: GridGeometry, *legends: RgbImage, note: st
 
 
 def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
-    """Return a strip as wide as the map, with a bar of a round length in four parts and a note on the right, (h,
-    view.width, 3)."""
+    """Return a strip (h, view.width, 3) with a bar of a round length in four parts and a note on the right."""
     size, target = _text_size(view), view.width * view.resolution / 4
     length = max(n for n in one_two_five(target / 10, target) if n <= target)
     strip = np.full((round(size * 2.9), view.width, 3), PAPER, np.uint8)
@@ -128,8 +127,7 @@ def relief(dem: Dem, view: GridGeometry) -> RgbImage:
 
 
 def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[Dem], NDArray[Any]]) -> Float32Array:
-    """Return what `draw` makes of the DEM under the view, in cells no larger than the view's, at its pixel centres,
-    bilinear; NaN outside."""
+    """Return what `draw` makes of the DEM under the view at its pixel centres, bilinear; NaN outside."""
     g = dem.geometry
     part = coarser(dem, max(1, min(int(view.resolution / g.resolution), min(g.height, g.width) // 2)), view)
     _, cols = part.geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
@@ -165,8 +163,7 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 def interesting_bounds(
     mask: BoolArray, geometry: GridGeometry, points: Iterable[Sequence[float]], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
-    """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
-    terrain."""
+    """Return the bounds of marked cells and points (x, y) with a margin, 5:8 or thicker, inside the terrain."""
     places = [tuple(point) for point in points]
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows):

@@ -30,8 +30,7 @@ from ltm_core.pictures.legend import (
 def label_colors(
     labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
 ) -> RgbImage:
-    """Return the colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are
-    `unlabelled`."""
+    """Return the colours (..., 3) of class ids (...) uint8; ids without a colour are `unlabelled`."""
     table = np.tile(np.array(unlabelled, np.uint8), (256, 1))
     table[: len(label_set.colors)] = label_set.colors
     table[UNLABELLED] = unlabelled
@@ -42,8 +41,7 @@ def overlay_depth(
     image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55
 ) -> RgbImage:
     """Return the range colours over the photo (H, W, 3), plain where the range is sky or unknown. `ranges`: (H, W)
-    metres, or every n-th pixel. Thin dark lines mark the scale's round ranges. Raises ImageError on sizes
-    that disagree."""
+    metres, or every n-th pixel. Thin dark lines mark round ranges. Raises ImageError on sizes that disagree."""
     scale = scale or RangeScale()
     values = _to_image_size(np.asarray(ranges, np.float32), image)
     known = np.isfinite(values)
@@ -65,8 +63,7 @@ def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette,
 
 
 def _mix(image: RgbImage, colors: RgbImage, opacity: float) -> RgbImage:
-    """Return the colours over the photo's brightness alone: the photo's own hues would shift them away from the
-    legend."""
+    """Return the colours over the photo's brightness alone; its hues would shift them away from the legend."""
     grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
 
@@ -103,8 +100,7 @@ COLORS = (
 
 
 def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence[bool]) -> RgbImage:
-    """Return (H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as
-    outlines."""
+    """Return (H, W, 3): `proposals` (H, W) in colours, numbered from 1; those not `kept` as outlines."""
     drawn = photo.copy()
     texts: list[Text] = []
     size = max(14.0, photo.shape[1] / 45)
@@ -172,8 +168,7 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
 
 
 def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, heading: str = "") -> RgbImage:
-    """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading. Raises ImageError
-    when there is none."""
+    """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading."""
     if not pictures or columns < 1:
         raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
     size, gap = max(14, round(width / 46)), 14

@@ -75,8 +75,7 @@ def _brightness(east: NDArray[np.floating], north: NDArray[np.floating]) -> NDAr
 
 
 def height_span(elevation: Float32Array) -> tuple[float, float]:
-    """Return the 1st and 99th percentile of the known heights, of a large raster those of evenly taken ones; 0 to 1
-    where none is known."""
+    """Return the 1st and 99th percentile of the known heights, of a large raster sampled; 0 to 1 if none is known."""
     step = max(1, math.isqrt(elevation.size // _SPAN_CELLS))
     taken = elevation[::step, ::step]
     known = taken[np.isfinite(taken)]
@@ -85,8 +84,7 @@ def height_span(elevation: Float32Array) -> tuple[float, float]:
 
 
 def terrain_colors(dem: Dem, span: tuple[float, float] | None = None) -> RgbImage:
-    """Return the height tints under shaded relief, (H, W, 3). `span`: heights of the lowest and highest tint; default:
-    `height_span`."""
+    """Return the height tints under shaded relief, (H, W, 3). `span`: lowest and highest tint in metres."""
     low, high = span or height_span(dem.elevation)
     known = np.isfinite(dem.elevation)
     place = np.clip((np.where(known, dem.elevation, low) - low) / max(high - low, 1e-3), 0, 1) * (len(_TINTS) - 1)

@@ -135,8 +135,7 @@ def map_picture(
 
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
-    """Return the traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W,
-    3)."""
+    """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
     fade = np.linspace(0, 1, len(traced.range))[:, None, None]
     picture = np.tile((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (1, traced.range.shape[1], 1))
     picture[np.isnan(traced.range)] = _UNKNOWN
@@ -148,8 +147,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
-    """Return `picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it; not where unknown
-    ground does."""
+    """Return `picture` with a line, two pixels thick at 1080p, where known terrain meets the sky."""
     edge = np.isposinf(ranges[:-1]) & np.isfinite(ranges[1:])
     drawn = picture.copy()
     for shift in range(max(1, round(picture.shape[0] / 540))):

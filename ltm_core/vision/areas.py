@@ -83,9 +83,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 Outline = tuple[tuple[float, float], ...]
-MOST_HOLES = 200
-"""Maximum number of holes of one part; the smallest others are filled, so that an outline does not exceed its maximum
-number of corners."""
+MOST_HOLES = 200  # maximum number of holes of one part; smaller ones are filled, so that outlines keep few corners
 _Points = NDArray[np.int32]
 Points = Sequence[Sequence[float]]
 
@@ -150,8 +148,7 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
 
 
 def _with_cuts(region: BoolArray, outer: _Points, holes: list[_Points]) -> tuple[_Points, NDArray[np.bool_]]:
-    """Return one closed line (N, 2) about a part and its holes, and which of its points (N,) a cut begins or ends
-    at."""
+    """Return one closed line (N, 2) about a part and its holes, and at which of its points (N,) a cut ends."""
     points, fixed = outer, np.zeros(len(outer), np.bool_)
     # From the left: what lies left of a hole, the outline or another hole, is part of the line already.
     for hole in sorted(holes, key=lambda one: int(one[:, 0].min())):

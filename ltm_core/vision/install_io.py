@@ -41,8 +41,7 @@ Progress = Callable[[int], None]
 
 
 class Condition(StrictModel):
-    """Properties that a file must all have: `model_type` of its `config.json`, names of inputs and outputs, and height
-    and width of its image."""
+    """Properties that a file must all have: `model_type` of `config.json`, inputs, outputs, height and width."""
 
     model_types: tuple[str, ...] = ()
     inputs: frozenset[str] = frozenset()

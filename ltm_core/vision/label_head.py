@@ -48,8 +48,7 @@ class LabelHead:
         return tuple(self.weights)
 
     def add_to(self, scores: Float32Array, maps: Sequence[Float32Array]) -> None:
-        """Correct scores (K, h, w) in place by maps (C, h', w') in the order of `maps`. Raises ModelError on maps of
-        another number of channels."""
+        """Correct scores (K, h, w) in place by maps (C, h', w') in the order of `maps`. Raises ModelError."""
         scores += self.bias[:, None, None]
         rows, cols = scores.shape[1:]
         for (name, weights), values in zip(self.weights.items(), maps, strict=True):
@@ -169,8 +168,7 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
 
 
 def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
-    """Return the folder of a network's label heads, below the folder of its manifest or, by default, of the user's own
-    models."""
+    """Return the folder of a network's label heads, below the folder of its manifest or of the user's models."""
     return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
 
 

@@ -80,8 +80,7 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
 
 
 def contrast(image: UInt8Array) -> Float32Array:
-    """Return the standard deviation of grey within 15 pixels, in 8-bit steps, of the photo at a width of 640 (h, 640)
-    float32."""
+    """Return (h, 640) float32, the standard deviation of grey within 15 pixels of the photo at a width of 640."""
     height, width = image.shape[:2]
     rows = max(1, round(height * _WIDTH / width))
     small = shrunk(image, _WIDTH, rows) if width > _WIDTH else cv2.resize(image, (_WIDTH, rows))
@@ -97,8 +96,7 @@ of the sky keeps it, so that a camera which turned unnoticed still shows its sky
 
 
 def less_likely(probabilities: Float32Array, label: int, where: BoolArray) -> None:
-    """Lower the odds of a label, by its index in the probabilities (K, h, w), in place, at the pixels `where` (rows,
-    columns) of the image."""
+    """Lower the odds of a label of probabilities (K, h, w), in place, at pixels `where` (rows, columns)."""
     size = probabilities.shape[:0:-1]
     chosen = cv2.resize(where.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     factor = np.where(chosen, np.float32(_UNLIKELY), np.float32(1))
@@ -109,8 +107,7 @@ def less_likely(probabilities: Float32Array, label: int, where: BoolArray) -> No
 
 class LabelAgreement(StrictModel):
     """Confidence by local agreement. `reach`: standard deviation of the Gaussian around a pixel as a share of the
-    image's width; 0: only the pixel itself. `exponent`: of the mean, so that it is the share of right labels; measured
-    on photos."""
+    image's width; 0: only the pixel itself. `exponent`: makes the mean the share of right labels, as measured."""
 
     reach: float = Field(default=0.0, ge=0, le=0.1)
     exponent: float = Field(default=1.0, gt=0, le=5)

@@ -228,8 +228,7 @@ class NetworkManifest(StrictModel):
 
     @classmethod
     def find(cls, path_or_name: str | Path | NetworkManifest) -> NetworkManifest:
-        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added; a
-        manifest is returned as it is."""
+        """Read a manifest by path (`*.yaml`) or by its name in `config/models` or among those added."""
         if isinstance(path_or_name, NetworkManifest):
             return path_or_name
         text = str(path_or_name)

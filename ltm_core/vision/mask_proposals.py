@@ -178,8 +178,7 @@ def _top_left(labs: Sequence[Float32Array]) -> BoolArray | None:
 
 
 def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> tuple[BoolArray, float] | None:
-    """Return the region of one colour in the top left corner, if it is one that a hood would have, and the mean
-    gradient at its edge."""
+    """Return the region of one colour in the top left corner, if it may be a hood, and the gradient at its edge."""
     height, width = near.shape
     # Letters on the hood are closed; thin bridges to the sky are cut.
     size = max(3, round(0.012 * width))

@@ -119,8 +119,7 @@ def write_mask(path: Path, hidden: BoolArray) -> None:
 
 MakeMask = Callable[[int, int], CameraMask]  # for images of a size (width, height), as `MaskMaker`
 _ZOOM = 0.03
-"""Relative difference of the field of view within which a view mask applies; at the image's edge, it shifts by 1.5 % of
-the width."""
+"""Relative difference of the field of view within which a view mask applies: 1.5 % of the width at the edge."""
 
 
 @dataclass(frozen=True)

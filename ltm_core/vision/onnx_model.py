@@ -27,8 +27,7 @@ _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
 
 _PICTURES: Final = 4
-"""Maximum number of cached images whose other outputs are pending, one per camera in flight; the oldest unused one is
-dropped."""
+"""Maximum number of cached images with pending outputs, one per camera in flight; the oldest is dropped."""
 
 
 class SharedRuns:
@@ -45,8 +44,7 @@ class SharedRuns:
             self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
-        """Return these outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by
-        name."""
+        """Return outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by name."""
         with self._lock:
             others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
@@ -114,8 +112,7 @@ class OnnxModel:
         loaded.join(self, self._output_name)
 
     def run(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> npt.NDArray[Any]:
-        """Run the network on a tensor of the manifest's input shape and dtype, and return its output tensor; arguments
-        and errors as of `outputs`."""
+        """Run the network and return its output tensor; arguments and errors as of `outputs`."""
         return np.asarray(self.outputs(tensor, matrix)[0])
 
     def outputs(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> list[npt.NDArray[Any]]:

@@ -25,11 +25,9 @@ _BACKGROUND = 0.6  # minimum share of a bar, and of its last row, that has its c
 _LETTERS = 0.25  # minimum share of a row of letters that has the bar's colour
 _STRAIGHT = 0.7  # minimum share of the bar's length on which it ends within three rows
 _TIGHT, _LOOSE = 5.0, 14.0
-"""Differences in grey levels within which pixels have a bar's colour: if the scene is as dark or as pale, and after
-strong compression."""
+"""Grey levels within which pixels have a bar's colour: if the scene is alike, and after strong compression."""
 _DRIFT = 3.0
-"""Maximum change of a bar's colour over most of its rows in grey levels, or a tenth of the step at its end; that of a
-sky is larger."""
+"""Maximum change of a bar's colour over its rows, grey levels, or a tenth of the step at its end; skies have more."""
 _PENUMBRA = 2  # pixels by which a bar is enlarged, because compression mixes its edge with the scene
 _ROUND = 0.8  # minimum agreement (intersection over union) of a corner with a rounded one
 _WORKING_WIDTH = 320  # width at which holes are filled, because the filling is smooth

@@ -72,8 +72,7 @@ class SceneFilter:
 
     `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
     beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
-    and latitude of the site, radians, for the sun's elevation; None: it is not used. Raises ConfigError for masks that
-    cannot have the size."""
+    and latitude of the site, radians, for the sun's elevation; None: it is not used. Raises ConfigError."""
 
     def __init__(
         self,

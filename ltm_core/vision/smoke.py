@@ -27,12 +27,10 @@ WORKING_WIDTH: Final = 320
 APART_S: Final = 300.0
 """Seconds between two remembered images of a view, and the minimum age of an image to compare with."""
 AT_LEAST_APART_S: Final = 30.0
-"""Minimum seconds between any two remembered images, so that images in which no view is recognised (in fog) do not
-displace all others."""
+"""Minimum seconds between any two remembered images, so that images of fog do not displace all others."""
 OLDEST_S: Final = 10_800.0  # maximum age in seconds of an image to compare with; later, shadows have moved
 REMEMBERED: Final = 36
-"""Number of images remembered: three hours of one view, or fewer of each view of a patrol; with more views, none is
-seen again in time."""
+"""Images remembered: three hours of one view; of a patrol with more views, none is seen again in time."""
 COMPARED: Final = 3  # number of best matching images to compare with
 
 _COARSE: Final = 4  # reduction factor of the images by which a change of view is detected

@@ -132,8 +132,7 @@ def _to_grid(values: NDArray[Any]) -> Float32Array:
 def _reason(
     levels: UInt8Array, fine: NDArray[Any], coarse: NDArray[Any], burnt: Float32Array, low_sun: bool
 ) -> Unusable | None:
-    """Return why an image is unusable. `levels`: grey of what is visible; `fine`, `coarse`: contrast of the cells (N,);
-    `burnt`: (h, w)."""
+    """Return why an image is unusable. `levels`: visible grey; `fine`, `coarse`: contrast (N,); `burnt`: (h, w)."""
     if float(cv2.meanStdDev(levels)[1].item()) < _BLANK:
         return Unusable.BLANK
     counts = np.cumsum(cv2.calcHist([levels], [0], None, [256], [0, 256]).ravel())

@@ -39,8 +39,7 @@ class MountConfig(PoseConfig):
     encoder_sigma_deg: Written[float] = Field(0.03, gt=0)
     """Standard deviation of pan and of tilt in degrees when the PTZ head returns to a reading."""
     covariance_deg2: Written[tuple[tuple[float, ...], ...] | None] = None
-    """Covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, from a calibration; instead of their
-    sigmas."""
+    """Calibrated covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, instead of sigmas."""
     lens: Written[LensConfig | None] = None
     """Zoom lens of the camera; None: the lens does not zoom, and `calibration` describes it."""
 

@@ -98,8 +98,7 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
-    """Restore the state of a mount; return False if none is kept, or if it is of other terms. Raises StoreError for an
-    invalid file."""
+    """Restore the state of a mount; return False if none is kept for these terms. Raises StoreError for a bad file."""
     if not path.exists():
         return False
     try:

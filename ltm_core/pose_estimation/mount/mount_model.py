@@ -54,8 +54,7 @@ class PoseCorrection:
         return corrected, covariance
 
     def angles_at(self, corrected: Pose) -> Float64Array:
-        """Return (3, 3) the angle covariance of a corrected pose, which depends on pan if the tilt zero is
-        uncertain."""
+        """Return (3, 3) the angle covariance of a corrected pose; it depends on pan if the tilt zero is uncertain."""
         assert self.angles is not None  # nosec B101 # tells the type checker what holds
         right, cross = corrected.rotation[:, 0], self.tilt_covariance[:3]
         both = np.outer(cross, right)
@@ -125,8 +124,7 @@ class MountModel:
         return to_angles
 
     def direction_sigma_deg(self, pan_deg: float) -> float:
-        """Return the standard deviation of the viewing direction by the calibration alone, across the worse
-        direction."""
+        """Return the standard deviation of the viewing direction by the calibration alone, across its worse side."""
         still = replace(self, encoder_sigma=0.0)
         pose, covariance = still.pose(pan_deg, 0.0)
         across = pose.rotation[:, :2]
@@ -139,6 +137,5 @@ def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign)
 
 
 def ptz_rotation(pan: float, tilt: float) -> Float64Array:
-    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
-    right."""
+    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes."""
     return matrix_of_pan_tilt(pan, tilt)

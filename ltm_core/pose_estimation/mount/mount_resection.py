@@ -29,8 +29,7 @@ LEAST_LANDMARKS = 4
 """Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
 three, no error is detected."""
 WORST_SIGMA_DEG = 0.3
-"""Worst standard deviation of a direction on the circle, in degrees, above which landmarks are too close together in
-pan."""
+"""Worst standard deviation of a direction on the circle, in degrees, for landmarks far enough apart in pan."""
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
 """Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
 _SIGN_GAIN = 3.0  # factor by which another sign of an axis must fit the landmarks better than the stated one
@@ -261,8 +260,7 @@ _MOST_PAIRS = 200
 def closed_forms(
     points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float
 ) -> dict[tuple[Sign, Sign], MountModel]:
-    """Return, for each sign of pan and tilt (the stated ones first), the mount that most landmarks agree on, without a
-    tilt zero."""
+    """Return, for each sign of pan and tilt, the stated ones first, the mount that most landmarks agree on."""
     sights = line_of_sight_vectors(start.base.position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]

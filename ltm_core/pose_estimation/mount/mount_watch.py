@@ -76,11 +76,9 @@ class MountWatch:
         self._priors: list[PosePrior] = []
         self._searches: list[PictureSearch] = []
         self._contradictions: list[Float64Array] = []
-        """Deviations from the stated pose (azimuth, pitch and roll in degrees) of clear images that show nothing near
-        it."""
+        """Turns from the stated pose (degrees of azimuth, pitch, roll) of clear images that show nothing near it."""
         self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
-        """For each clear image of a known mount: deviation of the camera in radians of azimuth, pitch and roll, where
-        it exceeds the errors."""
+        """Turn (rad) of each clear image of a known mount, where it exceeds the errors."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
     def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:

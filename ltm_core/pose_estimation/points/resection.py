@@ -171,9 +171,7 @@ def _sigmas(
     return sigmas, pose_covariance
 
 
-HIDDEN_BY = 5.0
-"""Distance in metres from a surveyed point above which its ray met other ground: the DEM hides the point, or cuts off
-the edge on which it is."""
+HIDDEN_BY = 5.0  # distance in metres from a surveyed point above which its ray met other ground
 
 
 class SurveyedState(StrEnum):
@@ -230,8 +228,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
 
 
 def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array) -> Float64Array:
-    """Return the metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not
-    known."""
+    """Return the metres by which rays aimed at places end beyond them, or before (negative); NaN if unknown."""
     sights = line_of_sight_vectors(position, places, tracer.bend)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 

@@ -69,8 +69,7 @@ class Fit:
         return float(np.median(self.residual_px))
 
     def scale(self, parameters: int) -> float:
-        """Return the deviation of one coordinate by the median length (of a Rayleigh variate: 1.1774 sigma), for n -
-        p."""
+        """Return the deviation of one coordinate by the median length (Rayleigh: 1.1774 sigma), for n - p."""
         observed = self.residuals.size
         return self.median_px / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
 
@@ -92,8 +91,7 @@ class Adjustment:
     def robust_fit(
         self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
     ) -> Fit:
-        """Fit with soft-L1, then Cauchy loss, which reduce the effect of gross errors; the median residual of all
-        points is the scale."""
+        """Fit with soft-L1, then Cauchy loss, against gross errors; the median residual is the scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
@@ -129,8 +127,7 @@ class Adjustment:
         return 3 + size_of(tuple(name for name in free if name not in self.known))
 
     def bending(self, fit: Fit, free: tuple[Parameter, ...]) -> tuple[Parameter, RadialTrend] | None:
-        """Return the first radial term that is not free, and its value by the residuals of the points that were used;
-        None if all are free."""
+        """Return the first radial term that is not free, and its value by the residuals; None if all are free."""
         term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
@@ -170,8 +167,7 @@ class Adjustment:
 
 
 def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
-    """Return the camera and pose moved by x: rotation vector in the map frame, then the free parameters, the
-    focal length by its logarithm."""
+    """Return camera and pose moved by x: rotation about the map's axes, then `free`, the focal length by its log."""
     rest = list(x[3:])
     position = pose.position
     for name in free:
@@ -236,8 +232,7 @@ def check_points(points: ControlPoints, camera: Camera, position: Float64Array) 
 
 
 def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Parameter]) -> dict[Parameter, str]:
-    """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`, the last radial one
-    first."""
+    """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`."""
     held: dict[Parameter, str] = {}
     order: tuple[Parameter, ...] = ("k3", "k2", "centre", "k1", "position", "focal")
     for name in order:

@@ -8,8 +8,7 @@
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
 4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`settled_on_ridges`).
 
-With a lens that is not known, pose, focal length and k1 are found together, because a wrong lens makes every pose
-ambiguous."""
+With an unknown lens, pose, focal length and k1 are found together; a wrong lens makes every pose ambiguous."""
 
 from __future__ import annotations
 
@@ -170,8 +169,7 @@ def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend 
 def _decided(
     by_skyline: PictureSearch, by_ridges: PictureSearch, together: PictureSearch | None, config: VerdictConfig
 ) -> PictureSearch:
-    """Return what counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one
-    pose."""
+    """Return what counts of a pose by the skyline, one by ridges alone, and, if both agree, their mean."""
     if not by_skyline.hypotheses:
         return by_ridges
     best = by_skyline.hypotheses[0]

@@ -58,8 +58,7 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
 COLUMNS = 240
 _RUN = 3  # number of consecutive rows of land that end the sky
 _REACH = 7.0 / 640
-"""Distance around the labels' edge within which the edge is searched, as a share of the image width; sigma is half of
-it."""
+"""Distance around the labels' edge within which the edge is searched, as a share of the width; sigma is half."""
 _FAINT = 2.0
 """Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
 haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""
@@ -70,8 +69,7 @@ _SHARP_PX = 0.45  # standard deviation of sharp edges in pixels
 class ImageSkyline:
     """The sky's lower edge in up to COLUMNS columns of an image.
 
-    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below it. `spacing`:
-    pixels between columns."""
+    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) label below. `spacing`: of columns."""
 
     u: Float64Array
     v: Float64Array
@@ -135,8 +133,7 @@ def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
 def _sharpened(
     strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how
-    strong it is."""
+    """Return the edge of each column (K,), by a parabola through the strongest gradient, and its strength."""
     height = strength.shape[0]
     v, sharpness = np.empty(len(columns)), np.empty(len(columns))
     for k in range(len(columns)):

@@ -49,8 +49,7 @@ BARE_EARTH = CrestCover(
     near=crest_heights(tree=(5.5, 5.2), shrub=(0.7, 0.8), grass=(0.2, 0.4), bare=(0.1, 0.3), other=(1.0, 2.0)),
     far=crest_heights(tree=(1.8, 2.9), shrub=(1.5, 2.0), grass=(0.3, 0.4), bare=(0.2, 0.4), other=(1.0, 2.0)),
 )
-"""Heights over a bare-earth DEM, estimated by maximum likelihood on `tower_k` to `tower_n` (192 rendered views with
-true poses)."""
+"""Over a bare-earth DEM, by maximum likelihood on 192 rendered views of `tower_k` to `tower_n` with true poses."""
 _CANOPY = crest_heights(tree=(0.0, 1.0), shrub=(0.0, 0.5), grass=(0.1, 0.3), bare=(0.1, 0.3), other=(0.0, 1.0))
 CANOPY_SURFACE = CrestCover(_CANOPY, _CANOPY)  # for a DEM that already includes the canopy
 
@@ -183,8 +182,7 @@ FLOOR_DEG = (0.01, 0.012, 0.01)
 """Minimum standard deviation of azimuth, pitch and roll in degrees, from errors of refraction and datum."""
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
 """Minimum standard deviation of a mount in degrees, which includes errors of the lens. The value for pitch is for one
-direction; with n directions it is divided by the root of n, because the skyline's place in the image differs between
-them."""
+direction; with n directions, whose skylines lie elsewhere in the image, it is divided by the root of n."""
 
 
 @dataclass(frozen=True)

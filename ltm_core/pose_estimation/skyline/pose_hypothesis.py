@@ -20,8 +20,7 @@ _FOCAL_STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A refined pose with its whole cost: skyline, prior and ridges. `about`: where it is a mean, the best fit of those
-    that it is the mean of."""
+    """A refined pose with its whole cost: skyline, prior and ridges. `about`: of a mean, the best fit in it."""
 
     refined: RefinedPose
     cost: float
@@ -31,8 +30,7 @@ class Hypothesis:
 
 def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
     """Return the hypotheses with the first pose replaced by the mean of those around it, weighted by cost, with their
-    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives
-    (`pose_verdict`)."""
+    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives."""
     if len(hypotheses) < 2:
         return hypotheses
     best, refined = hypotheses[0], hypotheses[0].refined
@@ -63,8 +61,7 @@ def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictC
     other.
 
     How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
-    half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
-    surer than the surer one."""
+    half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997)."""
     a, b = by_skyline.refined, by_ridges.refined
     change = _change(a, b)
     turns = slice(3, 6)
@@ -154,8 +151,7 @@ def judge(
     gap_by_ridges: float | None = None,
 ) -> PoseVerdict:
     """Judge the first of `hypotheses`, which are in order of cost; `by_ridges`: they were found without a skyline.
-    `plants`: the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone give the same pose with
-    this gap to alternatives."""
+    `plants`: share of plants in the image's land. `gap_by_ridges`: by which ridges alone prefer the same pose."""
     v = config.verdict
     if not hypotheses:
         nowhere, reason = (math.inf, math.inf, math.inf), "the photo shows neither a skyline nor a ridge of the DEM"

@@ -70,8 +70,7 @@ class RidgeObservations(Observations):
 def _projected(
     directions: Float64Array, ranges: Float64Array, pose: Pose, camera: Camera, origin: Float64Array
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
-    front."""
+    """Return pixels (M, 2) of terrain seen from `origin`, their slopes (M, 2, 7), and which lie in front."""
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     return _project(directions, ranges, pose.position - origin, pose.rotation, lens)  # type: ignore[no-any-return]
 
@@ -110,8 +109,7 @@ def _project(
 
 
 def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:
-    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline. `wide`: factor of
-    the sigmas."""
+    """Return the terrain's skyline row minus the photo's by column; None without. `wide`: factor of the sigmas."""
     skyline, noise, horizon = problem.evidence.skyline, problem.config.skyline, problem.horizon
     if skyline is None or len(skyline.u) < 8:
         return None
@@ -180,8 +178,7 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
 def ridge_observations(
     pose: Pose, camera: Camera, problem: PoseProblem, ridges: ContourDirections, search: float
 ) -> RidgeObservations | None:
-    """Return the distances across ridges, from the nearest edge within `search` pixels (at width 640) to the predicted
-    place, pixels."""
+    """Return the distances across ridges from the nearest edge within `search` pixels (at width 640), pixels."""
     if len(ridges.range) == 0:
         return None
     evidence, config, origin = problem.evidence, problem.config, problem.horizon.position

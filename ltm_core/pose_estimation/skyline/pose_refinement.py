@@ -172,8 +172,7 @@ def picture_system(
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
-    """Return the weight of each of `rows` (N,) as fitting rather than outlying, where `odds` are the density ratio in
-    one sigma of a pixel."""
+    """Return the weight of each of `rows` (N,) as fitting; `odds`: against an outlier, in one sigma of a pixel."""
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     like = odds / rows.sigma / q**2.5
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
@@ -221,8 +220,7 @@ def ridge_system(
 
 
 def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
-    """Return (N, N), px^2, the covariance of the errors of `rows`, each of which `fits` (N,) so far; unlikely ones get
-    a larger variance."""
+    """Return (N, N), px^2, the covariance of the errors of `rows`, larger for those that hardly fit (`fits`, N)."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)

@@ -30,8 +30,7 @@ _ANY = CrestCover(_ROCK, _ROCK)
 """Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
 _ALONG = 8.0  # metres and pixels within which errors of a ridge of rock are fully correlated
 _FLOOR_DEG = (0.15, 0.05, 0.15)
-"""Minimum standard deviation of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something
-else."""
+"""Minimum sigma of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something else."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
@@ -102,8 +101,7 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
 
 
 def _restarts() -> list[Float64Array]:
-    """Return the degrees. Along a ridge that runs up through the image azimuth, pitch and roll make up for each
-    other."""
+    """Return degrees. Along a ridge that runs up through the image, azimuth, pitch and roll compensate."""
     offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
     return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
 

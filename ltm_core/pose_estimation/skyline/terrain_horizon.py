@@ -131,8 +131,7 @@ class TerrainHorizon:
 
     @property
     def open(self) -> BoolArray:
-        """Return (N,) whether land beyond the DEM may rise above the known horizon by more than a hundredth of a
-        degree."""
+        """Return (N,) whether land beyond the DEM may rise above the horizon by over a hundredth of a degree."""
         return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
 
 
@@ -199,8 +198,7 @@ def _sweep(
     points: Float64Array,
     found: Int32Array,
 ) -> None:
-    """Fill the rows of the horizon, and of each azimuth the contour points (tangent, range, cell) and how many there
-    are."""
+    """Fill the rows of the horizon, and the contour points (tangent, range, cell) of each azimuth and their count."""
     ox, oy, oz = position
     steepest, limit = possible
     most = points.shape[1]
