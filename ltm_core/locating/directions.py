@@ -27,8 +27,7 @@ from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, 
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import pixel_rays
 
-STEEPEST_DEG = 80.0
-"""Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""
+STEEPEST_DEG = 80.0  # maximum angle to the horizon; a camera that points more steeply has no reliable azimuth
 LEAST_KNOWN_DEG = 20.0  # standard deviation of an azimuth in degrees above which a camera's direction counts as unknown
 KNOTS = np.geomspace(5.0, 80_000.0, 15)  # ranges in metres at which covariances are computed
 
@@ -112,8 +111,7 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
     return np.asarray(np.linalg.inv(jacobian), np.float64)
 
 
-DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
-"""Standard deviations of sideways drift in radians for which azimuths are computed."""
+DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])  # sigmas of sideways drift (rad) with azimuths of their own
 NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
 TURN_SCALE = math.radians(2.0)
 MOST_TURNED = math.radians(15.0)

@@ -82,8 +82,7 @@ _SIDE = 240  # number of cells along the longer side of a window
 _FINEST = 0.5  # minimum cell size in metres
 _BEYOND = 20.0  # excess of misfit over the best place above which a place is not refined
 _ROUNDS = 3
-_ALIKE = 8
-"""Exponent of the cosine between two cameras' directions by which they count as one: 0.76 at 15, 0.06 at 45 deg."""
+_ALIKE = 8  # exponent of the cosine between two cameras by which they count as one: 0.76 at 15 degrees, 0.06 at 45
 _SHRINKS = 0.5  # factor by which a window must shrink for another refinement
 
 

@@ -183,8 +183,7 @@ def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
 
 MOST_SIGHTINGS = 64
 _NEGLIGIBLE = 0.02  # probability of a wrong camera below which the solution without it is ignored
-_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
-"""Density of marks, in any azimuth, of the one in fifty wrong cameras that mark another object."""
+_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)  # density of marks of another object, by one in fifty wrong cameras
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,8 @@ from ltm_core.geometry.camera import Camera
 
 MOST_VERTICES = 1_000  # maximum number of vertices of a polygon; outlines of detectors have tens
 _COLUMNS = 17  # number of places at which a lower edge is sampled
-_OVERLAP = 0.6
-"""Standard deviation of a sampled place as a share of the spacing; the sum is then flat within a few percent."""
-_FOOT = 0.15
-"""Share of a plume's height in the image over which the probability of its base falls by a factor e. The lower edge of
-a leaning plume rises from its base."""
+_OVERLAP = 0.6  # sigma of a sampled place, share of the spacing; the sum is then flat within a few percent
+_FOOT = 0.15  # share of a leaning plume's height over which the probability of its base falls by a factor e
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,7 @@ _STRETCH = 0.01  # share of the range within which errors of samples are fully c
 _SPARSE = 4  # interval at which the visibility probability is computed among samples whose visibility is uncertain
 FOREGROUND = 15.0  # metres of foreground
 _SURE = 3.5  # number of sigmas from which one slope is higher than another
-_UPPER = 2.0
-"""Number of sigmas added to a height when the highest of several correlated samples represents them; close to the
-camera, a low sample may hide the most."""
+_UPPER = 2.0  # sigmas added to a height when the highest of several correlated samples represents them
 ROOT_2PI = math.sqrt(2 * math.pi)
 
 

@@ -32,8 +32,7 @@ Bounds = tuple[float, float, float, float]  # bounds x_min, y_min, x_max, y_max 
 IMPOSSIBLE = math.exp(-15.0)  # misfit above which a place does not explain a mark
 _SIGMAS = 5.0  # number of sigmas of the azimuth that a fan covers
 _FIRST, _MOST = 40, 120  # initial number of azimuths of a fan, and the maximum after refinement
-_WING, _WINGS = math.radians(3.0), 12
-"""Width that a fan adds on either side for drifting plumes, and its number of azimuths there."""
+_WING, _WINGS = math.radians(3.0), 12  # width and azimuths that a fan adds at each side for drifting plumes
 _CREST = 16  # number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is
 _PER_CELL = 1.5  # number of samples per cell side; with fewer, some cells get none
 

@@ -51,8 +51,7 @@ class KnownPoses:
         return None if last is None or stamp - last > age_ns else self._poses[last]
 
 
-NEARBY_DEG = 4.0
-"""Maximum angle in degrees from a sighting's azimuth to a track for both to be one fire if a camera is wrong."""
+NEARBY_DEG = 4.0  # maximum angle between a sighting and a track for both to be one fire if a camera is wrong
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,7 @@ _RED: Final = 0.03
 """Redness above which the full amount is subtracted. Both were chosen, with the amounts in the manifest, on 166
 mountain photos that trained the shipped network and on renderings; scores of the tower views were visible meanwhile
 (docs/labels.md)."""
-_REACH: Final = 2 / 320
-"""Standard deviation of the Gaussian for averaging colours, as a share of the photo's width; it suppresses noise."""
+_REACH: Final = 2 / 320  # sigma of the Gaussian for averaging colours, share of the width; it suppresses noise
 _DARK: Final = 4.0  # grey levels added to the sum, because colour carries no information in dark areas
 
 

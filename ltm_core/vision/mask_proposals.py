@@ -33,14 +33,12 @@ _TALLEST = 0.06
 _LEAST_FRAMES = 0.6
 
 _PATCH = 0.02  # side of the square in the corner that gives the hood's colour, as a share of the width
-_TOLERANCES = np.arange(5.0, 46.0, 2.0)
-"""Tolerances of a hood's colour in units of CIE Lab; the one with the sharpest edge is used."""
+_TOLERANCES = np.arange(5.0, 46.0, 2.0)  # of a hood's colour in CIE Lab; the one with the sharpest edge is used
 _REACH = 0.5  # maximum width of a corner, as a share of the width
 _LEAST_AREA, _MOST_AREA = 0.0015, 0.13  # minimum and maximum area, as a share of the image
 _MOST_TEXTURE = 1.6  # maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less
 _MOST_RESIDUAL = 0.014  # maximum mean distance between the edge and the arc, as a share of the width
-_LEAST_EDGE = 0.9
-"""Minimum mean gradient at the edge in units of CIE Lab per pixel at a width of 640; that of a cloud is lower."""
+_LEAST_EDGE = 0.9  # minimum mean gradient at the edge, CIE Lab per pixel at a width of 640; that of a cloud is lower
 _PENUMBRA = 0.012  # width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus
 
 

@@ -71,8 +71,7 @@ def _weights(path: Path, content: bytes) -> tuple[str, ...]:
     return tuple(sorted(names))
 
 
-_TEXT_ENCODERS = ("text_model.onnx", "text_encoder.onnx", "textual.onnx")
-"""Names under which hubs keep the text encoder of a network."""
+_TEXT_ENCODERS = ("text_model.onnx", "text_encoder.onnx", "textual.onnx")  # as hubs name them
 
 
 def network_in(folder: Path) -> Path:

@@ -26,8 +26,7 @@ from ltm_core.vision.onnx_file import NetworkFile
 _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
 
-_PICTURES: Final = 4
-"""Maximum number of cached images with pending outputs, one per camera in flight; the oldest is dropped."""
+_PICTURES: Final = 4  # maximum number of cached images with pending outputs, one per camera in flight
 
 
 class SharedRuns:

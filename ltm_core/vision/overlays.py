@@ -18,16 +18,13 @@ _BLOCK = 48  # number of rows that are compared at a time
 _MOST_HIDDEN = 0.5  # share of the image above which what looks like bars is the scene
 _NESTED = 4  # maximum number of bars inside one another
 _THINNEST = 4  # minimum thickness of a bar in pixels
-_WIDEST, _WIDEST_BLACK, _WIDEST_BESIDE = 0.15, 0.25, 0.38
-"""Maximum thickness as a share of the side. A level horizon of the sea or below a white sky is straight, too."""
+_WIDEST, _WIDEST_BLACK, _WIDEST_BESIDE = 0.15, 0.25, 0.38  # maximum share of the side; level horizons are straight, too
 _BLACK = 24
 _BACKGROUND = 0.6  # minimum share of a bar, and of its last row, that has its colour
 _LETTERS = 0.25  # minimum share of a row of letters that has the bar's colour
 _STRAIGHT = 0.7  # minimum share of the bar's length on which it ends within three rows
-_TIGHT, _LOOSE = 5.0, 14.0
-"""Grey levels within which pixels have a bar's colour: if the scene is alike, and after strong compression."""
-_DRIFT = 3.0
-"""Maximum change of a bar's colour over its rows, grey levels, or a tenth of the step at its end; skies have more."""
+_TIGHT, _LOOSE = 5.0, 14.0  # grey levels of one colour: if the scene is alike, and after strong compression
+_DRIFT = 3.0  # maximum change of a bar's colour over its rows, or a tenth of the step at its end; skies have more
 _PENUMBRA = 2  # pixels by which a bar is enlarged, because compression mixes its edge with the scene
 _ROUND = 0.8  # minimum agreement (intersection over union) of a corner with a rounded one
 _WORKING_WIDTH = 320  # width at which holes are filled, because the filling is smooth

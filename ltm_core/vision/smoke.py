@@ -24,13 +24,10 @@ from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.network_image import shrunk
 
 WORKING_WIDTH: Final = 320
-APART_S: Final = 300.0
-"""Seconds between two remembered images of a view, and the minimum age of an image to compare with."""
-AT_LEAST_APART_S: Final = 30.0
-"""Minimum seconds between any two remembered images, so that images of fog do not displace all others."""
+APART_S: Final = 300.0  # seconds between two remembered images of a view, and minimum age of an image to compare with
+AT_LEAST_APART_S: Final = 30.0  # seconds between any two remembered images, so that fog does not displace all others
 OLDEST_S: Final = 10_800.0  # maximum age in seconds of an image to compare with; later, shadows have moved
-REMEMBERED: Final = 36
-"""Images remembered: three hours of one view; of a patrol with more views, none is seen again in time."""
+REMEMBERED: Final = 36  # images: three hours of one view; of a patrol with more views, none is seen again in time
 COMPARED: Final = 3  # number of best matching images to compare with
 
 _COARSE: Final = 4  # reduction factor of the images by which a change of view is detected
@@ -40,8 +37,7 @@ views of a tower have 0.42 at most, by their mast and caption."""
 _REACH: Final = 3.3  # standard deviation in pixels of the Gaussian in which patterns are compared
 _NOISE: Final = 0.5  # variance of grey levels due to noise and compression
 _ALIKE: Final = 0.8  # correlation above which a pattern is unchanged
-_AGREES: Final = 0.45
-"""Minimum share of the land with unchanged patterns for an earlier image to have the same view and light."""
+_AGREES: Final = 0.45  # minimum share of the land with unchanged patterns for one view and light
 _GONE: Final = 0.5  # correlation below which a pattern is gone
 _PATTERN: Final = 2.0  # minimum deviation in grey levels of the earlier image for a pattern to exist
 _PALER: Final = 8.0  # grey levels by which smoke is brighter than what it hides

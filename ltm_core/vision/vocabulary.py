@@ -56,8 +56,7 @@ def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
     return found
 
 
-_OBJECTS = {"canopy", "wood", "broom", "air"}
-"""Words that mean something else as classes of a network: ADE20K's canopy is an awning, COCO's wood a material."""
+_OBJECTS = {"canopy", "wood", "broom", "air"}  # ADE20K's canopy is an awning, COCO's wood a material
 
 
 LARGEST = 64 << 20  # maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB

@@ -28,8 +28,7 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 LEAST_LANDMARKS = 4
 """Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
 three, no error is detected."""
-WORST_SIGMA_DEG = 0.3
-"""Worst standard deviation of a direction on the circle, in degrees, for landmarks far enough apart in pan."""
+WORST_SIGMA_DEG = 0.3  # worst sigma of a direction on the circle for landmarks far enough apart in pan
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
 """Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
 _SIGN_GAIN = 3.0  # factor by which another sign of an axis must fit the landmarks better than the stated one

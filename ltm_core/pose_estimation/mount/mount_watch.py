@@ -33,12 +33,9 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 16  # maximum number of horizons kept, as many as a PTZ head has presets
 _STEP_DEG = 2.0  # difference in degrees below which two directions share a horizon
-_TRACKING = (*ROUNDS[::2], ROUNDS[-1])
-"""Number of rounds of the fit for an image of a known mount, which starts close to the solution."""
-_TRACKED_SIGMA_DEG = 1.0
-"""Standard deviation of each angle in degrees within which an image of a known mount may deviate."""
-_TURN_STEP_DEG, _TURN_STEPS = 0.25, 8
-"""Step in degrees and number of the turns to either side of a known pose at which the skyline is tested."""
+_TRACKING = (*ROUNDS[::2], ROUNDS[-1])  # rounds of the fit for an image of a known mount, near the solution
+_TRACKED_SIGMA_DEG = 1.0  # sigma of each angle within which an image of a known mount may deviate
+_TURN_STEP_DEG, _TURN_STEPS = 0.25, 8  # turns to either side of a known pose that the skyline is tested at
 _TURN_NEAR = 2  # number of steps within which a fit from the known pose finds the turn itself
 _TURN_GAIN = 2.0  # minimum difference of cost between a turned and the known pose
 

@@ -64,14 +64,12 @@ class PtzPoints(MarkedPoints):
     readings: Float64Array
 
 
-FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
-"""Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
+FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)  # of the stated focal length, tried if it is free
 MAX_PAIRS = 400
 MIN_SEPARATION = 0.03  # minimum separation of points as a share of the image's diagonal; closer points give no rotation
 STARTS = 4
 MAX_TRIPLES = 150
-MIN_TRIANGLE = 0.002
-"""Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
+MIN_TRIANGLE = 0.002  # minimum area of three points, share of the squared diagonal; smaller ones give no position
 FREE_STARTS = 6
 APART = 0.05  # distance between starts of a free position, as a share of the points' median distance
 

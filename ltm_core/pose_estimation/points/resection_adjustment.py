@@ -17,22 +17,19 @@ from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.footprint import line_of_sight_vectors
 
-Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]
-"""Parameters that may be fitted in addition to the angles, which always are."""
+Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]  # besides the angles, always fitted
 
 PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
 LENS: tuple[Parameter, ...] = PARAMETERS[:-1]
 SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}  # number of values of each parameter
 
-MIN_REDUNDANCY = 2
-"""Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
+MIN_REDUNDANCY = 2  # minimum excess of coordinates over parameters; with fewer, no error is detected
 OUTLIER_SIGMAS = 4.0
 MAX_OUTLIER_SHARE = 0.25
 MAX_MEDIAN_SHARE = 0.02  # median residual, as a share of the image's diagonal, above which no pose explains the points
 MAX_ANGLE_SIGMA_DEG = 1.0
 MAX_FOCAL_SIGMA = 0.03  # maximum standard deviation of the focal length, as a share of it
-MAX_LENS_SHIFT = 0.01
-"""Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
+MAX_LENS_SHIFT = 0.01  # maximum shift at the corner by one sigma of a lens parameter, share of the diagonal
 MAX_POSITION_SIGMA = 0.02  # maximum standard deviation of the position, as a share of the median distance of the points
 
 REMEDY = (

@@ -162,10 +162,8 @@ def _scores(
     return scores, counts
 
 
-_BORDER = 0.006
-"""Distance, as a share of the width, within which a skyline next to a hidden area is the border of that area."""
-_SKY_EDGE = 0.01
-"""Distance from the land, as a share of the width, within which edges are kept; edges of clouds further up are not."""
+_BORDER = 0.006  # share of the width within which a skyline beside a hidden area is the border of that area
+_SKY_EDGE = 0.01  # distance from land, share of the width, within which edges are kept; clouds' are further up
 _LEAST_SKY = 0.1  # minimum share of columns that must have a skyline
 
 

@@ -137,8 +137,7 @@ def find_pose(
     return replace(doubted, verdict=replace(doubted.verdict, reason=bent))
 
 
-_BENT_SIGMAS = {True: 4.0, False: 2.5}
-"""Minimum trend in standard deviations that rejects an accepted pose, or is named as a reason for another one."""
+_BENT_SIGMAS = {True: 4.0, False: 2.5}  # minimum trend in sigmas that rejects an accepted pose, or is named for another
 _MOST_BENT = 0.6  # maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's
 
 

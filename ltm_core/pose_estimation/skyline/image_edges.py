@@ -57,8 +57,7 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
 
 COLUMNS = 240
 _RUN = 3  # number of consecutive rows of land that end the sky
-_REACH = 7.0 / 640
-"""Distance around the labels' edge within which the edge is searched, as a share of the width; sigma is half."""
+_REACH = 7.0 / 640  # distance around the labels' edge to search, as a share of the width; sigma is half of it
 _FAINT = 2.0
 """Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
 haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""

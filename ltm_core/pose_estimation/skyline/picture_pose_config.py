@@ -178,8 +178,7 @@ class VerdictConfig:
         return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
-FLOOR_DEG = (0.01, 0.012, 0.01)
-"""Minimum standard deviation of azimuth, pitch and roll in degrees, from errors of refraction and datum."""
+FLOOR_DEG = (0.01, 0.012, 0.01)  # minimum sigma of azimuth, pitch and roll, by errors of refraction and datum
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
 """Minimum standard deviation of a mount in degrees, which includes errors of the lens. The value for pitch is for one
 direction; with n directions, whose skylines lie elsewhere in the image, it is divided by the root of n."""

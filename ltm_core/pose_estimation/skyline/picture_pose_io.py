@@ -23,8 +23,7 @@ from ltm_core.storage.image_io import read_values
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 from ltm_core.vision.labels import Label
 
-AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
-"""Standard deviations in degrees of angles stated without a sigma: a phone's compass, and a level held by hand."""
+AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0  # stated without a sigma: a phone's compass, a level held by hand
 UNSTATED_TILT_SIGMA_DEG = 5.0  # standard deviation in degrees of a pitch or roll that is not stated
 
 

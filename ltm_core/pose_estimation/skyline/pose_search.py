@@ -26,11 +26,9 @@ from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 
 _KEPT = 18
 _ROCK = crest_heights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
-_ANY = CrestCover(_ROCK, _ROCK)
-"""Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
+_ANY = CrestCover(_ROCK, _ROCK)  # for all labels if few are plants: rock and ice, which labels know least
 _ALONG = 8.0  # metres and pixels within which errors of a ridge of rock are fully correlated
-_FLOOR_DEG = (0.15, 0.05, 0.15)
-"""Minimum sigma of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something else."""
+_FLOOR_DEG = (0.15, 0.05, 0.15)  # minimum sigmas in degrees; all edges along a ridge may belong to something else
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])

@@ -21,8 +21,7 @@ from ltm_core.tracing.possible_ground import PossibleGround
 
 _MOST_RISE = 4.0  # maximum difference in tangent between neighbours of a contour, in steps of azimuth
 _MOST_CHANGE = 0.12  # maximum difference in the logarithm of the range between neighbours of a contour
-_SHORTEST = math.radians(0.6)
-"""Minimum span of a contour in azimuth; shorter ones are single trees and noise of the DEM."""
+_SHORTEST = math.radians(0.6)  # minimum span of a contour in azimuth; shorter ones are single trees and noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +55,7 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
 
 
 X_MIN, Y_MAX, RESOLUTION = 0, 1, 2  # columns of the geometry of rasters, finest first (metres)
-TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)
-"""Columns of a swept horizon, one row for each azimuth, in the order of the fields of `TerrainHorizon`."""
+TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)  # columns of a swept horizon, by azimuth
 
 
 @kernel(nogil=True)
