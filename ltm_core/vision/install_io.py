@@ -304,8 +304,8 @@ def _of_file(path: Path) -> Source:
         header = read_text(readme, _LARGEST_SIDE_FILE, ModelError)[:4000]
         licence = next(iter(re.findall(r"^licen[cs]e(?:_name)?:\s*(\S+)\s*$", header, re.MULTILINE)), "")
     names = [path.stem, *(parent.name for parent in path.absolute().parents)]
-    telling = next((each for each in names if each and not _GENERIC.match(each.lower())), "model")
-    name = re.sub(r"[^a-z0-9]+", "_", telling.lower()).strip("_") or "model"
+    telling = next((each.lower() for each in names if each and not _GENERIC.match(each.lower())), "model")
+    name = re.sub(r"[^a-z0-9]+", "_", telling).strip("_") or "model"
     stated = {"prompts": files} if (files := prompt_files(hub)) else {}
     return Source(path, name, stated, found["config"], found["preprocessor_config"], licence)
 

@@ -111,39 +111,29 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
         content = load_yaml(path, LabelHeadFile)
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
-    if content.sha256 != manifest.sha256:
-        raise ModelError(
-            f"{path}: is a label head of network {content.network!r} with sha256 {content.sha256}; the camera's "
-            f"network is {manifest.name!r} with {manifest.sha256}. Train it again: ltm train head PHOTOS --model "
-            f"{manifest.name}"
-        )
-    if content.classes != manifest.classes:
-        raise ModelError(
-            f"{path}: has the classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
-        )
-    absent = [name for name in content.maps if name not in manifest.maps]
-    if absent:
-        raise ModelError(
-            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} has {', '.join(manifest.maps) or 'none'} "
-            "(`maps` in its manifest)"
-        )
+    own, maps = manifest.name, manifest.maps
     widths = {name: len(rows[0]) for name, rows in content.maps.items()}
-    wrong = [
-        f"{name} ({width}, not {manifest.maps[name]})" for name, width in widths.items() if width != manifest.maps[name]
-    ]
-    if wrong:
-        raise ModelError(f"{path}: weights for another number of channels: {', '.join(wrong)}")
+    absent = ", ".join(name for name in widths if name not in maps)
+    wrong = ", ".join(f"{n} ({width}, not {maps[n]})" for n, width in widths.items() if maps.get(n, width) != width)
+    fault = ""
+    if content.sha256 != manifest.sha256:
+        fault = (
+            f"is a label head of network {content.network!r} with sha256 {content.sha256}; the camera's network is "
+            f"{own!r} with {manifest.sha256}. Train it again: ltm train head PHOTOS --model {own}"
+        )
+    elif content.classes != manifest.classes:
+        fault = f"has the classes {', '.join(content.classes)}; {own!r} has {', '.join(manifest.classes)}"
+    elif absent:
+        fault = f"reads map {absent}; {own!r} has {', '.join(maps) or 'none'} (`maps` in its manifest)"
+    elif wrong:
+        fault = f"weights for another number of channels: {wrong}"
+    if fault:
+        raise ModelError(f"{path}: {fault}")
     checksum = hashlib.sha256(path.read_bytes()).hexdigest()
-    head = LabelHead(
-        name=content.name,
-        described=f"{content.name} {checksum[:12]}",
-        weights={name: np.asarray(rows, np.float32) for name, rows in content.maps.items()},
-        bias=np.asarray(content.bias, np.float32),
-        temperature=content.temperature,
-        withdraw=content.withdraw,
-        agreement=content.agreement,
-    )
-    return head, content
+    weights = {name: np.asarray(rows, np.float32) for name, rows in content.maps.items()}
+    bias, described = np.asarray(content.bias, np.float32), f"{content.name} {checksum[:12]}"
+    rules = content.temperature, content.withdraw, content.agreement
+    return LabelHead(content.name, described, weights, bias, *rules), content
 
 
 def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = None) -> Path | None:

@@ -234,11 +234,11 @@ class NetworkManifest(StrictModel):
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
             return cls.load(Path(path_or_name))
-        path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if is_file(p)), None)
-        if path is None:
-            names = ", ".join([*shipped_names(), *added_names()]) or "none"
-            raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
-        return cls.load(path)
+        for path in (folder / f"{text}.yaml" for folder in (models_folder(), added_folder())):
+            if is_file(path):
+                return cls.load(path)
+        names = ", ".join([*shipped_names(), *added_names()]) or "none"
+        raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
 
     def require(self, depth: bool) -> NetworkManifest:
         """Return the manifest if it is of a depth network (`depth`) or of a label network. Raises ModelError."""

@@ -63,12 +63,11 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
     if bad := [text for text in texts if not text.strip() or len(text) > _LONGEST or texts.count(text) > 1]:
         raise ConfigError(f"vocabulary: prompt {bad[0]!r} is empty, repeated, or longer than {_LONGEST} characters")
     groups = {name: tuple(group) for name, group in given.items() if name != OTHER and group}
-    mapping = {name: name for name in groups}
     alone = (*given.get(OTHER, ()), *((shown,) if shown else ()))
     if clash := sorted(set(alone) & set(groups)):
         raise ConfigError(f"vocabulary: {clash[0]!r} is a label and a prompt of its own; choose other words")
+    mapping = {name: name for name in groups} | dict.fromkeys(alone, "unlabelled")
     groups |= {text: (text,) for text in alone}
-    mapping |= dict.fromkeys(alone, "unlabelled")
     if manifest.output.kind == "embeddings":
         return _by_words(manifest, groups, mapping)
     if manifest.prompts is None:
@@ -84,20 +83,30 @@ def _by_words(
     """Return the manifest with the mean embedding of each group as its words, in a file of the user's cache."""
     assert manifest.text is not None  # nosec B101 # the manifest's own rule for embeddings
     texts = [text for group in groups.values() for text in group]
-    known = {} if manifest.text.file is None else _known_words(manifest)
+    known: dict[str, Float32Array] = {}
+    if manifest.text.file is not None:
+        words = load_text(manifest)
+        known = dict(zip(words.names, words.vectors, strict=True))
     unknown = [text for text in texts if text not in known]
     if unknown and manifest.prompts is None:
         raise ModelError(
             f"model {manifest.name!r} has no embedding of {unknown[0]!r}, and no text encoder; add it to the text file"
         )
-    path = _cache_folder() / f"{_digest(manifest, groups)}.npz"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
+    path = cache / f"{_digest(manifest, groups)}.npz"
     if not path.is_file():
         if unknown:
             known |= dict(zip(unknown, encoded(manifest, unknown), strict=True))
         means = np.stack([np.mean([known[text] for text in group], axis=0) for group in groups.values()])
-        _write(path, tuple(groups), unit_vectors(means.astype(np.float32), str(path)))
-    words = manifest.text.model_copy(update={"file": path})
-    return manifest.model_copy(update={"text": words, "mapping": mapping})
+        vectors = unit_vectors(means.astype(np.float32), str(path))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with written_whole(path) as part, part.open("wb") as stream:
+                np.savez(stream, names=np.array(tuple(groups)), embeddings=vectors)
+        except (ConfigError, OSError) as error:
+            raise ModelError(f"{path}: cannot be written; name a writable folder in XDG_CACHE_HOME") from error
+    spec = manifest.text.model_copy(update={"file": path})
+    return manifest.model_copy(update={"text": spec, "mapping": mapping})
 
 
 def _by_input(
@@ -140,7 +149,8 @@ def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
     length = first.shape[-1] if isinstance(first.shape[-1], int) else None
     tokens, mask = _tokens(manifest, texts, length)
     feed = {name: (mask if "mask" in name else tokens) for name in nodes}
-    feed = {name: _typed(values, nodes[name].type) for name, values in feed.items()}
+    narrow = [name for name, node in nodes.items() if node.type == "tensor(int32)"]
+    feed |= {name: feed[name].astype(np.int32) for name in narrow}
     outputs = [node.name for node in session.get_outputs()]
     try:
         each = ({name: values[i : i + 1] for name, values in feed.items()} for i in range(len(texts)))
@@ -156,10 +166,6 @@ def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
         expected = f"expected {manifest.text.dimensions}, as the network's features"
         raise ModelError(f"{path}: embeddings have {vectors.shape[1]} numbers, {expected}")
     return unit_vectors(vectors, str(path))
-
-
-def _typed(values: npt.NDArray[np.int64], kind: str) -> npt.NDArray[Any]:
-    return values.astype(np.int32) if kind == "tensor(int32)" else values
 
 
 def _tokens(
@@ -184,11 +190,6 @@ def _tokens(
     return np.array([one.ids for one in found], np.int64), np.array([one.attention_mask for one in found], np.int64)
 
 
-def _known_words(manifest: NetworkManifest) -> dict[str, Float32Array]:
-    words = load_text(manifest)
-    return dict(zip(words.names, words.vectors, strict=True))
-
-
 def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) -> str:
     """Return the digest of all that the embeddings of prompts depend on."""
     found = hashlib.sha256(json.dumps([(name, *group) for name, group in groups.items()]).encode())
@@ -205,16 +206,3 @@ def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) ->
 def _file_digest(path: Path, changed_ns: int) -> str:
     """Return the digest of a file, computed once per process: each camera has its segmenter, and encoders are large."""
     return NetworkFile.read(path).digest if path.suffix == ".onnx" else file_digest(path)
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
-
-
-def _write(path: Path, names: tuple[str, ...], vectors: Float32Array) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as part, part.open("wb") as stream:
-            np.savez(stream, names=np.array(names), embeddings=vectors)
-    except (ConfigError, OSError) as error:
-        raise ModelError(f"{path}: cannot be written; name a writable folder in XDG_CACHE_HOME") from error

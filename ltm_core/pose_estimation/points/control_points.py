@@ -89,18 +89,15 @@ def coarse_poses(
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     first, second = _pairs(points, sights, diagonal)
     limit = diagonal * (0.1 if position_free else 0.05)
-
     candidates: list[tuple[float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS if focal_free else (1.0,):
         scaled = camera.zoomed(float(factor))
         rays = pixel_rays(scaled, points.pixels)
         rotations = _bases(sights[first], sights[second]) @ np.swapaxes(_bases(rays[first], rays[second]), 1, 2)
         costs = _costs(scaled, rotations, sights, points.pixels, limit)
-        for k in np.argsort(costs, kind="stable")[:STARTS]:
-            if np.isfinite(rotations[k]).all():
-                candidates.append((float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))))
-    candidates.sort(key=lambda candidate: candidate[0])
-    starts = [(camera, pose) for _, camera, pose in candidates[:STARTS]]
+        best = [k for k in np.argsort(costs, kind="stable")[:STARTS] if np.isfinite(rotations[k]).all()]
+        candidates += [(float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))) for k in best]
+    starts = [(camera, pose) for _, camera, pose in sorted(candidates, key=lambda found: found[0])[:STARTS]]
     if position_free:
         starts += _poses_from_triples(points, camera, focal_free, bend, limit)
     if angles_deg is not None:
@@ -132,9 +129,8 @@ def _poses_from_triples(
         for k in np.argsort(costs, kind="stable")[:FREE_STARTS]:
             distance = float(np.median(np.linalg.norm(sights[k], axis=1)))
             candidates.append((float(costs[k]), distance, scaled, Pose(positions[k], _orthonormal(rotations[k]))))
-    candidates.sort(key=lambda candidate: candidate[0])
     starts: list[tuple[Camera, Pose]] = []
-    for _, distance, scaled, pose in candidates:
+    for _, distance, scaled, pose in sorted(candidates, key=lambda candidate: candidate[0]):
         near = (np.linalg.norm(pose.position - other.position) < APART * distance for _, other in starts)
         if len(starts) < FREE_STARTS and not any(near):
             starts.append((scaled, pose))
@@ -146,10 +142,12 @@ def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
     triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
     a, b, c = (points.pixels[triples[:, k]] for k in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    triples = triples[area > MIN_TRIANGLE * diagonal**2]
-    if len(triples) > MAX_TRIPLES:
-        triples = triples[np.random.default_rng(0).choice(len(triples), MAX_TRIPLES, replace=False)]
-    return np.asarray(triples, np.int64)
+    return _some(triples[area > MIN_TRIANGLE * diagonal**2], MAX_TRIPLES)
+
+
+def _some(rows: Int64Array, most: int) -> Int64Array:
+    """Return rows, at most `most` of them, drawn with a fixed seed."""
+    return rows if len(rows) <= most else rows[np.random.default_rng(0).choice(len(rows), most, replace=False)]
 
 
 def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
@@ -178,15 +176,12 @@ def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tupl
     far = (apart > MIN_SEPARATION * diagonal) & (turn > 1e-3)
     if not far.any():
         raise PoseError(
-            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} "
-            "px of the "
-            f"image (at least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees "
-            "as seen from the camera; mark points further apart"
+            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} px (at "
+            f"least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees as seen "
+            "from the camera; mark points further apart"
         )
-    pairs = pairs[far]
-    if len(pairs) > MAX_PAIRS:
-        pairs = pairs[np.random.default_rng(0).choice(len(pairs), MAX_PAIRS, replace=False)]
-    return pairs[:, 0], pairs[:, 1]
+    first, second = _some(pairs[far], MAX_PAIRS).T
+    return first, second
 
 
 def _bases(a: Float64Array, b: Float64Array) -> Float64Array:

@@ -103,8 +103,7 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
     if search.verdict.word != "accepted":
         return PoseResult(prior.pose, camera, prior.covariance, False)
     found = search.hypotheses[0].refined
-    factor = found.camera.fx / search.evidence.camera.fx
-    lens = camera.zoomed(factor)
+    lens = camera.zoomed(found.camera.fx / search.evidence.camera.fx)
     return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
 
 
@@ -127,17 +126,12 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         return [x + frame.x_origin, y + frame.y_origin, z]
 
     def described(pose: Pose, covariance: Float64Array) -> dict[str, Any]:
-        azimuth, pitch, roll = pose.angles_deg
         sigma = pose_sigmas(pose, covariance)[3:].tolist()
-        return {
-            "position": place(pose),
-            "azimuth_deg": azimuth,
-            "pitch_deg": pitch,
-            "roll_deg": roll,
-            "sigma_deg": [s if math.isfinite(s) else None for s in sigma],
-            "covariance": covariance.tolist(),
-        }
+        angles = dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), pose.angles_deg, strict=True))
+        known = {"sigma_deg": [s if math.isfinite(s) else None for s in sigma], "covariance": covariance.tolist()}
+        return {"position": place(pose), **angles, **known}
 
+    factor = 1 / search.evidence.camera.fx
     return {
         "verdict": verdict.word,
         "reason": verdict.reason,
@@ -151,12 +145,8 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         "fx": result.camera.fx,
         "k1": result.camera.distortion[0],
         "hypotheses": [
-            {
-                "angles_deg": list(h.refined.pose.angles_deg),
-                "cost": h.cost,
-                "ridge_score": h.ridge_score,
-                "focal_factor": h.refined.camera.fx / search.evidence.camera.fx,
-            }
+            {"angles_deg": [*h.refined.pose.angles_deg], "cost": h.cost, "ridge_score": h.ridge_score}
+            | {"focal_factor": h.refined.camera.fx * factor}
             for h in search.hypotheses
         ],
     }

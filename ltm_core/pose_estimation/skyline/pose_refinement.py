@@ -1,16 +1,11 @@
-"""Refine a pose by least squares over the skyline and the ridges of a photo.
-
-Least squares of a pose over a photo's skyline and the ridges within it, from a start that is right but for a degree.
+"""Refine a pose by least squares over the skyline and the ridges of a photo, from a start within about a degree.
 
 Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
 the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
 
-Settles a pose on the ridges in its image, whose errors neighbouring places share.
-
-What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
-(`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
-ground does. Here errors are a Gaussian process over the ground, so that the shape of a ridge counts for more than its
-height: least squares whitened by the covariance of all places with each other."""
+A pose may then settle on the ridges alone. What grows on a ridge stands over the DEM by metres, and by nearly as much a
+few metres on. Where that is left aside, a stand of trees pulls a pose as hard as the ground does. There errors are a
+Gaussian process over the ground, so that the shape of a ridge counts for more than its height."""
 
 from __future__ import annotations
 

@@ -144,12 +144,11 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
-    tilt = math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
-        costs = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, position_sigma, config.skyline)
+        costs = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
         angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))

@@ -19,6 +19,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
 from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig, farness
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
@@ -50,31 +51,29 @@ class SkylineCosts:
 def search_azimuths(
     skyline: ImageSkyline,
     camera: Camera,
-    pitch_deg: float,
-    roll_deg: float,
-    tilt_sigma: tuple[float, float],
+    prior: PosePrior,
     horizon: TerrainHorizon,
     azimuths: Float64Array,
     position_sigma: float,
     config: SkylineConfig,
 ) -> SkylineCosts:
-    """Return the costs of azimuths (Y,), radians, of an undistorted camera.
-
-    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres."""
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose.
+    `position_sigma`: metres."""
+    _, pitch, roll = prior.pose.angles_deg
     rays = np.column_stack(
         [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
     )
-    away, tangent = _level(rays, pitch_deg, roll_deg)
+    away, tangent = _level(rays, pitch, roll)
     small = 0.05
-    by_pitch = (_level(rays, pitch_deg + small, roll_deg)[1] - tangent) / np.radians(small)
-    by_roll = (_level(rays, pitch_deg, roll_deg + small)[1] - tangent) / np.radians(small)
+    by_pitch = (_level(rays, pitch + small, roll)[1] - tangent) / np.radians(small)
+    by_roll = (_level(rays, pitch, roll + small)[1] - tangent) / np.radians(small)
     cover = config.cover.of(skyline.cover)
     columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
     h, share = horizon, column_weight(skyline, camera, config.independent)
     crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
     crests += [farness(h.range), farness(h.front_range)]
-    setting = np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx])
+    setting = np.array([step / 3.5, position_sigma, *prior.sigmas[4:], skyline.spacing / camera.fx])
     c = config
     noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
     out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)

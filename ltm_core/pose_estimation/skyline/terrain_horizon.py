@@ -155,11 +155,15 @@ def terrain_horizon(
     top = max(float(np.nanmax(level.elevation)) for level in levels)
     rows, points = np.empty((count, 7)), np.empty((count, _MOST_CONTOURS, 3))
     found = np.zeros(count, np.int32)
-    elevations = tuple(_read_only(level.elevation) for level in levels)
+    elevations = tuple(level.elevation.view() for level in levels)
+    for elevation in elevations:  # of one type for compiled code, whichever of them are shared
+        elevation.flags.writeable = False
     place, beyond = np.array(position, np.float64), np.array([possible.steepest, possible.limit(top)])
-    _sweep(elevations, geometry, place, bend, start, step, _reach(levels, position), beyond, rows, points, found)
+    x, y = float(position[0]), float(position[1])
+    x_min, y_min, x_max, y_max = levels[-1].geometry.bounds
+    reach = min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
+    _sweep(elevations, geometry, place, bend, start, step, reach, beyond, rows, points, found)
     if not (rows[:, RANGE] > 0).any():
-        x, y, _ = (float(v) for v in position)
         raise PoseError(
             f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
             "camera's position and its crs, or give a DEM that surrounds it"
@@ -167,19 +171,6 @@ def terrain_horizon(
     tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
     contours = link_contours(start, step, points, found)
     return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, bound, front, front_range, contours)
-
-
-def _read_only(elevation: Float32Array) -> Float32Array:
-    """Check that the rasters of a stack are of one type for compiled code, whichever of them are shared."""
-    view = elevation.view()
-    view.flags.writeable = False
-    return view
-
-
-def _reach(levels: tuple[Dem, ...], position: Float64Array) -> float:
-    x_min, y_min, x_max, y_max = levels[-1].geometry.bounds
-    x, y = float(position[0]), float(position[1])
-    return min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
 
 
 @kernel(nogil=True)
