@@ -223,8 +223,7 @@ def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
 
 
 def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all properties, the ellipses,
-    and the modes if there are several."""
+    """Return a FeatureCollection (RFC 7946): the mean place with all properties, the ellipses, and several modes."""
 
     def lonlat(points: Float64Array) -> list[list[float]]:
         return np.column_stack(frame.to_lonlat(points[:, 0], points[:, 1])).round(7).tolist()  # type: ignore[no-any-return]

@@ -121,8 +121,7 @@ frequent than large ones, and the distribution of their size is unknown."""
 
 @dataclass(frozen=True, eq=False)
 class DirectionTable:
-    """Marked directions by DRIFTS, azimuth of the fan and knot of range: `density` (D, A, J) of the azimuth; `slope`,
-    `variance` (A, J) of the slope there, without drift."""
+    """Marked directions by drift, azimuth and knot: `density` (D, A, J); `slope`, `variance` (A, J) without drift."""
 
     density: Float64Array
     slope: Float64Array

@@ -20,8 +20,7 @@ from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 @dataclass(frozen=True, eq=False)
 class SightRaster:
     """Sight raster of one fan, (H, W) each. `density`: of the marked direction, given the cell; 0 where the fan has no
-    sample. `fit`: of the cell's best sample (`SightLikelihood.fit`). `lift`: metres above the ground from which
-    something is visible, of the more likely parts of the cell."""
+    sample. `fit`: of the cell's best sample. `lift`: metres above the ground from which something is visible."""
 
     density: Float64Array
     fit: Float64Array

@@ -76,8 +76,7 @@ class Posterior:
 
     @classmethod
     def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> Posterior | None:
-        """Return the posterior of unnormalised densities (H, W); cells with less than 1e-9 of the maximum are
-        dropped. None if all densities are 0."""
+        """Return the posterior of densities (H, W), without cells below 1e-9 of the maximum; None if all are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:
             return None
@@ -108,8 +107,7 @@ class Posterior:
         return math.sqrt(float(np.trace(self.covariance)))
 
     def ellipse(self, share: float) -> Ellipse:
-        """Return the ellipse with the covariance's shape around the mean that contains `share` of the probability; for
-        a normal distribution it is the usual one."""
+        """Return the ellipse with the covariance's shape around the mean that contains `share` of the probability."""
         values, vectors = np.linalg.eigh(self.covariance)
         along = vectors[:, 1]
         azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
@@ -133,8 +131,7 @@ class Posterior:
 
     @cached_property
     def likeliest(self) -> tuple[float, float]:
-        """Return the mean x, y of the most probable connected part of the densest half: the first place to search. The
-        mean of all may lie between two places."""
+        """Return the mean x, y of the likeliest part of the densest half; the mean of all may lie between places."""
         return self._parts(0.5)[0].centre
 
     def _parts(self, share: float) -> tuple[Mode, ...]:
@@ -213,8 +210,7 @@ class Location:
 
 
 class Locator:
-    """Locator of marks on one terrain. `dem`: the visible surface (`Site.open_surface`), in the frame of the poses.
-    `bend`: curvature coefficient of rays, `geodesy.ray_bend`."""
+    """Locator of marks on one terrain. `dem`: the visible surface in the frame of the poses. `bend`: of rays."""
 
     def __init__(self, dem: Dem, bend: float, config: LocatingConfig = LocatingConfig()) -> None:
         self.dem = dem
@@ -267,8 +263,7 @@ def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
 
 
 def _shares(evidences: Float64Array) -> list[float]:
-    """Return the probabilities of hypotheses that are equally likely before; where nothing is possible under any, still
-    equal."""
+    """Return the probabilities of hypotheses of equal prior; equal where nothing is possible under any."""
     if not np.isfinite(evidences.max()):
         return [1 / len(evidences)] * len(evidences)
     return list(map(float, softmax(evidences)))

@@ -19,8 +19,7 @@ _FOOT = 0.15  # share of a leaning plume's height over which the probability of 
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Places in an image where an object may meet the ground. `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1.
-    `sigmas`: (K, 2) of u and v, pixels."""
+    """Where an object may meet the ground. `pixels`: (K, 2) u, v; `sigmas`: theirs. `weights`: (K,) sums to 1."""
 
     pixels: Float64Array
     weights: Float64Array

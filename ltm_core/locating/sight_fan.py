@@ -137,8 +137,7 @@ class Rays(NamedTuple):
 
 class SmokeDensities(NamedTuple):
     """Densities of smoke, (A, R) each, filled by the loops: densities with the base `seen` and `hidden`, and these over
-    the sample's maximum; `unseen`: the probability that the terrain hides the base; `lifts`: metres above the ground
-    from which something is visible."""
+    the sample's maximum; `unseen`: chance of a hidden base; `lifts`: metres from which something is visible."""
 
     seen: Float64Array
     hidden: Float64Array

@@ -57,8 +57,7 @@ def ground_along(rays: Rays, density: Float64Array, fit: Float32Array, lifts: Fl
 @kernel(nogil=True)
 def smoke_along(rays: Rays, rise: float, found: SmokeDensities) -> None:
     """Compute densities of the marked slope with the base `seen` and `hidden`, without drift; `unseen`: the probability
-    that the terrain hides the base. (A, R) each; the densities only at possible azimuths, `unseen` only where the mark
-    is higher above the base than `rise`, a slope."""
+    that the terrain hides the base. (A, R) each; `unseen` only where the mark is higher than `rise`, a slope."""
     heights, levels, ranges, knots, z0, bend, azimuth_density, slope_mean, slope_variance, height_variance, apart = rays
     seen, hidden, seen_fit, hidden_fit, unseen, lifts = found
     mu, var, knot = np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS, np.int64)
@@ -293,8 +292,7 @@ def add_drifted(
 
 @kernel(nogil=True)
 def add_smeared(rays: Rays, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
-    """Add to the slope's density at a visible base that at a hidden one, averaged over the azimuths to which a plume
-    may have drifted; evenly spaced azimuths."""
+    """Add the density at a hidden base, averaged over the azimuths of drift, which are evenly spaced."""
     heights, levels, ranges, knots, z0, bend, _, slope_mean, _, _, _ = rays
     density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit
     count = len(azimuths)

@@ -100,8 +100,7 @@ class LocatingTerrain:
         return sight
 
     def look_closer(self, sight: Sight, bounds: Bounds, resolution: float, turned: bool = False) -> Sight:
-        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible;
-        `turned`: for a camera turned by an unknown angle."""
+        """Return the sighting over a part of the map for cells of a resolution; `turned`: by an unknown angle."""
         marked, azimuths = sight.directions.azimuth, sight.fan.azimuths
         around = float(marked @ sight.directions.weights) if turned else float(azimuths.mean())
         first, last = (around - MOST_TURNED, around + MOST_TURNED) if turned else (azimuths[0], azimuths[-1])

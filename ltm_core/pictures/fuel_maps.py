@@ -109,8 +109,7 @@ class FuelCanvas:
     def map(
         self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None, names: Sequence[Text] = ()
     ) -> RgbImage:
-        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, names, cameras,
-        north and axes. Raises RasterError for another shape."""
+        """Return the colours (H, W, 3) of the known cells over relief, with all that a map has. Raises RasterError."""
         if known.shape != self._shape:
             raise RasterError(f"cells of shape {known.shape} do not fit a raster of {self._shape}")
         shown = self._inside & known[self._row, self._col]
@@ -253,8 +252,7 @@ def change_sheet(
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "") -> RgbImage:
-    """Draw, for each camera, how many frames saw each cell, and the smallest ground footprint of a pixel. Raises
-    ImageError if no camera has seen anything."""
+    """Draw, for each camera, how many frames saw each cell, and the smallest footprint. Raises ImageError."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4

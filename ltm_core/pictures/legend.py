@@ -114,8 +114,7 @@ UNKNOWN_COLOR = (70, 70, 74)
 
 @dataclass(frozen=True)
 class RangeScale:
-    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour. The default suits
-    a tower camera, and does not follow the image."""
+    """Ranges in metres at the two ends of the colour scale. The default suits a tower camera, and is fixed."""
 
     near: float = 30.0
     far: float = 30_000.0
@@ -193,8 +192,7 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
 def ramp_legend(
     width: int, ramp: RgbImage, ticks: Sequence[tuple[str, float]], others: Sequence[tuple[str, Color]] = ()
 ) -> RgbImage:
-    """Return a strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (name, where between 0 and 1), and
-    the colours of what is not on the scale."""
+    """Return a strip (h, `width`, 3): colours `ramp` (256, 3), `ticks` (name, 0 to 1), and what is not on it."""
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
     strip = _paper(height, width)

@@ -52,8 +52,7 @@ def overlay_depth(
 
 
 def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
-    """Return the class colours over the photo with thin borders, plain where unlabelled. `labels`: (H, W) uint8, or
-    every n-th pixel. Raises ImageError on sizes that disagree."""
+    """Return the class colours over the photo. `labels`: (H, W) uint8, or every n-th pixel. Raises ImageError."""
     ids = _to_image_size(np.asarray(labels, np.uint8), image)
     colors = label_colors(ids, label_set)
     mixed = _mix(image, colors, opacity)
@@ -119,8 +118,7 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
 
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
-    """Return `picture` (of the raster `view`) with eastings below and northings on the left, in metres, every round
-    distance. `offset`: added to the view's coordinates."""
+    """Return `picture` (of the raster `view`) with round eastings and northings, metres, plus `offset`."""
     height, width = picture.shape[:2]
     size = max(14, round(width / 54))
     step = round_step(min(width, height) * view.resolution)

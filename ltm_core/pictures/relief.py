@@ -46,8 +46,7 @@ def _within(first: float, last: float, most: int) -> tuple[int, int]:
 
 
 def hillshade(dem: Dem) -> Float32Array:
-    """Return the brightness (H, W) in [0, 1] of a white matte surface lit from four sides, by Horn's 3 x 3 differences
-    (1981); NaN without height or beside such a cell."""
+    """Return the brightness (H, W) of a white matte surface lit from four sides (Horn 1981); NaN beside unknowns."""
     z = np.pad(dem.elevation, 1, mode="edge")
     rows = z[:-2] + 2 * z[1:-1] + z[2:]  # weighted over three rows
     cols = z[:, :-2] + 2 * z[:, 1:-1] + z[:, 2:]

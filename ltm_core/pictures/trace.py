@@ -106,8 +106,7 @@ _WIDEST_TRACE = 2200
 
 
 def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
-    """Return the ranges in colour over the photo (H, W, 3), or over shaded terrain without one, with skyline and
-    legend; at every n-th pixel if wider than 2200 pixels."""
+    """Return the ranges in colour over the photo or shaded terrain; every n-th pixel if wider than 2200."""
     step = -(-traced.camera.width // _WIDEST_TRACE)
     ranges = traced.range[::step, ::step]
     if step > 1:
@@ -184,8 +183,7 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 def coverage_picture(
     coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame
 ) -> RgbImage:
-    """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with cameras and legend.
-    `dem`: in the frame of the coverage."""
+    """Return the number of cameras that see each cell over shaded relief, (H, W, 3). `dem`: in its frame."""
     classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)
     classes[coverage.count < 0] = UNLABELLED
     g = coverage.geometry

@@ -126,8 +126,7 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
     """Return outlines (u, v) of the parts of (H, W), to `tolerance` pixels, coarser where a polygon would have too many
     corners (`MOST_POINTS`).
 
-    `filled`: holes are filled. Otherwise the outline goes in to each hole, about it, and back the same way, so that
-    filling it by the even-odd rule leaves the hole out."""
+    `filled`: holes are filled. Otherwise the outline goes into each hole and back, for the even-odd rule."""
     mode = cv2.RETR_EXTERNAL if filled else cv2.RETR_CCOMP
     # All pixels of the edges: a cut to a hole ends at one of them.
     contours, tree = cv2.findContours(region.astype(np.uint8), mode, cv2.CHAIN_APPROX_NONE)

@@ -104,8 +104,7 @@ class Source:
     beside: tuple[Path, ...] = ()
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return width and height of the image for a network that takes any size: those of the preprocessor, else
-        those given, if not 0, else 640 x 352."""
+        """Return width and height of the image for a free size: the preprocessor's, else those given, if not 0."""
         size = self.preprocessor.get("size")
         size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
         known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
@@ -124,8 +123,7 @@ class Source:
 
     def normalisation(self, stated: str, usual: str) -> dict[str, Any] | None:
         """Return the keys of `InputSpec` for the values of pixels: those of the normalisation `stated`, of the
-        preprocessor, or of the `usual` normalisation; None if nothing states them. Raises ModelError for a name that
-        is no normalisation."""
+        preprocessor, or of the `usual` normalisation; None if nothing states them. Raises ModelError for another."""
         named, given = RecipeFile.load().normalisations, self.preprocessor
         if name := stated or ("" if given else usual):
             if name not in named:

@@ -31,8 +31,7 @@ SHIPPED_LABEL_HEAD: Final = "landscape"  # name of the label head that leaves th
 
 
 class CoarseLook(StrictModel):
-    """Second inference of the whole image at this size, whose scores of land count by `share` (`second_scale`). The
-    network's file must accept both input sizes."""
+    """Second inference of the whole image at this size, which the file must accept; land counts by `share`."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -44,8 +43,7 @@ class CoarseLook(StrictModel):
 
 
 class SecondNetwork(StrictModel):
-    """Second network, by name or path, whose log probabilities of labels count by `share`. It has no say where it has
-    no label, nor with a label head."""
+    """Second network, by name or path, whose labels count by `share`, except where it has none or with a head."""
 
     model: str
     share: float = Field(gt=0, lt=1)

@@ -78,8 +78,7 @@ class MaskMaker:
     """Mask of a key of the site file, `place`: call it with the size (width, height) of the images. A PNG, of its own
     `size` only, is kept as bits, because a patrol has many views.
 
-    Raises ConfigError for no such image, another format, colours or an alpha channel, nothing or everything masked, and
-    as it is called for a mask that cannot have this size."""
+    Raises ConfigError for another format, nothing or everything masked, and, when called, for another size."""
 
     def __init__(self, config: MaskConfig, place: str) -> None:
         self._polygons, self._place = config if isinstance(config, tuple) else (), place

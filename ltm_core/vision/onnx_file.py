@@ -52,8 +52,7 @@ def file_digest(path: Path) -> str:
 
 
 def _weights(path: Path, content: bytes) -> tuple[str, ...]:
-    """Return the names of the external files. Anything that may be an entry in another form than usual is rejected, so
-    that no file outside the folder is read."""
+    """Return the names of the external files. Entries in an unusual form are rejected: nothing outside is read."""
     names, odd = set(), len(_ANY_LOCATION.findall(content))
     for match in _LOCATION.finditer(content):
         entry, size = (part[0] if len(part) == 1 else part[0] & 127 | part[1] << 7 for part in match.groups())

@@ -132,8 +132,7 @@ class OnnxModel:
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
-        `part`: of an image, or another size of it, which no other user requests. Raises ModelError where the file
-        gives something else by such a name."""
+        `part`: of an image, or another size, which no other user requests. Raises ModelError for other maps."""
         names = [self._output_name, *maps]
         output, *found = self._run(names, self._feed(tensor)) if part else self._shared(tensor, names)
         for name, values in zip(maps, found, strict=True):

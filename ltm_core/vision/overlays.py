@@ -31,8 +31,7 @@ _WORKING_WIDTH = 320  # width at which holes are filled, because the filling is 
 
 
 def find_overlay(picture: UInt8Array) -> BoolArray | None:
-    """Return (H, W) bool, True on bars, captions and frames along the edges of an image (H, W, 3) RGB, and on the
-    corners of rounded frames; None: there are none."""
+    """Return (H, W) bool, True on bars, captions and frames along the edges of an image and round corners, or None."""
     height, width = picture.shape[:2]
     hidden = np.zeros((height, width), np.uint8)
     inner, clear = picture, hidden
@@ -59,8 +58,7 @@ def scene_of(picture: UInt8Array) -> UInt8Array:
 
 
 def _bar(image: NDArray[Any], beside: bool) -> int:
-    """Return the rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `beside`: the image is
-    turned, and the edge is its left or right one."""
+    """Return the rows of the bar along the upper edge of an image (h, w, 3), or 0. `beside`: the image is turned."""
     rows, columns = image.shape[:2]
     if min(rows, columns) < 4 * _THINNEST:
         return 0

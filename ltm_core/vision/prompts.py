@@ -54,8 +54,7 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
         prompts: for each label (or OTHER) its prompts; empty: the names of the labels.
         shown: a prompt that is a class of its own, unlabelled, for a heat map; empty: none.
 
-    Raises ConfigError for a key that is no label, and prompts that are empty or repeated; ModelError for a network
-    without text, and for files that cannot be used."""
+    Raises ConfigError for other keys and bad prompts; ModelError for a network without text, and bad files."""
     given = dict(prompts) or {name: (name,) for name in labels.names}
     if unknown := sorted(set(given) - set(labels.names) - {OTHER}):
         raise ConfigError(f"vocabulary: no label {unknown[0]!r}; use {', '.join(labels.names)}, or {OTHER}")

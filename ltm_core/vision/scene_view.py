@@ -52,8 +52,7 @@ class SceneView:
         return picture if self.hidden is None else fill_hidden(picture, self.hidden)
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
-        """Remove labels (H, W) and their confidence (H, W), in place, where the landscape is not visible, in unusable
-        images, and on overexposed or black land."""
+        """Remove labels and their confidence (H, W), in place, where the landscape is not visible or overexposed."""
         if self.reason is None and self.hidden is None and self.doubtful is None:
             return
         gone = np.full(labels.shape, self.reason is not None)

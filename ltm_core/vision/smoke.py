@@ -47,8 +47,7 @@ _WIDER: Final = 6  # pixels by which a detected cloud is enlarged
 
 @dataclass(frozen=True, eq=False)
 class _SmokeFrame:
-    """An image at `at_s` seconds. `grey`: (h, w) uint8; `packed_land`: eight pixels a byte; `coarse`: (h / 4, w / 4),
-    its pattern."""
+    """An image at `at_s` seconds. `grey`: (h, w) uint8; `packed_land`: bits; `coarse`: its reduced pattern."""
 
     at_s: float
     grey: UInt8Array

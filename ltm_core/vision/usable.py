@@ -67,8 +67,7 @@ _SAID = {
 
 @dataclass(frozen=True, eq=False)
 class Usability:
-    """Usability of an image. `reason`: why it is unusable as a whole; None: usable. `doubtful`: (ROWS, COLUMNS) bool,
-    edge to edge over the image: overexposed or black cells."""
+    """Usability of an image. `reason`: None if usable. `doubtful`: (ROWS, COLUMNS), overexposed or black cells."""
 
     reason: Unusable | None
     doubtful: BoolArray

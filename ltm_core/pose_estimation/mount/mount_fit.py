@@ -245,8 +245,7 @@ def _apart(states: list[Float64Array]) -> list[Float64Array]:
 
 
 def _deviation(state: Float64Array) -> Float64Array:
-    """Return (8,) of a state from what is stated, in the terms of its sigmas: of the rotation, by how much it tips the
-    vertical about x and y, and its turn about it."""
+    """Return (8,) of a state from what is stated: of the rotation, its tips of the vertical about x and y, its turn."""
     tipped = matrix_of_vector(state[3:6])[:, 2]
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 

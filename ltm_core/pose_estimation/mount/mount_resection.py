@@ -67,8 +67,7 @@ def resect_mount(
 
     `points`: at least four landmarks, spread in pan. `start`: its place, lean, signs and sigmas; its azimuth is not
     used. `bend`: `geodesy.ray_bend`. `free_focal`: fit the lens at each zoom, within some 5 percent. `free_position`:
-    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels.
-    `free_k1`: fit the radial distortion at each zoom too."""
+    fit the place too, within the sigmas of `start`. `sigma_px`: minimum of a mark. `free_k1`: fit k1 at each zoom."""
     count = len(np.unique(points.places, axis=0))
     if count < LEAST_LANDMARKS:
         raise PoseError(

@@ -221,8 +221,7 @@ def unknown_angles() -> Float64Array:
 def clearer_turn(
     skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
 ) -> Pose | None:
-    """Return the turned pose that fits the skyline of an undistorted camera clearly better than the known pose, if any;
-    a fit from the known pose ends on the nearest hill."""
+    """Return the turned pose that fits the skyline clearly better than the known one, if any; a fit ends too near."""
     azimuth, pitch, roll = known.pose.angles_deg
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
     azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)

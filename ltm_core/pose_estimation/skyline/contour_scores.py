@@ -92,8 +92,7 @@ def contour_scores(
 
 
 def usual_score(scores: Float64Array) -> tuple[float, float]:
-    """Return median and robust standard deviation of the scores (P,) of many poses. If most have no ridge in view their
-    scores are equal, so the spread is that of the others."""
+    """Return median and robust standard deviation of the scores (P,) of many poses, equal if no ridge is in view."""
     middle = float(np.median(scores))
     return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
 
@@ -203,8 +202,7 @@ def picture_evidence(
     config: PicturePoseConfig = PicturePoseConfig(),
     hidden: BoolArray | None = None,
 ) -> PictureEvidence:
-    """Return the evidence in a photo (H, W, 3) of `camera` with its labels (H, W); `hidden` (H, W): captions and parts
-    of a tower. Raises ImageError if their sizes differ."""
+    """Return the evidence in a photo (H, W, 3) with labels (H, W), except in `hidden` (H, W). Raises ImageError."""
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(

@@ -98,8 +98,7 @@ def find_pose(
 ) -> PictureSearch:
     """Search the pose of an image and judge it.
 
-    `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
-    already. Raises PoseError as `terrain_horizon`."""
+    `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already. Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
@@ -142,8 +141,7 @@ _MOST_BENT = 0.6  # maximum radial shift at the image's corner, as a share of th
 
 
 def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend | None:
-    """Return the k1 by which the skyline's misfits at the best hypothesis bend beyond angles and focal length; None
-    without a skyline or hypothesis."""
+    """Return the k1 by which the skyline's misfits at the best hypothesis bend; None without a skyline."""
     skyline = search.evidence.skyline
     if skyline is None or not search.hypotheses:
         return None
@@ -235,8 +233,7 @@ def find_pose_and_lens(
 
     `evidence_of`: evidence in the image by its camera, which undistorts it. Every k1 within two standard deviations is
     searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
-    lens; the poses of other lenses widen it by their weights, and their azimuths are alternatives to it. Without a
-    skyline, the lens stays as stated."""
+    lens; poses of other lenses widen it and are alternatives to it. Without a skyline, the lens stays as stated."""
     horizon = terrain.horizon_for(camera, prior, config)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     middle = camera.distortion[0]

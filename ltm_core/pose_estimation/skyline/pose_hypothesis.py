@@ -46,8 +46,7 @@ def _moved(refined: RefinedPose, step: Float64Array, covariance: Float64Array) -
 
 
 def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """Return the hypotheses with the uncertainty of the first one widened by the distance of those around it; unlike a
-    mean, a pose by ridges alone lies on its edges."""
+    """Return the hypotheses, the first less sure by the distance of those around it: by ridges alone, no mean fits."""
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
@@ -88,8 +87,7 @@ def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Fl
 def mean_about_best(
     costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those with azimuths (N,), rad, near
-    the first, best one. `variance`: of the skyline's misfits."""
+    """Return mean (K,) and spread (K, K) of states (N, K) whose azimuths (N,), rad, are near the first, best one."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.

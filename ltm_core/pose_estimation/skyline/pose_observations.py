@@ -56,8 +56,7 @@ class SkylineObservations(Observations):
 
 @dataclass(frozen=True, eq=False)
 class RidgeObservations(Observations):
-    """`shared` (N,): the part of sigma that neighbouring places share (vegetation), px. `ground` (N, 2): map metres
-    from the place that ridges were predicted from."""
+    """`shared` (N,): part of sigma that neighbouring places share, px. `ground` (N, 2): metres from the prediction."""
 
     shared: Float64Array
     ground: Float64Array

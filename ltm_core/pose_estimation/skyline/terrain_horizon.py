@@ -40,8 +40,7 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 3) of N azimuths, of which `found` (N,) are set, each (tangent, range, cell), from one azimuth
-    to the next; contours shorter than 0.6 degrees are dropped."""
+    """Link points (N, K, 3) of N azimuths, `found` (N,) of each: (tangent, range, cell); short contours are dropped."""
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
     rows, cols = np.nonzero(kept)
@@ -144,8 +143,7 @@ def terrain_horizon(
 ) -> TerrainHorizon:
     """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
 
-    `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
-    of the DEM lies around the position."""
+    `bend`: of rays, 1/m. `possible`: heights of unknown ground. Raises PoseError if no DEM lies around the position."""
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count
