@@ -57,21 +57,20 @@ def place_views(
     target = np.asarray(place, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():
         raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}; check that it is on the DEM")
-    return [_view(sight, camera, target, extent) for camera in cameras]
-
-
-def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, extent: float) -> PlaceView:
-    seen = sight.visible(camera.camera, camera.pose, place[None])
-    vector = line_of_sight_vectors(camera.pose.position, place, sight.bend)
-    level = math.hypot(vector[0], vector[1])
-    state, lift, pixel = PointState(int(seen.states[0])), float(seen.lifts[0]), seen.pixels[0]
-    there = state is not PointState.OUTSIDE and bool(np.isfinite(pixel).all())
-    crest = _crest(sight, camera, place) if lift > TOLERANCE else None
-    azimuth, pitch = math.degrees(math.atan2(vector[0], vector[1])), math.degrees(math.atan2(vector[2], level))
-    hfov = math.degrees(2 * math.atan2(_MARGIN * extent, max(level, 1.0)))
-    hfov = min(max(hfov, _NARROWEST_DEG), 120.0)
-    at = (float(pixel[0]), float(pixel[1])) if there else None
-    return PlaceView(camera.name, at, state, lift, crest, azimuth % 360.0, pitch, hfov, level)
+    views = []
+    for camera in cameras:
+        seen = sight.visible(camera.camera, camera.pose, target[None])
+        vector = line_of_sight_vectors(camera.pose.position, target, sight.bend)
+        level = math.hypot(vector[0], vector[1])
+        state, lift, pixel = PointState(int(seen.states[0])), float(seen.lifts[0]), seen.pixels[0]
+        there = state is not PointState.OUTSIDE and bool(np.isfinite(pixel).all())
+        crest = _crest(sight, camera, target) if lift > TOLERANCE else None
+        azimuth, pitch = math.degrees(math.atan2(vector[0], vector[1])), math.degrees(math.atan2(vector[2], level))
+        hfov = math.degrees(2 * math.atan2(_MARGIN * extent, max(level, 1.0)))
+        hfov = min(max(hfov, _NARROWEST_DEG), 120.0)
+        at = (float(pixel[0]), float(pixel[1])) if there else None
+        views.append(PlaceView(camera.name, at, state, lift, crest, azimuth % 360.0, pitch, hfov, level))
+    return views
 
 
 def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> tuple[float, float, float] | None:

@@ -98,13 +98,12 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
     def pixels(a: Float64Array, t: Float64Array) -> Float64Array:
         return camera.project(np.stack([np.sin(a), np.cos(a), t], axis=-1) @ pose.rotation)
 
-    # One-sided where the other side leaves the lens's model.
-    here = pixels(azimuth, slope)
-    columns = []
+    here, columns = pixels(azimuth, slope), []
     for da, dt in ((step, 0.0), (0.0, step)):
         ahead, behind = pixels(azimuth + da, slope + dt) - here, here - pixels(azimuth - da, slope - dt)
-        both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, (ahead + behind) / 2))
-        columns.append(both / step)
+        # One-sided where the other side leaves the lens's model.
+        ahead, behind = np.where(np.isnan(ahead), behind, ahead), np.where(np.isnan(behind), ahead, behind)
+        columns.append((ahead + behind) / 2 / step)
     jacobian = np.stack(columns, axis=-1)
     if not np.isfinite(jacobian).all() or (np.abs(np.linalg.det(jacobian)) < 1e-9).any():
         raise RegionError("the region is at the edge of the lens model, where pixels have no direction; check k1")

@@ -106,7 +106,12 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
     """Fuse all sights at the resolution that their common places need. `turned`: of a camera turned by any angle."""
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
-    window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
+    edges = np.array([bounds for bounds, _ in supports])
+    low, high = edges[:, :2].max(axis=0), edges[:, 2:].min(axis=0)
+    if (high <= low).any():  # no place for all: the raster says so of every cell
+        low, high = edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)
+    finest = max(max(cell for _, cell in supports), float((high - low).max()) / _SIDE)
+    window = covering((float(low[0]), float(low[1]), float(high[0]), float(high[1])), finest)
     found = _fused(terrain, sights, shared, window)
     for number in range(_ROUNDS):
         if not np.isfinite(found.least):
@@ -162,15 +167,6 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
     """Return a grid at whole multiples of the resolution from the origin: equal places give equal rasters."""
     return GridGeometry.snapped(bounds, resolution, 0.0)
-
-
-def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
-    bounds = np.array(supports)
-    low, high = bounds[:, :2].max(axis=0), bounds[:, 2:].min(axis=0)
-    if (high <= low).any():  # no place for all: the raster says so of every cell
-        low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
-    whole = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    return covering(whole, max(cell, float((high - low).max()) / _SIDE))
 
 
 def _fused(

@@ -243,7 +243,9 @@ class Locator:
         # What a wrong camera marks may be another thing, in any direction.
         without = [fused_closely(terrain, others) for others, _ in parted]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
-        chances = _shares(np.logaddexp(evidences, elsewhere))
+        both = np.logaddexp(evidences, elsewhere)
+        # Equally likely before; where nothing is possible under any, still equal.
+        chances = softmax(both if np.isfinite(both.max()) else np.zeros(len(names))).tolist()
         agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
@@ -260,10 +262,3 @@ def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
         raise RegionError("no place on the map fits all sightings; they show different objects")
     lift = float(posterior.probability @ fused.lift[posterior.rows, posterior.cols])
     return Location(posterior, fused.least, agreement, lift)
-
-
-def _shares(evidences: Float64Array) -> list[float]:
-    """Return the probabilities of hypotheses of equal prior; equal where nothing is possible under any."""
-    if not np.isfinite(evidences.max()):
-        return [1 / len(evidences)] * len(evidences)
-    return list(map(float, softmax(evidences)))

@@ -59,7 +59,9 @@ def location_picture(
             for color, width in ((_WHITE, 3), (INK, 1)):
                 cv2.polylines(picture, [line], False, color, width, cv2.LINE_AA, SHIFT)
         reach = 0.3 * (bounds[2] - bounds[0])
-        picture = furnished(picture, view, [replace(c, reach=reach) for c in cameras if _within(c, bounds)])
+        x_min, y_min, x_max, y_max = bounds
+        near = [c for c in cameras if x_min <= c.position[0] <= x_max and y_min <= c.position[1] <= y_max]
+        picture = furnished(picture, view, [replace(camera, reach=reach) for camera in near])
         _draw(picture, view, ellipses, posterior.mean)
         if bounds == maps[-1][1]:
             picture = _named(picture, view, ellipses)
@@ -96,11 +98,6 @@ def places_picture(photo: RgbImage, places: Sequence[tuple[str, tuple[float, flo
             cv2.circle(picture, centre, (size // 2) << SHIFT, color, width, cv2.LINE_AA, SHIFT)
         labels.append((name, u + size * 0.8, v, "lm"))
     return draw_texts(picture, apart(labels, size, photo.shape[0]), size, INK, halo=PAPER)
-
-
-def _within(camera: MapCamera, bounds: tuple[float, float, float, float]) -> bool:
-    x, y = camera.position
-    return bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3]
 
 
 def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:

@@ -222,11 +222,9 @@ def _label(view: GridGeometry, camera: MapCamera, size: int) -> Text:
     if camera.camera is None:
         right = col < 0.75 * view.width
         return camera.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"
-    back = math.radians(camera.azimuth_deg + 180)
-    x, y = col + math.sin(back) * size * 1.2, row - math.cos(back) * size * 1.2
-    half, margin = text_width(camera.name, size) / 2, size * 0.5
-    x += half * math.sin(back)
-    x = min(max(x, half + margin), view.width - half - margin)
+    back, half = math.radians(camera.azimuth_deg + 180), text_width(camera.name, size) / 2
+    x, y = col + math.sin(back) * (size * 1.2 + half), row - math.cos(back) * size * 1.2
+    x = min(max(x, half + size * 0.5), view.width - half - size * 0.5)
     return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
@@ -235,12 +233,11 @@ def draw_north(picture: RgbImage, size: int, texts: Sequence[Text] = ()) -> Text
     x, y = picture.shape[1] - 2 * size, size
     if any(place[1] + text_width(place[0], size) > x - size and place[2] < 5 * size for place in texts):
         y = picture.shape[0] - 5 * size
-    tip, half, height = (x, y), round(size * 0.7), round(size * 2.2)
-    left = np.array([tip, (x - half, y + height), (x, y + round(height * 0.72))], np.int32)
-    right = np.array([tip, (x + half, y + height), (x, y + round(height * 0.72))], np.int32)
-    whole = np.array([tip, left[1], left[2], right[1]], np.int32)
+    half, height = round(size * 0.7), round(size * 2.2)
+    tip, notch, base = (x, y), (x, y + round(height * 0.72)), [(x + side * half, y + height) for side in (-1, 1)]
+    whole = np.array([tip, base[0], notch, base[1]], np.int32)
     cv2.polylines(picture, [whole], True, PAPER, 5, cv2.LINE_AA)
-    cv2.fillPoly(picture, [left], INK, cv2.LINE_AA)
-    cv2.fillPoly(picture, [right], PAPER, cv2.LINE_AA)
+    for corner, color in zip(base, (INK, PAPER), strict=True):
+        cv2.fillPoly(picture, [np.array([tip, corner, notch], np.int32)], color, cv2.LINE_AA)
     cv2.polylines(picture, [whole], True, INK, 1, cv2.LINE_AA)
     return "N", x, y + height + size * 0.2, "mt"

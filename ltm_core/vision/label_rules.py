@@ -42,17 +42,13 @@ _REACH: Final = 2 / 320  # sigma of the Gaussian for averaging colours, share of
 _DARK: Final = 4.0  # grey levels added to the sum, because colour carries no information in dark areas
 
 
-def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """Return (rows, cols) redness of a photo (H, W, 3) RGB: red minus green over their sum; 0 if equal."""
-    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
-    soft = cv2.GaussianBlur(small, (0, 0), _REACH * cols)
-    red, green = soft[..., 0], soft[..., 1]
-    return np.asarray((red - green) / (red + green + _DARK), np.float32)
-
-
 def against_green(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """Return (rows, cols) in 0..1: evidence of a photo (H, W, 3) RGB against green vegetation."""
-    return np.asarray(np.clip((redness(image, rows, cols) - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
+    """Return (rows, cols) in 0..1: evidence of a photo (H, W, 3) RGB against green vegetation, by its redness, red
+    minus green over their sum."""
+    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
+    red, green, _ = cv2.split(cv2.GaussianBlur(small, (0, 0), _REACH * cols))
+    redness = (red - green) / (red + green + _DARK)
+    return np.asarray(np.clip((redness - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
 
 
 _WIDTH = 640  # pixels that the photo is brought to, so that contrast means the same for each camera

@@ -17,8 +17,6 @@ from ltm_core.vision.network_image import InputSpec
 
 DEFAULT_MODEL: Final = "landscape_v3"  # default segmentation network
 DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"  # default depth network: the second output of the same file
-
-
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
 DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
@@ -276,14 +274,11 @@ class NetworkManifest(StrictModel):
 def find_file(file: Path, folder: Path, what: str, source: str = "") -> Path:
     """Return the path of a file beside a manifest in `folder`, else in a folder of `LTM_MODEL_PATH`, by path or bare
     name. `what` names the model and `source` the file's origin in the ModelError for a missing file."""
-    places = [folder / file]
-    if not file.is_absolute():
-        for other in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
-            places += [Path(other) / file, Path(other) / file.name]
-    for place in places:
-        if is_file(place):
-            return place
-    searched = ", ".join(dict.fromkeys(str(place) for place in places))
+    listed = [] if file.is_absolute() else os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)
+    places = [folder / file, *(Path(other) / name for other in filter(None, listed) for name in (file, file.name))]
+    if found := next(filter(is_file, places), None):
+        return found
+    searched = ", ".join(dict.fromkeys(map(str, places)))
     origin = f" (source: {source})" if source else ""
     raise ModelError(
         f"{what}: no file {file}; searched {searched}. Put it in one of these places or name its folder in "

@@ -11,11 +11,7 @@ from ltm_core.base.strict_model import StrictModel, Written
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
 
 MOST_POLYGONS = 200
-
-
 MOST_VIEW_MASKS = 64  # maximum number of view masks of one camera
-
-
 MOST_POINTS = 2000  # maximum number of points of one polygon
 
 

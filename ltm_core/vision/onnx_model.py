@@ -160,8 +160,7 @@ class OnnxModel:
 
     def _checked_inputs(self) -> Any:
         """Return the input node of the image, and keep those of the camera and the constants."""
-        spec = self.manifest.input
-        nodes = {node.name: node for node in self._session.get_inputs()}
+        spec, nodes = self.manifest.input, {node.name: node for node in self._session.get_inputs()}
         if spec.intrinsics is not None:
             camera = nodes.pop(self._named(spec.intrinsics, list(nodes), "input for the camera"))
             numbers = [size for size in camera.shape if isinstance(size, int) and size != 1]
@@ -193,8 +192,7 @@ class OnnxModel:
         return node
 
     def _checked_output(self) -> str:
-        spec = self.manifest.output
-        nodes = {node.name: node for node in self._session.get_outputs()}
+        spec, nodes = self.manifest.output, {node.name: node for node in self._session.get_outputs()}
         name = self._named(spec.name, list(nodes), "output")
         for what, wanted in (("map", self.manifest.maps), ("output", spec.beside)):
             for each in wanted:

@@ -117,9 +117,9 @@ def _round_corners(image: UInt8Array, hidden: UInt8Array) -> None:
     colour = np.median(ends[0], axis=0).astype(np.uint8)
     if (_off(ends, colour) <= 3 * _DRIFT).sum() < 3:
         return
-    found = [_corner_radius(_off(corner, colour) <= 3 * _DRIFT) for corner, _ in turned]
-    radius = float(np.median([radius for radius in found if radius > 0] or [0]))
-    if sum(abs(other - radius) <= (1 - _ROUND) * radius for other in found if other > 0) < 3:
+    found = np.array([_corner_radius(_off(corner, colour) <= 3 * _DRIFT) for corner, _ in turned])
+    radius = float(np.median(found[found > 0])) if found.any() else 0.0
+    if (np.abs(found[found > 0] - radius) <= (1 - _ROUND) * radius).sum() < 3:
         return
     for _, clear in turned:
         clear[:side, :side][_beyond_arc(radius, side)] = 1

@@ -13,7 +13,6 @@ from pydantic import Field, ValidationError
 
 from ltm_core.base.errors import ConfigError, PoseError, StoreError
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
@@ -108,17 +107,13 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
-    if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
-        raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
+    if angles is not None:  # no slip could be detected against sigmas that are not finite
+        joint = np.zeros((4, 4))
+        joint[:3, :3], joint[3], joint[:, 3] = angles, memory.tilt_covariance, memory.tilt_covariance
+        values = np.linalg.eigvalsh((joint + joint.T) / 2)
+        slack = _ROUNDING * values[-1]
+        if not (values[0] >= -slack and np.abs(joint - joint.T).max() <= slack):
+            raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
     watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True
-
-
-def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
-    """Reject sigmas that are not finite, against which no slip could be detected."""
-    joint = np.empty((4, 4))
-    joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
-    values = np.linalg.eigvalsh((joint + joint.T) / 2)
-    slack = _ROUNDING * values[-1]
-    return bool(values[0] >= -slack and np.abs(joint - joint.T).max() <= slack)

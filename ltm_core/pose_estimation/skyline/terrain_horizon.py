@@ -39,20 +39,6 @@ class OccludingContours:
         return len(self.azimuth)
 
 
-def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 3) of N azimuths, `found` (N,) of each: (tangent, range, cell); short contours are dropped."""
-    following, length = _link(points, found, step)
-    kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
-    rows, cols = np.nonzero(kept)
-    number = np.full(kept.shape, -1, np.int64)
-    number[rows, cols] = np.arange(len(rows))
-    after = following[rows, cols]
-    ends = (after < 0) | (rows + 1 >= len(found))
-    linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
-    t, r, cell = (values.copy() for values in points[rows, cols].T)
-    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, cell, linked)
-
-
 X_MIN, Y_MAX, RESOLUTION = 0, 1, 2  # columns of the geometry of rasters, finest first (metres)
 TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)  # columns of a swept horizon, by azimuth
 
@@ -167,7 +153,17 @@ def terrain_horizon(
             "camera's position and its crs, or give a DEM that surrounds it"
         )
     tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
-    contours = link_contours(start, step, points, found)
+    # Contours that are long enough, linked from one azimuth to the next.
+    following, length = _link(points, found, step)
+    kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
+    at, cols = np.nonzero(kept)
+    number = np.full(kept.shape, -1, np.int64)
+    number[at, cols] = np.arange(len(at))
+    after = following[at, cols]
+    linked = number[np.minimum(at + 1, count - 1), np.maximum(after, 0)]
+    linked[(after < 0) | (at + 1 >= count)] = -1
+    t, r, size = points[at, cols].T.copy()
+    contours = OccludingContours(np.asarray(start + step * at, np.float64), t, r, size, linked)
     return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, bound, front, front_range, contours)
 
 
