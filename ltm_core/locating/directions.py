@@ -61,9 +61,9 @@ def marked_directions(
     steep = np.abs(slope) > math.tan(math.radians(STEEPEST_DEG))
     if steep.any():
         u, v = mark.pixels[steep][0]
+        off = math.degrees(math.atan(slope[steep][0]))
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) is {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
-            f"only directions within {STEEPEST_DEG:g} degrees of it are located"
+            f"pixel ({u:g}, {v:g}) is {off:.0f} degrees from the horizon; at most {STEEPEST_DEG:g} are located"
         )
     first = np.arctan2(d[0, 0], d[0, 1])
     azimuth = first + (np.arctan2(d[:, 0], d[:, 1]) - first + np.pi) % (2 * np.pi) - np.pi
@@ -75,18 +75,17 @@ def marked_directions(
     sine, cosine = np.sin(azimuth), np.cos(azimuth)
     zero = np.zeros_like(sine)
     # Of the direction with respect to the vector to the point, times its horizontal length.
-    grad = np.stack(
-        [np.stack([cosine, -sine, zero], -1), np.stack([-slope * sine, -slope * cosine, np.ones_like(sine)], -1)], 1
-    )
+    rise = np.stack([-slope * sine, -slope * cosine, np.ones_like(sine)], -1)
+    grad = np.stack([np.stack([cosine, -sine, zero], -1), rise], 1)
     unit = d / level[:, None]
     turned = np.cross(unit[:, None, :], grad)
     rows = np.concatenate([-grad[:, None] / KNOTS[:, None, None], np.repeat(-turned[:, None], len(KNOTS), 1)], -1)
     total = np.einsum("kjab,bc,kjdc->kjad", rows, covariance, rows) + own[:, None]
     found = MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
     if not found.azimuth_sigma < math.radians(LEAST_KNOWN_DEG):
+        sigma = math.degrees(found.azimuth_sigma)
         raise RegionError(
-            f"the azimuth of the mark has a sigma of {math.degrees(found.azimuth_sigma):.3g} degrees; with more than "
-            f"{LEAST_KNOWN_DEG:g} nothing can be located: check the pose covariance"
+            f"the mark's azimuth has a sigma of {sigma:.3g} degrees, too large; check the pose covariance"
         )
     return found
 

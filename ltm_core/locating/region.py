@@ -33,10 +33,7 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
         raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
     u, v = place
     if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
-        raise RegionError(
-            f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}; (0, 0) is the centre of "
-            "its top-left pixel"
-        )
+        raise RegionError(f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}")
     if _masked(camera, place[None], mask)[0]:
         raise RegionError(f"pixel ({u:g}, {v:g}) is masked and cannot be located")
     return ImageMark(place[None], np.ones(1), np.full((1, 2), sigma))
@@ -51,9 +48,7 @@ def marked_box(
         raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
     u0, v0, u1, v1 = corners
     if u1 < u0 or v1 < v0:
-        raise RegionError(
-            f"a box goes from its top left to its bottom right, got u {u0:g} to {u1:g}, v {v0:g} to {v1:g}"
-        )
+        raise RegionError(f"a box has u_min < u_max and v_min < v_max, got u {u0:g} to {u1:g}, v {v0:g} to {v1:g}")
     outline = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
     return marked_polygon(camera, outline, sigma, share, smoke, mask)
 
@@ -75,10 +70,8 @@ def marked_polygon(
         return marked_pixel(camera, points[0], sigma, mask)
     (u_low, v_low), (u_high, v_high) = points.min(axis=0), points.max(axis=0)
     if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
-        raise RegionError(
-            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is outside the image of "
-            f"{camera.width} x {camera.height}"
-        )
+        spans = f"u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}"
+        raise RegionError(f"the region, {spans}, is outside the image of {camera.width} x {camera.height}")
     if v_high >= camera.height - 1:
         raise RegionError(
             f"the region touches the image's lower edge (row {v_high:g} of {camera.height}), so its base may be "

@@ -85,9 +85,8 @@ class LocatingTerrain:
         clearance = z - float(self.dem.elevation_at(x, y))
         if clearance <= 0:
             raise PoseError(f"camera {sighting.name} is {-clearance:.2f} m under the ground; check its height")
-        directions = marked_directions(
-            sighting.mark, sighting.camera, sighting.pose, covariance, self.config.focal_sigma
-        )
+        focal, pose = self.config.focal_sigma, sighting.pose
+        directions = marked_directions(sighting.mark, sighting.camera, pose, covariance, focal)
         reach = _SIGMAS * directions.azimuth_sigma
         azimuths = np.linspace(directions.azimuth.min() - reach, directions.azimuth.max() + reach, _FIRST)
         if self._drifts:
@@ -177,9 +176,7 @@ class LocatingTerrain:
             )
         near = fan.ranges < self.config.min_range
         if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
-            raise RegionError(
-                f"{name}: the mark is on ground nearer than {self.config.min_range:g} m, too near to be located"
-            )
+            raise RegionError(f"{name}: the mark is nearer than {self.config.min_range:g} m, too near to be located")
         raise RegionError(f"{name}: the mark is on unknown terrain (a hole or the edge of the DEM)")
 
 

@@ -65,9 +65,8 @@ DOUBT: Final = Scale.of(
     cv2.COLORMAP_CIVIDIS,
 )
 """Share of the maximum entropy of a cell's life forms: 0 certain, 1 unknown."""
-FRAMES: Final = Scale.of(
-    ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more"), (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS
-)
+_SEEN = ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more")
+FRAMES: Final = Scale.of(_SEEN, (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS)
 CAMERAS: Final = Scale.of(("1 camera", "2", "3", "4 to 7", "8 and more"), (2, 3, 4, 8), cv2.COLORMAP_VIRIDIS)
 FOOTPRINT: Final = Scale.of(
     ("below 2 m", "2 to 5 m", "5 to 10 m", "10 to 20 m", "20 to 30 m", "30 m and more"),
@@ -256,9 +255,8 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "")
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4
-        maps[f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"] = canvas.scaled(
-            seen.frames, seen.frames > 0, FRAMES
-        )
+        title = f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"
+        maps[title] = canvas.scaled(seen.frames, seen.frames > 0, FRAMES)
         known = np.isfinite(seen.footprint)
         maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
     return _sheet(maps, heading)

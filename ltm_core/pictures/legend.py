@@ -266,9 +266,8 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))
-    colors = color_map(cv2.COLORMAP_INFERNO)[
-        (255 * scale.fraction(np.maximum(size, scale.near))).round().astype(np.uint8)
-    ].copy()
+    place = (255 * scale.fraction(np.maximum(size, scale.near))).round().astype(np.uint8)
+    colors = color_map(cv2.COLORMAP_INFERNO)[place]
     colors[~known] = _UNKNOWN
     colors[np.isposinf(a) & np.isposinf(b)] = SKY_COLOR
     return colors

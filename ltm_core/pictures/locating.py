@@ -42,9 +42,8 @@ def location_picture(
     """Return the cameras with their lines of sight and the posterior, and beside it the posterior closely unless that
     shows much the same, (H, W, 3); all in the map frame. `ellipses`: with their names, smallest first. `offset`: of the
     map frame, for the axes."""
-    close = _padded(
-        np.concatenate([posterior.places[posterior.densest(0.99)], ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW
-    )
+    dense = posterior.places[posterior.densest(0.99)]
+    close = _padded(np.concatenate([dense, ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW)
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
     whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
     maps = [("Cameras, lines of sight and probability", whole), ("Probability and its ellipses", close)]

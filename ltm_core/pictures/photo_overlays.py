@@ -80,16 +80,12 @@ def _to_image_size(values: NDArray[Any], image: RgbImage) -> NDArray[Any]:
     shape = image.shape[:2]
     step = -(-shape[0] // len(values))
     if values.shape != tuple(-(-size // step) for size in shape):
-        raise ImageError(
-            f"a layer of {values.shape[1]} x {values.shape[0]} pixels does not lie on an image of {shape[1]} x "
-            f"{shape[0]}: it must have every n-th pixel of it"
-        )
+        sizes = f"{values.shape[1]} x {values.shape[0]}", f"{shape[1]} x {shape[0]}"
+        raise ImageError(f"a layer of {sizes[0]} pixels does not have every n-th pixel of an image of {sizes[1]}")
     if step == 1:
         return values
-    row, col = (
-        np.minimum((np.arange(n) + step // 2) // step, of - 1) for n, of in zip(shape, values.shape, strict=True)
-    )
-    return np.asarray(values[row[:, None], col])
+    row, col = ((np.arange(size) + step // 2) // step for size in shape)
+    return np.asarray(values[np.minimum(row, len(values) - 1)[:, None], np.minimum(col, values.shape[1] - 1)])
 
 
 COLORS = (

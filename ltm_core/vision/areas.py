@@ -33,9 +33,7 @@ MOST_AREAS = 20_000
 class NamedArea(StrictModel):
     """One area of one photo."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(populate_by_name=True)
 
     image: str = Field(max_length=255)
     """File name of the photo."""

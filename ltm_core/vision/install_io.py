@@ -159,10 +159,8 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
     else:
         recipe, folder = RecipeFile.load().named(given), added_folder() / ".downloads" / given
         if not recipe.url:
-            raise ModelError(
-                f"{given}: no public ONNX export is known; export it from {recipe.page}, then: ltm models add FILE "
-                f"--like {given}"
-            )
+            how = f"export it from {recipe.page}, then: ltm models add FILE --like {given}"
+            raise ModelError(f"{given}: no public ONNX export is known; {how}")
         for name, digest in recipe.files.items():
             download(f"{recipe.url}/{name}", folder / name, digest, progress)
         found = _of_file(next(folder / name for name in recipe.files if name.endswith(".onnx")))

@@ -53,10 +53,8 @@ class LabelHead:
         rows, cols = scores.shape[1:]
         for (name, weights), values in zip(self.weights.items(), maps, strict=True):
             if values.ndim != 3 or len(values) != weights.shape[1]:
-                raise ModelError(
-                    f"label head {self.name!r}: map {name!r} is {values.shape}, expected ({weights.shape[1]}, h, w); "
-                    "the label head was trained for another network"
-                )
+                expected = f"expected ({weights.shape[1]}, h, w); it was trained for another network"
+                raise ModelError(f"label head {self.name!r}: map {name!r} is {values.shape}, {expected}")
             # einsum and not a matrix product: BLAS would wake its own threads for a millisecond of work.
             part = np.einsum("kc,cn->kn", weights, values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
             for score, plane in zip(scores, part, strict=True):
@@ -96,10 +94,8 @@ class LabelHeadFile(StrictModel):
         for name, rows in self.maps.items():
             widths = {len(row) for row in rows}
             if len(rows) != count or len(widths) != 1 or not max(widths):
-                raise ValueError(
-                    f"maps.{name}: expected {count} rows of as many numbers each, one row for each of classes; got "
-                    f"{len(rows)} rows of {', '.join(map(str, sorted(widths))) or 'none'}"
-                )
+                found = f"{len(rows)} rows of {', '.join(map(str, sorted(widths))) or 'none'}"
+                raise ValueError(f"maps.{name}: expected {count} rows, each of as many numbers; got {found}")
         return self
 
 

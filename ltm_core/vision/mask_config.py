@@ -21,9 +21,7 @@ Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(g
 class MaskPolygon(StrictModel):
     """One area that hides the landscape."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(populate_by_name=True)
 
     kind: Written[str] = Field("", alias="class", max_length=80)
     """Kind of area: mast, lens, bar, caption, roof."""

@@ -38,10 +38,7 @@ class CameraMask:
         if not self.hidden.any():
             raise ConfigError(f"{self.place}: the mask hides nothing; draw an area, or remove the key")
         if self.hidden.all():
-            raise ConfigError(
-                f"{self.place}: the mask hides the whole image; non-zero pixels of the PNG are masked, so it may be "
-                "inverted"
-            )
+            raise ConfigError(f"{self.place}: the mask hides the whole image; it may be inverted (non-zero is masked)")
 
     @classmethod
     def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
@@ -50,10 +47,8 @@ class CameraMask:
         for number, polygon in enumerate(polygons):
             points = np.array(polygon.polygon, np.float64)
             if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
-                raise ConfigError(
-                    f"{place}.{number}: the polygon is outside the image of {width} x {height} pixels (it spans "
-                    f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()})"
-                )
+                spans = f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()}"
+                raise ConfigError(f"{place}.{number}: the polygon is outside the image of {width} x {height} ({spans})")
             fill(drawn, points.tolist())
         return cls(drawn > 0, place)
 

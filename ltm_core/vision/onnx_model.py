@@ -30,9 +30,10 @@ _PICTURES: Final = 4  # maximum number of cached images with pending outputs, on
 
 
 class SharedRuns:
-    """Shared runs of one file, thread-safe; each output is given to one user, which may modify it."""
+    """A file in memory and its runs, thread-safe; each output is given to one user, which may modify it."""
 
-    def __init__(self) -> None:
+    def __init__(self, session: Any = None) -> None:
+        self.session = session
         self._lock = threading.Lock()
         self._asked: WeakKeyDictionary[object, str] = WeakKeyDictionary()
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
@@ -60,15 +61,7 @@ class SharedRuns:
         return made[: len(outputs)]
 
 
-class _Loaded(SharedRuns):
-    """A file in memory."""
-
-    def __init__(self, session: ort.InferenceSession) -> None:
-        super().__init__()
-        self.session = session
-
-
-_loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
+_loaded: WeakValueDictionary[tuple[str, int, str], SharedRuns] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
 _FLOATS: Final = ("tensor(float)", "tensor(float16)", "tensor(double)")
@@ -99,7 +92,7 @@ class OnnxModel:
         with _one_at_a_time:
             loaded = _loaded.get(key)
             if loaded is None:
-                loaded = _loaded[key] = _Loaded(open_session(file, self.path, threads))
+                loaded = _loaded[key] = SharedRuns(open_session(file, self.path, threads))
         self._loaded, self._session = loaded, loaded.session
         self._constants: dict[str, npt.NDArray[Any]] = {}
         self._camera: Any = None
@@ -275,14 +268,12 @@ def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.Inferen
         return ort.InferenceSession(what, sess_options=options, providers=["CPUExecutionProvider"])
     # The runtime's errors have no common base but Exception; each of them means that this file cannot be run.
     except Exception as reason:
-        raise ModelError(
-            f"{path}: expected an ONNX network, found {len(file.content)} bytes that ONNX Runtime "
-            f"{ort.__version__} rejects: {reason}"
-        ) from reason
+        found = f"{len(file.content)} bytes that ONNX Runtime {ort.__version__} rejects"
+        raise ModelError(f"{path}: expected an ONNX network, found {found}: {reason}") from reason
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
     """Return whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
-    return len(found) == len(expected) and all(
-        not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
-    )
+    if len(found) != len(expected):
+        return False
+    return all(not isinstance(a, int) or a == b for a, b in zip(found, expected, strict=True))

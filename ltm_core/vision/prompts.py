@@ -70,9 +70,7 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
     if manifest.output.kind == "embeddings":
         return _by_words(manifest, groups, mapping)
     if manifest.prompts is None:
-        raise ModelError(
-            f"model {manifest.name!r} takes no prompts; remove `vocabulary`, or use a network with a text encoder"
-        )
+        raise ModelError(f"model {manifest.name!r} takes no prompts; remove `vocabulary`, or use another network")
     return _by_input(manifest, groups, mapping)
 
 
@@ -88,9 +86,8 @@ def _by_words(
         known = dict(zip(words.names, words.vectors, strict=True))
     unknown = [text for text in texts if text not in known]
     if unknown and manifest.prompts is None:
-        raise ModelError(
-            f"model {manifest.name!r} has no embedding of {unknown[0]!r}, and no text encoder; add it to the text file"
-        )
+        known_by = f"model {manifest.name!r}, which has no text encoder"
+        raise ModelError(f"{unknown[0]!r} has no embedding in {known_by}; add it to the text file")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
     path = cache / f"{_digest(manifest, groups)}.npz"
     if not path.is_file():

@@ -58,10 +58,8 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
         raise ModelError(f"{source.file}: {wrong[0]} is {known[wrong[0]]!r}; expected a mapping of keys to values")
     file = NetworkFile.read(source.file)
     if "sha256" in known and known["sha256"] not in (file.digest, file_digest(source.file)):
-        raise ModelError(
-            f"{source.file}: has sha256 {file.digest}, expected {known['sha256']}; download it again, or correct the "
-            "checksum if you changed the network"
-        )
+        expected = f"expected {known['sha256']}; download it again, or correct the checksum"
+        raise ModelError(f"{source.file}: has sha256 {file.digest}, {expected}")
     try:
         network = _Recognition(source, file, known, recipe or source.recipe)
         content = network.content()
@@ -135,10 +133,8 @@ class _Recognition:
         name = (stated.get("input") or {}).get("name")
         image = self.inputs.get(name) if name else named[0] if named else None
         if image is None or len(image.shape) not in (4, 5):
-            raise ModelError(
-                f"{self.path}: has no input for an image ({_listed(self.inputs)}); give the vision part of the network,"
-                " or --set input.name=NAME"
-            )
+            how = "give the vision part of the network, or --set input.name=NAME"
+            raise ModelError(f"{self.path}: has no input for an image ({_listed(self.inputs)}); {how}")
         if isinstance(image.shape[0], int) and image.shape[0] != 1:
             raise ModelError(f"{self.path}: takes {image.shape[0]} images at once; export it for one image")
         self.image = image
@@ -158,13 +154,10 @@ class _Recognition:
         known["layout"], known["name"] = self._layout(self.known), self.image.name
         known["dtype"] = dtype = np.dtype(DTYPES.get(self.image.type, np.object_)).name
         if dtype not in ("float32", "float16", "uint8"):
-            raise ModelError(
-                f"{self.path}: input {self.image.name} is {self.image.type}; export it as float32 or uint8"
-            )
+            raise ModelError(f"{self.path}: input {self.image.name} is {self.image.type}; use float32 or uint8")
         if dtype != "uint8" and not {"scale", "mean", "std"} & set(known):
-            found = self.source.normalisation(
-                str(self.stated.get("normalise", "")), str(self.known.get("normalise", ""))
-            )
+            given, usual = (str(of.get("normalise", "")) for of in (self.stated, self.known))
+            found = self.source.normalisation(given, usual)
             if found is None:
                 options = "|".join(RecipeFile.load().normalisations)
                 self.missing.append(f"the normalisation (no preprocessor_config.json): --set normalise={options}")
@@ -200,9 +193,8 @@ class _Recognition:
     def _feed(self, spec: InputSpec) -> dict[str, Values]:
         rng, size = np.random.default_rng(7), (spec.height, spec.width)
         tensor = as_tensor(rng.integers(0, 256, (*size, 3), dtype=np.uint8), spec)
-        feed = image_feed(
-            self.image, tensor, {n: constant_tensor(v, self.inputs[n], size) for n, v in spec.constants.items()}
-        )
+        constants = {n: constant_tensor(v, self.inputs[n], size) for n, v in spec.constants.items()}
+        feed = image_feed(self.image, tensor, constants)
         if spec.intrinsics in self.inputs:
             matrix = np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1.0]])
             feed |= camera_feed(self.inputs[spec.intrinsics], matrix, tensor, spec)
@@ -323,10 +315,8 @@ class _Recognition:
 
     def _reject_if_missing(self) -> None:
         if self.missing:
-            raise ModelError(
-                f"{self.path}: cannot be determined: {'; '.join(self.missing)}; or --like RECIPE for a network of a "
-                "known kind (`ltm models` lists recipes)"
-            )
+            how = "or --like RECIPE for a network of a known kind (`ltm models` lists recipes)"
+            raise ModelError(f"{self.path}: cannot be determined: {'; '.join(self.missing)}; {how}")
 
 
 def _listed(nodes: Mapping[str, Node]) -> str:

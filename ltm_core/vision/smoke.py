@@ -147,9 +147,8 @@ class SmokeMemory:
         # What is darker than most of the land is no smoke, though a bush in the shade may have lost its pattern.
         dark = grey < np.median(grey[land])
         rough = (gone & pattern & paler & ~dark).astype(np.uint8)
-        _, parts, statistics, _ = cv2.connectedComponentsWithStats(
-            cv2.morphologyEx(rough, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        )
+        rough = cv2.morphologyEx(rough, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        _, parts, statistics, _ = cv2.connectedComponentsWithStats(rough)
         large = statistics[:, cv2.CC_STAT_AREA] >= _LEAST * rough.size
         large[0] = False
         wider = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WIDER + 1, 2 * _WIDER + 1))

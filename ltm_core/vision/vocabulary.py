@@ -89,10 +89,8 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
         raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")
     names, vectors = tuple(str(name) for name in words.ravel()), np.asarray(given, np.float32)
     if vectors.shape != (len(names), spec.dimensions) or not names:
-        raise ModelError(
-            f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "
-            "row a name, as text.dimensions states"
-        )
+        found = f"{len(names)} names and embeddings of shape {vectors.shape}"
+        raise ModelError(f"{path}: {found}; expected (K, {spec.dimensions}), as text.dimensions states")
     if len(set(names)) != len(names):
         raise ModelError(f"{path}: repeated names; give each word once")
     unknown = sorted(set(manifest.mapping) - set(names))

@@ -104,8 +104,7 @@ def coarse_poses(
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
         raise PoseError(
-            f"the pixels of the control points {', '.join(points.names)} have no rays with the distortion "
-            f"{camera.distortion}: check it"
+            f"points {', '.join(points.names)} have no rays with the distortion {camera.distortion}: check it"
         )
     return starts
 
@@ -156,9 +155,8 @@ def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[F
         return []
     # Near zero, so that the solver's polynomials keep their digits.
     middle = places.mean(axis=0)
-    _, turns, shifts = cv2.solveP3P(
-        places - middle, rays[:, :2] / rays[:, 2:], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P
-    )
+    marks = rays[:, :2] / rays[:, 2:]
+    _, turns, shifts = cv2.solveP3P(places - middle, marks, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P)
     found = []
     for turn, shift in zip(turns, shifts, strict=True):
         rotation = cv2.Rodrigues(turn)[0].T

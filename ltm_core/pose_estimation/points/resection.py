@@ -141,9 +141,8 @@ def _rough_fit(
 ) -> Fit:
     """Return the best of the coarse search's poses, after a short fit; of those that explain the points alike, that
     whose position is nearest to the stated one."""
-    starts = coarse_poses(
-        problem.points, camera, problem.position, angles_deg, "focal" in free, "position" in free, problem.bend
-    )
+    kind = angles_deg, "focal" in free, "position" in free, problem.bend
+    starts = coarse_poses(problem.points, camera, problem.position, *kind)
     rough = tuple(name for name in free if name in ("focal", "position"))
     fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
     alike = max(min(fit.median_px for fit in fits), sigma_px)

@@ -74,9 +74,8 @@ class ContourDirections:
         return self._only(np.arange(0, len(self.range), every), every)
 
     def _only(self, kept: IndexArray, every: int) -> ContourDirections:
-        return ContourDirections(
-            self.here[kept], self.following[kept], self.range[kept], self.cell[kept], self.every * every
-        )
+        here, following = self.here[kept], self.following[kept]
+        return ContourDirections(here, following, self.range[kept], self.cell[kept], self.every * every)
 
 
 def _directions(azimuth: Float64Array, tangent: Float64Array) -> Float64Array:
@@ -205,10 +204,7 @@ def picture_evidence(
     """Return the evidence in a photo (H, W, 3) with labels (H, W), except in `hidden` (H, W). Raises ImageError."""
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
-        raise ImageError(
-            f"photo {photo.shape}, labels {labels.shape} and camera {size} must have the same size, (H, W, 3) "
-            "and (H, W)"
-        )
+        raise ImageError(f"photo {photo.shape}, labels {labels.shape} and camera {size} must have one size (H, W)")
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
     width = min(camera.width, config.working_width)
     work = camera.resized(width, max(2, round(camera.height * width / camera.width)))

@@ -78,10 +78,8 @@ def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
     """Read class ids (H, W) from a single-channel PNG of the camera's size. Raises ImageError."""
     labels = read_values(Path(path))
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
-        raise ImageError(
-            f"{path}: labels must be a single-channel PNG of class ids, {camera.width} x {camera.height} pixels, got "
-            f"{labels.shape} {labels.dtype}"
-        )
+        found = f"{labels.shape} {labels.dtype}"
+        raise ImageError(f"{path}: expected a PNG of class ids, {camera.width} x {camera.height} pixels, found {found}")
     return labels
 
 

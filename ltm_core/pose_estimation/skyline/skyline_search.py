@@ -60,9 +60,8 @@ def search_azimuths(
     """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose.
     `position_sigma`: metres."""
     _, pitch, roll = prior.pose.angles_deg
-    rays = np.column_stack(
-        [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
-    )
+    x, y = (skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy
+    rays = np.column_stack([x, y, np.ones(len(x))])
     away, tangent = _level(rays, pitch, roll)
     small = 0.05
     by_pitch = (_level(rays, pitch + small, roll)[1] - tangent) / np.radians(small)

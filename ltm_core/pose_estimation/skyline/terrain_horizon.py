@@ -148,9 +148,9 @@ def terrain_horizon(
     reach = min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
     _sweep(elevations, geometry, place, bend, start, step, reach, beyond, rows, points, found)
     if not (rows[:, RANGE] > 0).any():
+        covered = levels[-1].geometry.described()
         raise PoseError(
-            f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
-            "camera's position and its crs, or give a DEM that surrounds it"
+            f"no known terrain around ({x:.0f}, {y:.0f}), the DEM covers {covered}; check the camera's place"
         )
     tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
     # Contours that are long enough, linked from one azimuth to the next.
