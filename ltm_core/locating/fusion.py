@@ -31,12 +31,10 @@ class SightRaster:
         return np.asarray(self.density > 0)
 
 
-def sight_raster(
-    fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
-) -> SightRaster:
+def sight_raster(fan: SightFan, likelihood: SightLikelihood, eye: Float64Array, window: GridGeometry) -> SightRaster:
     """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its share."""
     sums = np.zeros((4, *window.shape))
-    origin = np.array([position[0] - window.x_min, window.y_max - position[1]]) / window.resolution
+    origin = np.array([eye[0] - window.x_min, window.y_max - eye[1]]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
     _splat(fan.ranges, fan.steps, fan.widths, fan.azimuths, *densities, origin, 1 / window.resolution, sums)
     total, area, lift, fit = sums

@@ -18,6 +18,7 @@ from ltm_core.pictures.legend import (
     PAPER,
     UNLABELLED,
     ClassPalette,
+    Color,
     RangeScale,
     Text,
     depth_colors,
@@ -27,9 +28,7 @@ from ltm_core.pictures.legend import (
 )
 
 
-def label_colors(
-    labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
-) -> RgbImage:
+def label_colors(labels: UInt8Array, label_set: ClassPalette, unlabelled: Color = (70, 70, 74)) -> RgbImage:
     """Return the colours (..., 3) of class ids (...) uint8; ids without a colour are `unlabelled`."""
     table = np.tile(np.array(unlabelled, np.uint8), (256, 1))
     table[: len(label_set.colors)] = label_set.colors

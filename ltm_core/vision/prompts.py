@@ -36,6 +36,7 @@ _COLORS = (
 """Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
 
 Prompts = Mapping[str, Sequence[str]]
+_Groups = Mapping[str, tuple[str, ...]]
 
 
 def labels_of_prompts(text: str) -> LabelSet:
@@ -74,9 +75,7 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
     return _by_input(manifest, groups, mapping)
 
 
-def _by_words(
-    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
-) -> NetworkManifest:
+def _by_words(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str]) -> NetworkManifest:
     """Return the manifest with the mean embedding of each group as its words, in a file of the user's cache."""
     assert manifest.text is not None  # nosec B101 # the manifest's own rule for embeddings
     texts = [text for group in groups.values() for text in group]
@@ -105,9 +104,7 @@ def _by_words(
     return manifest.model_copy(update={"text": spec, "mapping": mapping})
 
 
-def _by_input(
-    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
-) -> NetworkManifest:
+def _by_input(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str]) -> NetworkManifest:
     """Return the manifest with the prompts as constants of the network's input.
 
     Of a network that takes embeddings, each group is one class. Of one that takes token ids, each prompt is one, and
@@ -186,7 +183,7 @@ def _tokens(
     return np.array([one.ids for one in found], np.int64), np.array([one.attention_mask for one in found], np.int64)
 
 
-def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) -> str:
+def _digest(manifest: NetworkManifest, groups: _Groups) -> str:
     """Return the digest of all that the embeddings of prompts depend on."""
     found = hashlib.sha256(json.dumps([(name, *group) for name, group in groups.items()]).encode())
     prompts, text = manifest.prompts, manifest.text

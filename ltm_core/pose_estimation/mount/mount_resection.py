@@ -31,6 +31,7 @@ three, no error is detected."""
 WORST_SIGMA_DEG = 0.3  # worst sigma of a direction on the circle for landmarks far enough apart in pan
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
 """Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
+Signs = tuple[Sign, Sign]  # of pan and tilt
 _SIGN_GAIN = 3.0  # factor by which another sign of an axis must fit the landmarks better than the stated one
 
 
@@ -80,7 +81,7 @@ def resect_mount(
         raise PoseError(f"landmarks outside the {lens.width} x {lens.height} image: {names}")
     problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px, free_k1)
     stated = (start.pan_sign, start.tilt_sign)
-    fits: dict[tuple[Sign, Sign], tuple[float, MountModel, Float64Array]] = {}
+    fits: dict[Signs, tuple[float, MountModel, Float64Array]] = {}
     for signs, model in closed_forms(points, start, lens, bend).items():
         median, state = problem.robust_fit(model)
         fits[signs] = median, model, state
@@ -255,15 +256,13 @@ _REACHED = 3  # number of landmarks that must fit the mount of a pair before it 
 _MOST_PAIRS = 200
 
 
-def closed_forms(
-    points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float
-) -> dict[tuple[Sign, Sign], MountModel]:
+def closed_forms(points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float) -> dict[Signs, MountModel]:
     """Return, for each sign of pan and tilt, the stated ones first, the mount that most landmarks agree on."""
     sights = line_of_sight_vectors(start.base.position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]
     rays = np.array([pixel_rays(c, p[None])[0] for c, p in zip(cameras, points.pixels, strict=True)])
-    either: tuple[Sign, Sign] = (1, -1)
+    either: Signs = (1, -1)
     found = {}
     for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
         turns = np.array([ptz_rotation(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])

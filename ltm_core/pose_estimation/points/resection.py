@@ -24,6 +24,7 @@ from ltm_core.pose_estimation.points.resection_adjustment import (
     PARAMETERS,
     Adjustment,
     Fit,
+    Free,
     NoCommonPoseError,
     Parameter,
     check_fit,
@@ -136,7 +137,7 @@ def _rough_fit(
     problem: Adjustment,
     camera: Camera,
     angles_deg: tuple[float, float, float] | None,
-    free: tuple[Parameter, ...],
+    free: Free,
     sigma_px: float,
 ) -> Fit:
     """Return the best of the coarse search's poses, after a short fit; of those that explain the points alike, that

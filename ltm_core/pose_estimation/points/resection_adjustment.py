@@ -19,8 +19,9 @@ from ltm_core.visibility.footprint import line_of_sight_vectors
 
 Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]  # besides the angles, always fitted
 
-PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
-LENS: tuple[Parameter, ...] = PARAMETERS[:-1]
+Free = tuple[Parameter, ...]
+PARAMETERS: Free = get_args(Parameter)
+LENS: Free = PARAMETERS[:-1]
 SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}  # number of values of each parameter
 
 MIN_REDUNDANCY = 2  # minimum excess of coordinates over parameters; with fewer, no error is detected
@@ -81,13 +82,11 @@ class Adjustment:
     """Prior of the lens parameters that are free; without one, the points alone determine them."""
 
     @property
-    def known(self) -> tuple[Parameter, ...]:
+    def known(self) -> Free:
         """Return the parameters that are observed besides the points, if they are free."""
         return (LENS if self.lens else ()) + (("position",) if self.position_sigma is not None else ())
 
-    def robust_fit(
-        self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
-    ) -> Fit:
+    def robust_fit(self, pose: Pose, camera: Camera, free: Free, sigma_px: float, rounds: int = 4) -> Fit:
         """Fit with soft-L1, then Cauchy loss, against gross errors; the median residual is the scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
@@ -96,7 +95,7 @@ class Adjustment:
             fit = self._solve(fit, free, everyone, scale, "cauchy" if turn else "soft_l1")
         return fit
 
-    def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
+    def without_outliers(self, fit: Fit, free: Free, sigma_px: float) -> Fit:
         """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable.
 
         For the standard deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left
@@ -119,16 +118,16 @@ class Adjustment:
             before = used
         return fit
 
-    def _unknowns(self, free: tuple[Parameter, ...]) -> int:
+    def _unknowns(self, free: Free) -> int:
         """Return the number of parameters that the pixels alone determine; those with a prior are observed too."""
         return 3 + size_of(tuple(name for name in free if name not in self.known))
 
-    def bending(self, fit: Fit, free: tuple[Parameter, ...]) -> tuple[Parameter, RadialTrend] | None:
+    def bending(self, fit: Fit, free: Free) -> tuple[Parameter, RadialTrend] | None:
         """Return the first radial term that is not free, and its value by the residuals; None if all are free."""
         term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
-        every: tuple[Parameter, ...] = (*free, term)
+        every: Free = (*free, term)
         step = 1e-6
         moved = (applied(change, fit.camera, fit.pose, every) for change in step * np.eye(3 + size_of(every)))
         slopes = np.column_stack([(fit.residuals - self._residuals(*to))[fit.used].ravel() / step for to in moved])
@@ -143,7 +142,7 @@ class Adjustment:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
         return np.asarray(self.points.pixels - camera.project(sight @ pose.rotation), np.float64)
 
-    def _solve(self, start: Fit, free: tuple[Parameter, ...], used: BoolArray, sigma_px: float, loss: str) -> Fit:
+    def _solve(self, start: Fit, free: Free, used: BoolArray, sigma_px: float, loss: str) -> Fit:
         far = 2 * diagonal(start.camera)
 
         def errors(x: Float64Array) -> Float64Array:
@@ -163,7 +162,7 @@ class Adjustment:
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 
 
-def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
+def applied(x: Float64Array, camera: Camera, pose: Pose, free: Free) -> tuple[Camera, Pose]:
     """Return camera and pose moved by x: rotation about the map's axes, then `free`, the focal length by its log."""
     rest = list(x[3:])
     position = pose.position
@@ -201,7 +200,7 @@ def named(names: Sequence[str], off: Float64Array, which: BoolArray) -> str:
     return ", ".join(f"{names[i]} ({known[i]})" for i in order[:8]) + more
 
 
-def size_of(free: tuple[Parameter, ...]) -> int:
+def size_of(free: Free) -> int:
     return sum(SIZE[name] for name in free)
 
 
@@ -231,7 +230,7 @@ def check_points(points: ControlPoints, camera: Camera, position: Float64Array) 
 def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Parameter]) -> dict[Parameter, str]:
     """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`."""
     held: dict[Parameter, str] = {}
-    order: tuple[Parameter, ...] = ("k3", "k2", "centre", "k1", "position", "focal")
+    order: Free = ("k3", "k2", "centre", "k1", "position", "focal")
     for name in order:
         needed = 3 + size_of(tuple(other for other in chosen if other not in known)) + MIN_REDUNDANCY
         if 2 * count >= needed:
@@ -252,7 +251,7 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
 
 
 def unbearable(
-    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, known: Sequence[Parameter] = ()
+    fit: Fit, free: Free, points: ControlPoints, known: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
     """Return the free parameter that the points determine worst, and why; None if they determine all except those in
     `known`. Raises for the angles."""

@@ -273,16 +273,14 @@ def find_pose_and_lens(
     zoom = best.refined.camera.fx / evidence.camera.fx
     evidence = replace(evidence, camera=evidence.camera.zoomed(zoom))
     search = find_pose(evidence, terrain, prior, config, _FOCAL_LEFT, horizon)
-    return _with_other_lenses(search, trials, best, config), with_k1(best.k1).zoomed(zoom)
+    return _with_other_lenses(search, trials, best, config.verdict), with_k1(best.k1).zoomed(zoom)
 
 
-def _with_other_lenses(
-    search: PictureSearch, trials: list[_Trial], best: _Trial, config: PicturePoseConfig
-) -> PictureSearch:
+def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial, v: VerdictConfig) -> PictureSearch:
     """Return the search with the spread of the poses of other lenses in its covariance, and its verdict by it."""
     if not search.hypotheses:
         return search
-    v, verdict = config.verdict, search.verdict
+    verdict = search.verdict
     first, *others = search.hypotheses
     variance = first.refined.skyline.variance
     weights: list[float] = []
