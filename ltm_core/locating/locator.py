@@ -219,10 +219,8 @@ class Locator:
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
         """Locate the marked object by one or several sightings of it. `smoke`: its lowest visible part is marked, and
-        its foot may be hidden; else it stands on the ground that is marked.
-
-        Raises RegionError: no sighting, too many, one of sky or unknown terrain; PoseError for a camera under the
-        ground or an invalid covariance."""
+        its foot may be hidden; else it stands on the ground that is marked. Raises RegionError: no sighting, too many,
+        one of sky or unknown terrain; PoseError for a camera under the ground or an invalid covariance."""
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
             raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")
         terrain = LocatingTerrain(self.dem, self.bend, self.config, smoke)

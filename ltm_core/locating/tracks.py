@@ -91,10 +91,9 @@ class Track:
 
 @dataclass
 class Tracks:
-    """The tracks of a site.
-
-    `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends. `most`: maximum number of
-    tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera in a track, the newest."""
+    """The tracks of a site. `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends.
+    `most`: maximum number of tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera
+    in a track, the newest."""
 
     locator: Locator
     smoke: bool = True

@@ -39,9 +39,8 @@ SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 @dataclass(frozen=True)
 class MapCamera:
-    """A camera on a map: its position in the map frame, and its field of view as a sector (metres, degrees).
-
-    `camera`: None marks a position without a sector."""
+    """A camera on a map: its position in the map frame, and its field of view as a sector (metres, degrees). `camera`:
+    None marks a position without a sector."""
 
     name: str
     camera: Camera | None

@@ -208,10 +208,9 @@ def site_picture(
     offset: tuple[float, float],
     heading: str,
 ) -> RgbImage:
-    """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3).
-
-    `dem`, `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to
-    vote; a camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
+    """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3). `dem`,
+    `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to vote; a
+    camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
     bounds = _around(dem.geometry, cameras)
     reach = 0.14 * (bounds[2] - bounds[0])
     drawn = [replace(camera, reach=reach) for camera in cameras]

@@ -107,9 +107,8 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
 
 
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
-    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones.
-
-    `least`: share of the image; smaller regions are left out."""
+    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones. `least`:
+    share of the image; smaller regions are left out."""
     found: list[tuple[float, NamedArea]] = []
     for index, name in enumerate(names):
         smooth = cv2.medianBlur((labels == index).astype(np.uint8), 5) > 0
@@ -122,9 +121,8 @@ def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float 
 
 def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False) -> list[Outline]:
     """Return outlines (u, v) of the parts of (H, W), to `tolerance` pixels, coarser where a polygon would have too many
-    corners (`MOST_POINTS`).
-
-    `filled`: holes are filled. Otherwise the outline goes into each hole and back, for the even-odd rule."""
+    corners (`MOST_POINTS`). `filled`: holes are filled. Otherwise the outline goes into each hole and back, for the
+    even-odd rule."""
     mode = cv2.RETR_EXTERNAL if filled else cv2.RETR_CCOMP
     # All pixels of the edges: a cut to a hole ends at one of them.
     contours, tree = cv2.findContours(region.astype(np.uint8), mode, cv2.CHAIN_APPROX_NONE)

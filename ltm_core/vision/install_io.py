@@ -169,10 +169,9 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
 
 
 def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
-    """Copy a checked manifest and all its files to the user's models; return the new manifest.
-
-    The files of each network have a folder of its own, so that no network overwrites another's. Raises ModelError for
-    the name of a model that ships, or of another network that is installed."""
+    """Copy a checked manifest and all its files to the user's models; return the new manifest. The files of each
+    network have a folder of its own, so that no network overwrites another's. Raises ModelError for the name of a model
+    that ships, or of another network that is installed."""
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
     other = "add --name OTHER"
@@ -239,10 +238,9 @@ def stated_by(options: Sequence[str]) -> dict[str, Any]:
 
 
 def download(url: str, target: Path, digest: str | None, progress: Progress = lambda received: None) -> None:
-    """Download a file, continuing an interrupted download; `progress` gets the bytes received.
-
-    `digest`: its SHA-256; None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is
-    deleted. Raises ModelError."""
+    """Download a file, continuing an interrupted download; `progress` gets the bytes received. `digest`: its SHA-256;
+    None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is deleted. Raises
+    ModelError."""
     import httpx
 
     if url.startswith("file://"):

@@ -29,10 +29,9 @@ from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest, Withdr
 
 @dataclass(frozen=True, eq=False)
 class LabelHead:
-    """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
-
-    `withdraw`: thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`:
-    name and checksum, for `labels/info`."""
+    """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores. `withdraw`:
+    thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`: name and checksum, for
+    `labels/info`."""
 
     name: str
     described: str
@@ -100,9 +99,8 @@ class LabelHeadFile(StrictModel):
 
 
 def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
-    """Read a label head for the network of a manifest; return it with the file's content.
-
-    Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head."""
+    """Read a label head for the network of a manifest; return it with the file's content. Raises ModelError, with what
+    was expected and what was found: no file, wrong content, another network's head."""
     try:
         content = load_yaml(path, LabelHeadFile)
     except ConfigError as reason:
@@ -133,10 +131,9 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
 
 
 def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = None) -> Path | None:
-    """Return the file of a camera's label head; None for the network's own, `landscape`.
-
-    `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
-    the user taught. Raises ModelError with every place looked at."""
+    """Return the file of a camera's label head; None for the network's own, `landscape`. `name`: a path (`*.yaml`), or
+    a name that is looked for in `folder` (a site's), beside the manifest and among what the user taught. Raises
+    ModelError with every place looked at."""
     if name == SHIPPED_LABEL_HEAD:
         return None
     if name.endswith((".yaml", ".yml")) or os.sep in name:

@@ -48,10 +48,9 @@ class _LabelFile(StrictModel):
 
 @dataclass(frozen=True)
 class LabelSet:
-    """The classes of label images; position in each tuple is the id.
-
-    `colors` are sRGB 0..255. `ground_cover` tells whether a pixel of the class is evidence of what covers the
-    ground (and so votes in fuel cells). Id 255 (`UNLABELLED`) is no class: nothing is known of the pixel."""
+    """The classes of label images; position in each tuple is the id. `colors` are sRGB 0..255. `ground_cover` tells
+    whether a pixel of the class is evidence of what covers the ground (and so votes in fuel cells). Id 255
+    (`UNLABELLED`) is no class: nothing is known of the pixel."""
 
     names: tuple[str, ...]
     colors: tuple[tuple[int, int, int], ...]
@@ -59,9 +58,8 @@ class LabelSet:
 
     @classmethod
     def load(cls, path: Path | None = None) -> "LabelSet":
-        """Read a label file, by default the `labels.yaml` that ships with the system.
-
-        Raises ConfigError: unknown or missing keys, ids with gaps, a built-in class that is absent or renumbered."""
+        """Read a label file, by default the `labels.yaml` that ships with the system. Raises ConfigError: unknown or
+        missing keys, ids with gaps, a built-in class that is absent or renumbered."""
         path = config_path("labels.yaml") if path is None else path
         entries = load_yaml(path, _LabelFile).labels
         by_id = sorted(entries.items(), key=lambda item: item[1].id)

@@ -123,11 +123,9 @@ class OutputSpec(StrictModel):
 
 
 class TextSpec(StrictModel):
-    """Words of a network of kind `embeddings`.
-
-    `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float; None: all come from the text
-    encoder in `prompts`. The score of a word at a pixel is `scale` times the cosine between the two vectors (LSeg 14.3,
-    CLIP 100)."""
+    """Words of a network of kind `embeddings`. `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K,
+    dimensions) float; None: all come from the text encoder in `prompts`. The score of a word at a pixel is `scale`
+    times the cosine between the two vectors (LSeg 14.3, CLIP 100)."""
 
     file: Path | None = None
     dimensions: int = Field(gt=0)

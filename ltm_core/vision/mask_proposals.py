@@ -52,9 +52,8 @@ class Proposal:
 
 
 def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
-    """Propose areas to mask in images (H, W, 3) RGB of one fixed camera; images in different light work best.
-
-    The result is deterministic. Raises ImageError if the images differ in size or if there are none."""
+    """Propose areas to mask in images (H, W, 3) RGB of one fixed camera; images in different light work best. The
+    result is deterministic. Raises ImageError if the images differ in size or if there are none."""
     shapes = sorted({(frame.shape[1], frame.shape[0]) for frame in frames})
     if len(shapes) != 1:
         named = ", ".join(f"{width} x {height}" for width, height in shapes) or "there are none"

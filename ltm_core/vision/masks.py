@@ -28,7 +28,6 @@ from ltm_core.vision.mask_config import MaskConfig, MaskPolygon, ViewMask
 @dataclass(frozen=True, eq=False)
 class CameraMask:
     """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
-
     Raises ConfigError for a mask that hides nothing, or everything."""
 
     hidden: BoolArray
@@ -71,9 +70,8 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 
 class MaskMaker:
     """Mask of a key of the site file, `place`: call it with the size (width, height) of the images. A PNG, of its own
-    `size` only, is kept as bits, because a patrol has many views.
-
-    Raises ConfigError for another format, nothing or everything masked, and, when called, for another size."""
+    `size` only, is kept as bits, because a patrol has many views. Raises ConfigError for another format, nothing or
+    everything masked, and, when called, for another size."""
 
     def __init__(self, config: MaskConfig, place: str) -> None:
         self._polygons, self._place = config if isinstance(config, tuple) else (), place

@@ -21,7 +21,6 @@ _ANY_LOCATION: Final = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)location")
 @dataclass(frozen=True)
 class NetworkFile:
     """An ONNX file. `weights`: the names of the files with its external weights, relative to its folder, sorted.
-
     `digest`: the SHA-256 of the file (`sha256sum`), or with external weights that of one line per file, `<sha256>
     <name>`, the ONNX file first with an empty name."""
 

@@ -71,8 +71,8 @@ class OnnxModel:
     """Network of a manifest; the checksum and tensors of its file are compared with the manifest.
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
-    what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
-    image is run once for all of them (`shared_runs`).
+    what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, an
+    image is run once for all of them (`SharedRuns`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs."""
@@ -109,10 +109,8 @@ class OnnxModel:
 
     def outputs(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> list[npt.NDArray[Any]]:
         """Run the network, and return its output tensor and those that the manifest names beside it, in that order;
-        float16 and float64 as float32.
-
-        `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
-        ModelError if the network needs it and it is missing."""
+        float16 and float64 as float32. `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names
+        an input for it. Raises ModelError if the network needs it and it is missing."""
         names = [self._output_name, *self.manifest.output.beside]
         if self._camera is None:
             return self._shared(tensor, names)
@@ -123,9 +121,8 @@ class OnnxModel:
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
-        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
-
-        `part`: of an image, or another size, which no other user requests. Raises ModelError for other maps."""
+        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs. `part`: of
+        an image, or another size, which no other user requests. Raises ModelError for other maps."""
         names = [self._output_name, *maps]
         output, *found = self._run(names, self._feed(tensor)) if part else self._shared(tensor, names)
         for name, values in zip(maps, found, strict=True):
@@ -251,9 +248,8 @@ def _share_arena() -> None:
 
 
 def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.InferenceSession:
-    """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError.
-
-    Callers of several threads hold a lock."""
+    """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError. Callers of several
+    threads hold a lock."""
     _share_arena()
     options = ort.SessionOptions()
     options.add_session_config_entry("session.use_env_allocators", "1")

@@ -105,10 +105,9 @@ def _by_words(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str
 
 
 def _by_input(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str]) -> NetworkManifest:
-    """Return the manifest with the prompts as constants of the network's input.
-
-    Of a network that takes embeddings, each group is one class. Of one that takes token ids, each prompt is one, and
-    the probability of a label is the mean of those of its prompts: its logits are lowered by ln(number of prompts)."""
+    """Return the manifest with the prompts as constants of the network's input. Of a network that takes embeddings,
+    each group is one class. Of one that takes token ids, each prompt is one, and the probability of a label is the mean
+    of those of its prompts: its logits are lowered by ln(number of prompts)."""
     constants: dict[str, Any] = dict(manifest.input.constants)
     ids = [name for name in constants if "ids" in name or "token" in name]
     if not ids:

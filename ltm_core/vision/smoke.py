@@ -82,10 +82,9 @@ class _SmokeFrame:
 
 
 class SmokeMemory:
-    """Recent views of a camera's land, by which smoke is detected in later images, in their order.
-
-    Memory for `REMEMBERED` images is taken with the first one and used in turn: a camera must need in three hours what
-    it needs at once, 2.9 MB for images of 16 to 9. Images of another size begin a new memory."""
+    """Recent views of a camera's land, by which smoke is detected in later images, in their order. Memory for
+    `REMEMBERED` images is taken with the first one and used in turn: a camera must need in three hours what it needs at
+    once, 2.9 MB for images of 16 to 9. Images of another size begin a new memory."""
 
     def __init__(self) -> None:
         self._seen: deque[_SmokeFrame] = deque(maxlen=REMEMBERED)

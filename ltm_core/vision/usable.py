@@ -80,9 +80,7 @@ class Usability:
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
     """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
-    sun's elevation, degrees; None: unknown.
-
-    Raises ImageError for another shape."""
+    sun's elevation, degrees; None: unknown. Raises ImageError for another shape."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
         raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     height, width = picture.shape[:2]

@@ -19,9 +19,8 @@ from ltm_core.raster.dem import Dem
 
 
 class MountConfig(PoseConfig):
-    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0.
-
-    The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
+    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0. The sigmas'
+    defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
 
     azimuth_sigma_deg: Written[float | None] = Field(1.5, gt=0)
     pitch_sigma_deg: Written[float | None] = Field(0.5, gt=0)

@@ -96,10 +96,9 @@ class Adjustment:
         return fit
 
     def without_outliers(self, fit: Fit, free: Free, sigma_px: float) -> Fit:
-        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable.
-
-        For the standard deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left
-        out entirely, outliers make the rest look better than further points will be)."""
+        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable. For the standard
+        deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left out entirely,
+        outliers make the rest look better than further points will be)."""
         size = self._unknowns(free)
         before = None
         for _ in range(10):

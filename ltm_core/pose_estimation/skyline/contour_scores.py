@@ -100,7 +100,6 @@ def ridge_strength(
     pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
 ) -> float:
     """Return the strength of edges on the ridges of a pose in multiples of chance; ridges within 8 pixels count as one.
-
     `step`: radians of azimuth between the contours' points."""
     around = directions.in_view(pose, camera, _MOST_POINTS)
     scores, counts = scores_and_counts(pose.rotation[None], around, camera, edges)

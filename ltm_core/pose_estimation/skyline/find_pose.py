@@ -3,7 +3,7 @@
 1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
-3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the image, or
+3. The best of these is accepted where it stands out (`judge`). Where no skyline of the DEM is in the image, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
 4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`settled_on_ridges`).
@@ -96,9 +96,8 @@ def find_pose(
     focal_sigma: float = 0.0,
     horizon: TerrainHorizon | None = None,
 ) -> PictureSearch:
-    """Search the pose of an image and judge it.
-
-    `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already. Raises PoseError as `terrain_horizon`."""
+    """Search the pose of an image and judge it. `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already.
+    Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 

@@ -26,9 +26,8 @@ class ImageContours:
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
     """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
-    and masks.
-
-    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it."""
+    and masks. The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs
+    along it."""
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
@@ -65,9 +64,8 @@ _SHARP_PX = 0.45  # standard deviation of sharp edges in pixels
 
 @dataclass(frozen=True, eq=False)
 class ImageSkyline:
-    """The sky's lower edge in up to COLUMNS columns of an image.
-
-    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) label below. `spacing`: of columns."""
+    """The sky's lower edge in up to COLUMNS columns of an image. `u`, `v`: (K,) pixels, where sky ends. `sigma_px`:
+    (K,) of v; `cover`: (K,) label below. `spacing`: of columns."""
 
     u: Float64Array
     v: Float64Array

@@ -57,10 +57,8 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
     """Return the first hypothesis moved between the solutions by skyline and by ridges; None if they contradict each
-    other.
-
-    How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
-    half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997)."""
+    other. How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean
+    by half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997)."""
     a, b = by_skyline.refined, by_ridges.refined
     change = _change(a, b)
     turns = slice(3, 6)

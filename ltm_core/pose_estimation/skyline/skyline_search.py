@@ -92,7 +92,7 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
 
 @helper(inline="always")
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
-    """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
+    """Return the height and sigma of what grows on a crest so far away; `CrestCover.at`, compiled."""
     near = 1 - far
     return near * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], near * column[NEAR_SIGMA] + far * column[FAR_SIGMA]
 

@@ -127,9 +127,8 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
-
-    `bend`: of rays, 1/m. `possible`: heights of unknown ground. Raises PoseError if no DEM lies around the position."""
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`. `bend`: of rays, 1/m.
+    `possible`: heights of unknown ground. Raises PoseError if no DEM lies around the position."""
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count
