@@ -143,10 +143,9 @@ class PromptSpec(StrictModel):
 class NetworkManifest(StrictModel):
     """Network file with the data needed to run and check it; YAML on disk.
 
-    `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
-    is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
-    one of depth, that name different outputs. For a network of kind `embeddings` the words of `text` are the classes.
-    """
+    `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out is
+    unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and one
+    of depth, that name different outputs. For a network of kind `embeddings` the words of `text` are the classes."""
 
     name: str
     file: Path

@@ -46,20 +46,20 @@ class ContourDirections:
     def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
         """Return the points beyond `nearest` metres; `with_horizon`: including the horizon where it is a ridge."""
         c = horizon.contours
-        kept = np.flatnonzero((c.following >= 0) & (c.range > nearest))
-        ends = [(c.azimuth[k], c.tangent[k], c.range[k], c.cell[k]) for k in (kept, c.following[kept])]
-        parts = [ends]
+        here = np.flatnonzero((c.following >= 0) & (c.range > nearest))
+        after, points = c.following[here], [c.azimuth, c.tangent, c.range, c.cell]
         if with_horizon:
             t, r = horizon.tangent, horizon.range
             steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > nearest) & (r[1:] > nearest)
             steady &= np.abs(np.diff(np.log(np.maximum(r, 1.0)))) < 0.12
             steady &= ~(horizon.at_edge[:-1] | horizon.at_edge[1:])
-            k = np.flatnonzero(steady)
-            parts.append([(horizon.azimuths[j], t[j], r[j], horizon.cell[j]) for j in (k, k + 1)])
-        (azimuth, t, r, cell), (after, t_after, *_) = (
-            [np.concatenate(values) for values in zip(*(part[end] for part in parts), strict=True)] for end in (0, 1)
-        )
-        return cls(_directions(azimuth, t), _directions(after, t_after), r, cell)
+            k = len(c) + np.flatnonzero(steady)  # the horizon's points come after those of the contours
+            here, after = np.concatenate([here, k]), np.concatenate([after, k + 1])
+            added = (horizon.azimuths, t, r, horizon.cell)
+            points = [np.concatenate(pair) for pair in zip(points, added, strict=True)]
+        azimuth, tangent, ranges, cells = points
+        seen, following = (_directions(azimuth[at], tangent[at]) for at in (here, after))
+        return cls(seen, following, ranges[here], cells[here])
 
     def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
         """Return at most `most` points in front of a camera or slightly beside it."""
