@@ -57,7 +57,7 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
     shapes = sorted({(frame.shape[1], frame.shape[0]) for frame in frames})
     if len(shapes) != 1:
         named = ", ".join(f"{width} x {height}" for width, height in shapes) or "there are none"
-        raise ImageError(f"a mask is proposed from images of one camera and one size ({named})")
+        raise ImageError(f"the images have different sizes ({named}); give images of one camera only")
     (width, height), count = shapes[0], "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
     there = [overlay for frame in frames if (overlay := find_overlay(frame)) is not None]
     found = []
